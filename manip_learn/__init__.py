@@ -1,0 +1,1 @@
+"""Learn task constraints from demonstrations, and keep the arm away from singularities."""

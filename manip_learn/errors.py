@@ -1,0 +1,160 @@
+"""Errors: one base, and a child for each thing that a caller can act on.
+
+Every message says what is wrong, where, the value seen, the value wanted and what to do. The same facts are kept as
+attributes, so that a program need not parse the sentence.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import final
+
+
+class ManipLearnError(Exception):
+    """Base of all errors raised on purpose by manip_learn."""
+
+
+class RobotError(ManipLearnError):
+    """A robot description cannot be used.
+
+    Attributes:
+        code: Short stable name of the reason, e.g. `"not-xml"`.
+        path: File of the description, or None.
+        line: Line in the file, counted from 1, or None.
+    """
+
+    def __init__(self, message: str, *, code: str = "robot", path: Path | None = None, line: int | None = None):
+        super().__init__(message)
+        self.code = code
+        self.path = path
+        self.line = line
+
+
+class UnknownNameError(ManipLearnError):
+    """A name that the robot does not have.
+
+    Attributes:
+        kind: What was looked for: `"frame"`, `"joint"`, `"robot"`, ...
+        name: The name that was asked for.
+        near: The closest names that exist.
+    """
+
+    def __init__(self, kind: str, name: str, known: Iterable[str], where: str = ""):
+        names = sorted({str(n) for n in known})
+        self.kind = kind
+        self.name = str(name)
+        self.near = tuple(closest_names(self.name, names))
+        place = f" in {where}" if where else ""
+        if self.near:
+            hint = f"did you mean {', '.join(repr(n) for n in self.near)}?"
+        elif names:
+            shown = ", ".join(repr(n) for n in names[:12])
+            hint = f"it has {shown}" + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+        else:
+            hint = f"there are no {kind}s"
+        super().__init__(f"unknown {kind} {self.name!r}{place}: {hint}")
+
+    def __reduce__(self):
+        return (_rebuild_unknown_name, (self.args[0], self.kind, self.name, self.near))
+
+
+def _rebuild_unknown_name(message: str, kind: str, name: str, near: tuple[str, ...]) -> UnknownNameError:
+    error = UnknownNameError(kind, name, near)
+    error.args = (message,)
+    error.near = near
+    return error
+
+
+def closest_names(name: str, known: Iterable[str], n: int = 4) -> list[str]:
+    """Names of `known` that look like `name`: by similarity, then by containing it."""
+    known = list(known)
+    near = difflib.get_close_matches(name, known, n=n, cutoff=0.55)
+    lowered = name.lower()
+    near += [k for k in known if lowered and (lowered in k.lower() or k.lower() in lowered) and k not in near]
+    return near[:n]
+
+
+class ConfigurationError(ManipLearnError):
+    """A configuration or velocity vector has the wrong size or holds NaN or infinity."""
+
+
+class FeatureError(ManipLearnError):
+    """A feature map cannot be built or evaluated as asked."""
+
+
+class ConstraintError(ManipLearnError):
+    """A selection matrix is unusable (wrong size, dependent rows, not finite)."""
+
+
+class ConstraintMismatchError(ConstraintError):
+    """A saved constraint belongs to another robot or another kind of file."""
+
+
+class RecordingError(ManipLearnError):
+    """A recording cannot be used.
+
+    Attributes:
+        code: Short stable name of the reason, e.g. `"missing-joint"`.
+        path: File of the recording, or None.
+        line: Line in the file, counted from 1, or None.
+        column: Column name, or None.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        code: str = "recording",
+        path: Path | None = None,
+        line: int | None = None,
+        column: str | None = None,
+    ):
+        super().__init__(message)
+        self.code = code
+        self.path = path
+        self.line = line
+        self.column = column
+
+
+class NotIdentifiableError(ManipLearnError):
+    """The demonstrations do not determine the constraint.
+
+    Attributes:
+        code: Short stable name of the reason, e.g. `"weak-gap"`.
+    """
+
+    def __init__(self, message: str, *, code: str = "not-identifiable"):
+        super().__init__(message)
+        self.code = code
+
+
+class TargetError(ManipLearnError):
+    """A task target or a joint target has the wrong size or is not finite."""
+
+
+class OutputError(ManipLearnError):
+    """An output file or folder cannot be written."""
+
+
+@final
+class MissingExtraError(ManipLearnError):
+    """An optional dependency is not installed.
+
+    Attributes:
+        extra: Name of the extra that brings it.
+    """
+
+    def __init__(self, what: str, extra: str):
+        self.extra = extra
+        super().__init__(f"{what} needs the optional extra {extra!r}: pip install 'manip_learn[{extra}]'")
+
+    def __reduce__(self):
+        return (_rebuild_missing_extra, (self.args[0], self.extra))
+
+
+def _rebuild_missing_extra(message: str, extra: str) -> MissingExtraError:
+    error = MissingExtraError("", extra)
+    error.args = (message,)
+    return error

@@ -1,0 +1,77 @@
+"""Feature maps Phi(q): the candidate rows out of which Lambda selects."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.errors import FeatureError, TargetError
+
+
+class FeatureMap(ABC):
+    """Phi(q), shape (p, nv), and its exact derivative; A(q) = Lambda Phi(q) selects from its rows.
+
+    Attributes of every child:
+        nv: Number of velocities that the rows act on.
+        row_names: One name a row, e.g. `("x", "y", "rz")`.
+        row_units: Unit of each row times a velocity, e.g. `("m/s", "m/s", "rad/s")`.
+    """
+
+    nv: int
+    row_names: tuple[str, ...]
+    row_units: tuple[str, ...]
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows p."""
+        return len(self.row_names)
+
+    @abstractmethod
+    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
+        """Phi(q)."""
+
+    @abstractmethod
+    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
+        """dPhi/dq; entry [i, j, k] = d Phi_ij / d q_k along tangent coordinate k."""
+
+    def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
+        """Phi(q) and dPhi/dq together, cheaper than one by one where a child shares work."""
+        return self(q), self.derivative(q)
+
+    def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
+        """Phi at n configurations, the rows of q."""
+        return np.stack([self(row) for row in np.asarray(q, dtype=np.float64)])
+
+    def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Task coordinates r(q) whose rate is Phi(q) u.
+
+        Raises:
+            FeatureError: The rows are not the rate of anything that this feature map knows.
+        """
+        raise FeatureError(f"{self!r} has no task coordinates: give the controller a task that returns b itself")
+
+    def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Displacement from r(q) to the target, in the rows' axes.
+
+        Raises:
+            TargetError: Wrong size or not finite.
+            FeatureError: The rows have no coordinates.
+        """
+        goal = np.asarray(target, dtype=np.float64)
+        if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
+            raise TargetError(
+                f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}), got {goal.tolist()}"
+            )
+        return goal - self.coordinates(q)
+
+    def describe(self) -> dict[str, Any]:
+        """What a saved constraint needs to build this feature map again.
+
+        Raises:
+            FeatureError: It cannot be written down (functions in Python).
+        """
+        raise FeatureError(f"{self!r} is made of Python functions and cannot be saved")

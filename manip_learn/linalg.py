@@ -1,0 +1,110 @@
+"""Linear algebra of constraint matrices, all from one singular value decomposition.
+
+Shapes: A (s, n) with s <= n in general, but nothing here needs it.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+Inverse = Literal["exact", "truncated", "damped"]
+EPS = float(np.finfo(np.float64).eps)
+
+
+def pseudo_inverse(
+    A: Float[np.ndarray, "s n"], inverse: Inverse = "exact", *, threshold: float = 0.05, damping: float = 0.05
+) -> Float[np.ndarray, "n s"]:
+    """Pseudo-inverse A^+ of a constraint matrix.
+
+    Args:
+        A: Constraint matrix.
+        inverse: `"exact"` inverts every singular value above the smallest normal number, however small;
+            `"truncated"` drops those below Matlab's tolerance max(size(A)) * eps(norm(A)), as the paper does;
+            `"damped"` replaces 1/sigma by sigma / (sigma^2 + lambda^2), with lambda = 0 above `threshold`.
+        threshold: Singular value below which damping sets in (damped only), same unit as A.
+        damping: lambda at sigma = 0 (damped only), same unit as A.
+    """
+    if 0 in A.shape:
+        return np.zeros(A.shape[::-1])
+    U, sigma, Vt = np.linalg.svd(A, full_matrices=False)
+    return (Vt.T * inverse_singular_values(sigma, A.shape, inverse, threshold, damping)) @ U.T
+
+
+def inverse_singular_values(
+    sigma: Float[np.ndarray, " k"],
+    shape: tuple[int, ...],
+    inverse: Inverse = "exact",
+    threshold: float = 0.05,
+    damping: float = 0.05,
+) -> Float[np.ndarray, " k"]:
+    """1/sigma in the chosen sense; see `pseudo_inverse`."""
+    out = np.zeros_like(sigma)
+    if inverse == "damped":
+        ratio = np.clip(sigma / threshold, 0.0, 1.0)
+        # smooth at the threshold: value and slope of lambda^2 vanish there
+        lambda2 = (damping * (1.0 - ratio**2)) ** 2
+        denominator = sigma**2 + lambda2
+        np.divide(sigma, denominator, out=out, where=denominator > 0)
+        return out
+    if inverse == "truncated":
+        keep = sigma > matlab_tolerance(sigma, shape)
+    elif inverse == "exact":
+        keep = sigma > np.finfo(np.float64).tiny
+    else:
+        raise ValueError(f"inverse must be 'exact', 'truncated' or 'damped', not {inverse!r}")
+    np.divide(1.0, sigma, out=out, where=keep)
+    return out
+
+
+def matlab_tolerance(sigma: Float[np.ndarray, " k"], shape: tuple[int, ...]) -> float:
+    """Matlab's pinv tolerance max(size(A)) * eps(norm(A))."""
+    return float(max(shape) * np.spacing(np.max(sigma, initial=0.0)))
+
+
+def null_basis(A: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "n k"]:
+    """Orthonormal basis Z of the null space of A (numerical rank by Matlab's tolerance)."""
+    _, sigma, Vt = np.linalg.svd(A, full_matrices=True)
+    rank = int(np.count_nonzero(sigma > matlab_tolerance(sigma, A.shape)))
+    return Vt[rank:].T
+
+
+def null_projector(A: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "n n"]:
+    """Exact orthogonal projector N = I - A^+ A = Z Z^T onto the null space of A."""
+    Z = null_basis(A)
+    return Z @ Z.T
+
+
+def orthonormal_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s p"]:
+    """The matrix with orthonormal rows closest to M (polar factor): keeps the row space, and the rows where it can."""
+    U, _, Vt = np.linalg.svd(M, full_matrices=False)
+    return U @ Vt
+
+
+def complement_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "k p"]:
+    """Orthonormal rows that span the orthogonal complement of the row space of M."""
+    return null_basis(M).T
+
+
+def principal_angles(M1: Float[np.ndarray, "s p"], M2: Float[np.ndarray, "k p"]) -> Float[np.ndarray, " m"]:
+    """Principal angles [rad] between two row spaces, largest first, accurate for tiny angles too."""
+    Q1 = orthonormal_rows(M1)
+    Q2 = orthonormal_rows(M2)
+    if Q1.shape[0] < Q2.shape[0]:
+        Q1, Q2 = Q2, Q1
+    cosines = np.linalg.svd(Q2 @ Q1.T, compute_uv=False)
+    # arccos loses half the digits near 0: take those from the sines of what lies outside Q1
+    sines = np.linalg.svd(Q2 - (Q2 @ Q1.T) @ Q1, compute_uv=False)
+    cosines = np.clip(np.sort(cosines), 0.0, 1.0)
+    sines = np.clip(np.sort(sines)[::-1], 0.0, 1.0)[: cosines.size]
+    return np.where(cosines > 0.7, np.arcsin(sines), np.arccos(cosines))
+
+
+def row_space_angle(M1: Float[np.ndarray, "s p"], M2: Float[np.ndarray, "k p"]) -> float:
+    """Largest principal angle [rad] between two row spaces; pi/2 if their dimensions differ."""
+    if np.linalg.matrix_rank(M1) != np.linalg.matrix_rank(M2):
+        return float(np.pi / 2)
+    angles = principal_angles(M1, M2)
+    return float(np.max(angles, initial=0.0))

@@ -1,0 +1,7 @@
+"""Robots: files -> kinematics."""
+
+from manip_learn.robot.frame import Frame
+from manip_learn.robot.loading import load_robot
+from manip_learn.robot.robot import Reference, Robot
+
+__all__ = ["Frame", "Reference", "Robot", "load_robot"]

@@ -1,0 +1,473 @@
+"""A robot: configuration -> Jacobians and their derivatives in a named reference frame."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal, final
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.errors import ConfigurationError, UnknownNameError
+from manip_learn.robot.coupling import Coupling, Mimic
+from manip_learn.robot.frame import Frame
+from manip_learn.robot.joint_block import JointBlock, joint_kind
+from manip_learn.robot.kinematic_hessian import (
+    REFERENCES,
+    closed_form,
+    columns_to_joints,
+    pinocchio_order_is_known,
+    reordered,
+)
+
+Reference = Literal["world", "local"]
+
+
+@final
+class Robot:
+    """Kinematics of one robot.
+
+    Two vectors describe a posture, and every method takes either: the *configuration* q (nq), in which a continuous
+    joint is (cos, sin) and a floating base has a quaternion; and the *joint positions* (nv), one number a joint [rad
+    or m] as recordings hold them. They are the same thing for arms with limited joints only. Velocities are tangent
+    vectors (nv) [rad/s or m/s]. Everything that moves is counted: mimic joints follow their leaders and are no
+    degrees of freedom.
+
+    One robot can be used from many threads: each has its own Pinocchio data.
+
+    Attributes:
+        name: Name of the robot.
+        nq: Size of a configuration.
+        nv: Number of degrees of freedom.
+        joint_names: One name a degree of freedom, in Pinocchio's order (depth first, siblings by name).
+        frame_names: Names that `FrameJacobian` accepts.
+        position_lower: shape (nv,) [rad or m], -inf where there is no limit.
+        position_upper: shape (nv,) [rad or m].
+        velocity_limit: shape (nv,) [rad/s or m/s], inf where there is none.
+        mimics: Mimic joints, resolved.
+        source: File that the robot was read from, or None.
+        package_dirs: Folders in which `package://` meshes are looked up.
+        fingerprint: SHA-256 of what was read, with the locked joints: tells two robots apart.
+        warnings: What was repaired or ignored while loading, in sentences.
+    """
+
+    def __init__(
+        self,
+        model: pin.Model,
+        *,
+        name: str | None = None,
+        source: Path | None = None,
+        package_dirs: Sequence[Path] = (),
+        fingerprint: str = "",
+        mimics: Sequence[Mimic] = (),
+        warnings: Sequence[str] = (),
+    ):
+        self._model = model
+        self.name: str = name or model.name
+        self.source = source
+        self.package_dirs = tuple(package_dirs)
+        self.fingerprint = fingerprint
+        self.mimics = tuple(mimics)
+        self.warnings = tuple(warnings)
+        self._build_blocks()
+        self._build_limits()
+        self._build_frames()
+        self._fast_hessian = pinocchio_order_is_known(model)
+        self._columns_to_joints = columns_to_joints(model)
+        self._local = threading.local()
+
+    # ---- building -------------------------------------------------------------------------------------------------
+
+    def _build_blocks(self) -> None:
+        model = self._model
+        followers = {m.joint for m in self.mimics}
+        blocks: list[JointBlock] = []
+        nq = nv = 0
+        for index in range(1, model.njoints):
+            joint, name = model.joints[index], model.names[index]
+            if name in followers or joint.nv == 0:
+                continue
+            blocks.append(
+                JointBlock(
+                    name=name,
+                    kind=joint_kind(joint.shortname()),
+                    index=index,
+                    q=slice(nq, nq + joint.nq),
+                    v=slice(nv, nv + joint.nv),
+                    pin_q=slice(joint.idx_q, joint.idx_q + joint.nq),
+                    pin_v=slice(joint.idx_v, joint.idx_v + joint.nv),
+                )
+            )
+            nq, nv = nq + joint.nq, nv + joint.nv
+        self.blocks = tuple(blocks)
+        self.nq, self.nv = nq, nv
+        self.joint_names: tuple[str, ...] = tuple(n for b in blocks for n in b.coordinate_names)
+        self._coupling = self._build_coupling() if self.mimics else None
+        # a plain robot's configuration IS Pinocchio's: the hot path skips all conversions
+        self._plain = nq == nv == model.nq and self._coupling is None
+        self._unit_blocks = tuple(b for b in blocks if b.kind in ("continuous", "floating", "planar"))
+
+    def _build_coupling(self) -> Coupling:
+        model = self._model
+        lift = np.zeros((model.nv, self.nv))
+        offset = np.zeros(model.nv)
+        for b in self.blocks:
+            lift[b.pin_v, b.v] = np.eye(b.v.stop - b.v.start)
+        column = {b.name: b.v.start for b in self.blocks if b.v.stop - b.v.start == 1}
+        for m in self.mimics:
+            row = model.joints[model.getJointId(m.joint)].idx_v
+            lift[row, column[m.leader]] = m.multiplier
+            offset[row] = m.offset
+        return Coupling(lift, offset)
+
+    def _build_limits(self) -> None:
+        lower, upper = np.full(self.nv, -np.inf), np.full(self.nv, np.inf)
+        velocity = np.full(self.nv, np.inf)
+        model = self._model
+        for b in self.blocks:
+            if b.kind in ("revolute", "prismatic"):
+                lower[b.v], upper[b.v] = model.lowerPositionLimit[b.pin_q], model.upperPositionLimit[b.pin_q]
+            limit = np.asarray(model.velocityLimit[b.pin_v])
+            velocity[b.v] = np.where(limit > 0, limit, np.inf)
+        # a follower's limits bind its leader, seen through the multiplier
+        column = {b.name: b.v.start for b in self.blocks}
+        for m in self.mimics:
+            joint, k = model.joints[model.getJointId(m.joint)], column[m.leader]
+            limit = float(model.velocityLimit[joint.idx_v])
+            if m.multiplier == 0.0:
+                continue
+            if limit > 0:
+                velocity[k] = min(velocity[k], limit / abs(m.multiplier))
+        for array in (lower, upper, velocity):
+            array.setflags(write=False)
+        self.position_lower, self.position_upper, self.velocity_limit = lower, upper, velocity
+
+    def _build_frames(self) -> None:
+        frames: dict[str, Frame] = {}
+        for index, f in enumerate(self._model.frames):
+            if f.name == "universe":
+                continue
+            # a link and a joint may share a name: the link is meant
+            if f.name not in frames or f.type == pin.FrameType.BODY:
+                frames[f.name] = Frame(f.name, index, int(f.parentJoint))
+        self._frames = frames
+        self.frame_names: tuple[str, ...] = tuple(frames)
+
+    # ---- names ----------------------------------------------------------------------------------------------------
+
+    def frame(self, name: str) -> Frame:
+        """The frame of that name.
+
+        Raises:
+            UnknownNameError: No such frame; lists near matches.
+        """
+        if isinstance(name, str) and name in self._frames:
+            return self._frames[name]
+        raise UnknownNameError("frame", name, self.frame_names, f"robot {self.name!r}")
+
+    def joint_index(self, name: str) -> int:
+        """Tangent coordinate of the joint of that name.
+
+        Raises:
+            UnknownNameError: No such joint; lists near matches.
+        """
+        if name in self.joint_names:
+            return self.joint_names.index(name)
+        raise UnknownNameError("joint", name, self.joint_names, f"robot {self.name!r}")
+
+    # ---- configurations -------------------------------------------------------------------------------------------
+
+    def configuration(self, q: ArrayLike) -> Float[np.ndarray, " nq"]:
+        """Configuration (nq) from a configuration (nq) or from joint positions (nv); unit parts are normalised.
+
+        Raises:
+            ConfigurationError: Wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
+        """
+        q = self._finite_vector(q)
+        if self.nq == self.nv:
+            return q
+        if q.shape[0] == self.nv:
+            return self._configuration_from_positions(q)
+        return self._normalised(q)
+
+    def _finite_vector(self, q: ArrayLike) -> np.ndarray:
+        try:
+            vector = np.ascontiguousarray(q, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ConfigurationError(f"a configuration must be numbers, not {type(q).__name__}: {error}") from error
+        if vector.ndim != 1 or vector.shape[0] not in (self.nq, self.nv):
+            sizes = f"{self.nv}" if self.nq == self.nv else f"{self.nq} (configuration) or {self.nv} (joint positions)"
+            raise ConfigurationError(
+                f"a posture of {self.name!r} has {sizes} numbers, this one has shape {vector.shape}; "
+                f"joints in order: {', '.join(self.joint_names)}"
+            )
+        if not math.isfinite(vector.dot(vector)):
+            self._refuse_not_finite(vector)
+        return vector
+
+    def _refuse_not_finite(self, vector: np.ndarray) -> None:
+        bad = np.flatnonzero(~np.isfinite(vector))
+        if bad.size == 0:  # finite, but the squares overflow
+            bad = np.array([np.argmax(np.abs(vector))])
+        i = int(bad[0])
+        where = f"joint {self.joint_names[i]!r}" if vector.shape[0] == self.nv else f"entry {i}"
+        raise ConfigurationError(f"configuration of {self.name!r}: {where} is {vector[i]}, a finite number is needed")
+
+    def _normalised(self, q: np.ndarray) -> np.ndarray:
+        q = q.copy()
+        for b in self._unit_blocks:
+            part = slice(b.q.start if b.kind == "continuous" else b.q.stop - (4 if b.kind == "floating" else 2), b.q.stop)
+            norm = float(np.linalg.norm(q[part]))
+            if norm < 1e-6:
+                raise ConfigurationError(
+                    f"joint {b.name!r}: its {'quaternion' if b.kind == 'floating' else '(cos, sin)'} is {q[part]}, "
+                    "which has no direction; it must have length 1"
+                )
+            q[part] /= norm
+        return q
+
+    def _configuration_from_positions(self, positions: np.ndarray) -> np.ndarray:
+        q = np.empty(self.nq)
+        for b in self.blocks:
+            x = positions[b.v]
+            if b.kind == "continuous":
+                q[b.q] = np.cos(x[0]), np.sin(x[0])
+            elif b.kind == "planar":
+                q[b.q] = x[0], x[1], np.cos(x[2]), np.sin(x[2])
+            elif b.kind == "floating":
+                q[b.q] = np.concatenate([x[:3], pin.Quaternion(pin.exp3(x[3:])).coeffs()])
+            else:
+                q[b.q] = x
+        return q
+
+    def positions(self, q: ArrayLike) -> Float[np.ndarray, " nv"]:
+        """Joint positions (nv) [rad or m] of a posture; continuous joints in (-pi, pi], orientations as rotation
+        vectors. Joint positions are handed back as they are, with their full turns.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        vector = self._finite_vector(q)
+        if vector.shape[0] == self.nv:
+            return vector
+        vector = self._normalised(vector)
+        out = np.empty(self.nv)
+        for b in self.blocks:
+            x = vector[b.q]
+            if b.kind == "continuous":
+                out[b.v] = np.arctan2(x[1], x[0])
+            elif b.kind == "planar":
+                out[b.v] = x[0], x[1], np.arctan2(x[3], x[2])
+            elif b.kind == "floating":
+                out[b.v] = np.concatenate([x[:3], pin.log3(pin.Quaternion(x[3:]).matrix())])
+            else:
+                out[b.v] = x
+        return out
+
+    def neutral(self) -> Float[np.ndarray, " nq"]:
+        """A posture inside the limits: zero where that is allowed, else the middle of the range."""
+        middle = np.where(
+            np.isfinite(self.position_lower) & np.isfinite(self.position_upper),
+            0.5 * (self.position_lower + self.position_upper),
+            0.0,
+        )
+        inside = (self.position_lower <= 0.0) & (self.position_upper >= 0.0)
+        return self.configuration(np.where(inside, 0.0, middle))
+
+    def random_configuration(self, rng: np.random.Generator) -> Float[np.ndarray, " nq"]:
+        """A posture drawn evenly between the limits; unlimited joints within half a turn or 1 m."""
+        lower = np.where(np.isfinite(self.position_lower), self.position_lower, -np.pi)
+        upper = np.where(np.isfinite(self.position_upper), self.position_upper, np.pi)
+        positions = rng.uniform(lower, upper)
+        for b in self.blocks:
+            if b.kind in ("floating", "planar"):
+                positions[b.v] = rng.uniform(-1.0, 1.0, b.v.stop - b.v.start)
+        return self.configuration(positions)
+
+    def integrate(self, q: ArrayLike, v: ArrayLike) -> Float[np.ndarray, " n"]:
+        """Posture after the displacement v (nv) in the tangent space; same kind of vector as q.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        vector = self._finite_vector(q)
+        step = self.velocity(v)
+        if vector.shape[0] == self.nv and not any(b.kind in ("floating", "planar", "other") for b in self.blocks):
+            return vector + step
+        out = self._integrate_configuration(self.configuration(vector), step)
+        return self.positions(out) if vector.shape[0] == self.nv else out
+
+    def _integrate_configuration(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        if self._plain:
+            return q + v
+        lifted = v if self._coupling is None else self._coupling.lift @ v
+        full = pin.integrate(self._model, self._expanded(q), lifted)
+        if self._coupling is None:
+            return full
+        return np.concatenate([full[b.pin_q] for b in self.blocks]) if self.blocks else full[:0]
+
+    def difference(self, q0: ArrayLike, q1: ArrayLike) -> Float[np.ndarray, " nv"]:
+        """Tangent vector (nv) that leads from q0 to q1 along the shortest way.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        a, b = self.configuration(q0), self.configuration(q1)
+        if self._plain:
+            return b - a
+        full = pin.difference(self._model, self._expanded(a), self._expanded(b))
+        if self._coupling is None:
+            return full
+        return np.concatenate([full[k.pin_v] for k in self.blocks])
+
+    def velocity(self, v: ArrayLike) -> Float[np.ndarray, " nv"]:
+        """A checked tangent velocity (nv).
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        vector = np.ascontiguousarray(v, dtype=np.float64)
+        if vector.shape != (self.nv,):
+            raise ConfigurationError(
+                f"a velocity of {self.name!r} has {self.nv} numbers, this one has shape {vector.shape}"
+            )
+        if not math.isfinite(vector.dot(vector)):
+            bad = int(np.argmax(~np.isfinite(vector)))
+            raise ConfigurationError(
+                f"velocity of joint {self.joint_names[bad]!r} is {vector[bad]}, a finite number is needed"
+            )
+        return vector
+
+    def pinocchio_configuration(self, q: ArrayLike) -> Float[np.ndarray, " n"]:
+        """Configuration of the underlying Pinocchio model, mimic joints included (for geometry and playback)."""
+        return self._expanded(self.configuration(q))
+
+    @property
+    def pinocchio_model(self) -> pin.Model:
+        """The underlying Pinocchio model. It has mimic joints as joints of their own; do not change it."""
+        return self._model
+
+    def _expanded(self, q: np.ndarray) -> np.ndarray:
+        if self._coupling is None:
+            return q
+        full = pin.neutral(self._model)
+        for b in self.blocks:
+            full[b.pin_q] = q[b.q]
+        positions = self._coupling.lift @ self.positions(q) + self._coupling.offset
+        for m in self.mimics:
+            joint = self._model.joints[self._model.getJointId(m.joint)]
+            x = positions[joint.idx_v]
+            full[joint.idx_q : joint.idx_q + joint.nq] = (np.cos(x), np.sin(x)) if joint.nq == 2 else x
+        return full
+
+    # ---- kinematics -----------------------------------------------------------------------------------------------
+
+    @property
+    def _data(self) -> pin.Data:
+        try:
+            return self._local.data
+        except AttributeError:
+            self._local.data = self._model.createData()
+            return self._local.data
+
+    def _pin_q(self, q: ArrayLike) -> np.ndarray:
+        return self._finite_vector(q) if self._plain else self._expanded(self.configuration(q))
+
+    def pose(self, q: ArrayLike, frame: Frame) -> Float[np.ndarray, "4 4"]:
+        """Homogeneous transform from the frame to the robot's base [m].
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        data = self._data
+        pin.framesForwardKinematics(self._model, data, self._pin_q(q))
+        return data.oMf[frame.index].homogeneous.copy()
+
+    def jacobian(self, q: ArrayLike, frame: Frame, reference: Reference = "world") -> Float[np.ndarray, "6 nv"]:
+        """Frame Jacobian, linear rows first: velocity of the frame's origin [m/s] and angular velocity [rad/s] a
+        joint velocity, along the base axes (`"world"`) or along the frame's own axes (`"local"`).
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        J = pin.computeFrameJacobian(self._model, self._data, self._pin_q(q), frame.index, REFERENCES[reference])
+        if J.ndim == 1:  # nv == 1
+            J = J.reshape(6, 1)
+        return J if self._coupling is None else J @ self._coupling.lift
+
+    def jacobian_and_derivative(
+        self, q: ArrayLike, frame: Frame, reference: Reference = "world"
+    ) -> tuple[Float[np.ndarray, "6 nv"], Float[np.ndarray, "6 nv nv"]]:
+        """Frame Jacobian J and dJ/dq, entry [i, j, k] = d J_ij / d q_k, the derivative taken along tangent
+        coordinate k. Exact.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        model, data, ref = self._model, self._data, REFERENCES[reference]
+        pin_q = self._pin_q(q)
+        if self._fast_hessian:
+            pin.computeJointKinematicHessians(model, data, pin_q)
+            pin.updateFramePlacement(model, data, frame.index)
+            J = pin.getFrameJacobian(model, data, frame.index, ref)
+            H = reordered(pin.getFrameKinematicHessian(model, data, frame.index, ref), model.nv)
+            J = J.reshape(6, model.nv)
+        else:
+            J = pin.computeFrameJacobian(model, data, pin_q, frame.index, ref).reshape(6, model.nv)
+            H = closed_form(J, self._columns_to_joints, reference)
+        if self._coupling is not None:
+            lift = self._coupling.lift
+            return J @ lift, np.einsum("iab,aj,bk->ijk", H, lift, lift, optimize=True)
+        return J, H
+
+    @property
+    def mass(self) -> float:
+        """Total mass of the moving and fixed links [kg]."""
+        return float(pin.computeTotalMass(self._model))
+
+    def centre_of_mass(self, q: ArrayLike) -> Float[np.ndarray, " 3"]:
+        """Centre of mass in the base frame [m]."""
+        return pin.centerOfMass(self._model, self._data, self._pin_q(q)).copy()
+
+    def centre_of_mass_jacobian_and_derivative(
+        self, q: ArrayLike
+    ) -> tuple[Float[np.ndarray, "3 nv"], Float[np.ndarray, "3 nv nv"]]:
+        """Jacobian of the centre of mass [m/s a joint velocity] and its exact derivative along tangent coordinates.
+
+        For joint k at or above joint i: d Jc_i / d q_k = w_k x Jc_i; for k below i: w_i x Jc_k; else 0.
+        """
+        model, data = self._model, self._data
+        Jc = np.array(pin.jacobianCenterOfMass(model, data, self._pin_q(q))).reshape(3, model.nv)
+        w = np.array(data.J).reshape(6, model.nv)[3:].T
+        owner, c = self._columns_to_joints, Jc.T
+        is_above = np.zeros((model.njoints, model.njoints), dtype=bool)
+        for j in range(model.njoints):
+            is_above[list(model.supports[j]), j] = True
+        k_above_i = is_above[owner[None, :], owner[:, None]]
+        i_above_k = is_above[owner[:, None], owner[None, :]] & ~k_above_i
+        H = np.where(k_above_i[..., None], np.cross(w[None, :], c[:, None]), 0.0)
+        H += np.where(i_above_k[..., None], np.cross(w[:, None], c[None, :]), 0.0)
+        H = H.transpose(2, 0, 1)
+        if self._coupling is not None:
+            lift = self._coupling.lift
+            return Jc @ lift, np.einsum("iab,aj,bk->ijk", H, lift, lift, optimize=True)
+        return Jc, H
+
+    # ---- plumbing -------------------------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        return f"Robot({self.name!r}, nq={self.nq}, nv={self.nv}, joints={', '.join(self.joint_names)})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = self.__dict__.copy()
+        del state["_local"]
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._local = threading.local()
