@@ -1,0 +1,110 @@
+"""Manipulability of a task and its gradient, finite at singularities.
+
+mu(q) = sqrt(det(A A^T)), equation (4) of Manavalan and Howard, computed as the product of the singular values of A;
+grad mu, equation (13), without a division.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint import Constraint
+from manip_learn.linalg import EPS
+
+# below this ratio to the largest singular value the left singular vectors of zero and non-zero are mixed by rounding
+SINGULAR_RATIO = 64.0 * EPS
+
+
+def manipulability(constraint: Constraint, q: ArrayLike) -> float:
+    """mu(q), the product of the singular values of A(q); 0 at a singularity, never NaN.
+
+    Unit: product of the units of the constraint's rows.
+
+    Raises:
+        ConfigurationError: q has the wrong size or is not finite.
+    """
+    return manipulability_of(constraint(q))
+
+
+def manipulability_of(A: Float[np.ndarray, "s nv"]) -> float:
+    """mu of a constraint matrix; 0 if it has more rows than columns."""
+    if A.shape[0] > A.shape[1]:
+        return 0.0
+    return float(np.prod(np.linalg.svd(A, compute_uv=False)))
+
+
+def manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " nv"]:
+    """Gradient of mu along the tangent coordinates, finite everywhere.
+
+    At an exact singularity mu is a cone, |M step| to first order: what comes back there is its steepest ascent, the
+    leading right singular vector of M times its singular value. (Both signs climb; the one whose largest entry is
+    positive is chosen.) Where the rank drops by two or more mu grows with a higher power of the step, and the gradient
+    is zero.
+
+    Raises:
+        ConfigurationError: q has the wrong size or is not finite.
+    """
+    A, dA = constraint.value_and_derivative(q)
+    return gradient_of(A, dA)[1]
+
+
+def log_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " nv"]:
+    """Gradient of log mu = grad mu / mu [1/rad or 1/m]: free of the constraint's units.
+
+    At a singularity it is infinite in length; the direction of `manipulability_gradient` comes back there, with the
+    length that it has at the edge of what rounding can tell from a singularity.
+
+    Raises:
+        ConfigurationError: q has the wrong size or is not finite.
+    """
+    A, dA = constraint.value_and_derivative(q)
+    mu, gradient, floor = gradient_of(A, dA)
+    return gradient / max(mu, floor, np.finfo(np.float64).tiny)
+
+
+def gradient_of(
+    A: Float[np.ndarray, "s nv"], dA: Float[np.ndarray, "s nv nv"]
+) -> tuple[float, Float[np.ndarray, " nv"], float]:
+    """mu, its gradient, and the mu below which a singularity cannot be told from rounding, from A and dA/dq.
+
+    d mu / d q_k = sum_i (prod_{j != i} sigma_j) u_i^T (dA / dq_k) v_i.
+    """
+    s, nv = A.shape
+    if s > nv:
+        return 0.0, np.zeros(nv), 0.0
+    U, sigma, Vt = np.linalg.svd(A, full_matrices=True)
+    others = products_of_others(sigma)
+    mu = float(others[0] * sigma[0])
+    floor = float(SINGULAR_RATIO * sigma[0] * others[-1])
+    if sigma[-1] <= SINGULAR_RATIO * sigma[0]:
+        return mu, _cone_ascent(U[:, -1], Vt[s - 1 :], float(others[-1]), dA), floor
+    # W_ij = sum_i others_i u_i v_i^T, so that the gradient is one contraction
+    W = (U * others) @ Vt[:s]
+    return mu, W.reshape(-1) @ dA.reshape(s * nv, nv), floor
+
+
+def products_of_others(sigma: Float[np.ndarray, " s"]) -> Float[np.ndarray, " s"]:
+    """prod_{j != i} sigma_j for each i, without a division."""
+    s = sigma.shape[0]
+    out = np.ones(s)
+    for i in range(1, s):
+        out[i] = out[i - 1] * sigma[i - 1]
+    behind = 1.0
+    for i in range(s - 1, -1, -1):
+        out[i] *= behind
+        behind *= sigma[i]
+    return out
+
+
+def _cone_ascent(
+    u_min: Float[np.ndarray, " s"], V_null: Float[np.ndarray, "k nv"], scale: float, dA: Float[np.ndarray, "s nv nv"]
+) -> Float[np.ndarray, " nv"]:
+    """Steepest ascent of |M step| with M[r, k] = scale * u_min^T (dA / dq_k) v_r, v_r spanning the null space of A."""
+    M = scale * (V_null @ np.tensordot(u_min, dA, axes=1))
+    _, rate, Wt = np.linalg.svd(M, full_matrices=False)
+    direction = Wt[0]
+    if direction[np.argmax(np.abs(direction))] < 0.0:
+        direction = -direction
+    return rate[0] * direction
