@@ -1,0 +1,78 @@
+# Two commands are enough for a fresh machine with Python 3.11 or newer:
+#   make demo    learn from the shipped recordings, compare the policies, open the replay
+#   make test    what the continuous integration runs: lint, types, tests, examples
+# Either makes .venv first if it is missing, and installs again when pyproject.toml has changed.
+
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
+	if command -v $$p >/dev/null 2>&1 && $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; \
+	then echo $$p; break; fi; done)
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+# two workers with one thread each: BLAS threads on these tiny matrices cost more than they bring
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint types check docs bench fuzz proofs format clean distclean
+
+help:
+	@sed -n '1,4s/^# \{0,1\}//p' Makefile
+	@echo "Also: make lint, types, format, docs, bench, fuzz, proofs, clean, distclean"
+
+# ---- installing -------------------------------------------------------------------------------------------------
+
+$(VENV)/made:
+	@if [ -z "$(PYTHON)" ]; then \
+		echo "manip_learn needs Python 3.11 or newer and none was found; install it, or: make $(MAKECMDGOALS) PYTHON=/path/to/python3" >&2; \
+		exit 1; fi
+	$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/runtime: pyproject.toml $(VENV)/made
+	$(PIP) install --quiet --editable .
+	@touch $@
+
+$(VENV)/dev: pyproject.toml $(VENV)/made
+	$(PIP) install --quiet --editable '.[dev]'
+	@touch $@ $(VENV)/runtime
+
+# ---- doing ------------------------------------------------------------------------------------------------------
+
+demo: $(VENV)/runtime
+	$(BIN)/manip-learn demo $(ARGS)
+
+test: lint types check
+
+lint: $(VENV)/dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/dev
+	$(BIN)/pyright
+
+check: $(VENV)/dev
+	$(PYTEST) -n 2 --dist worksteal --benchmark-disable $(ARGS)
+
+format: $(VENV)/dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+docs: $(VENV)/dev
+	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
+bench: $(VENV)/dev
+	$(PYTEST) benchmarks -m bench $(ARGS)
+
+fuzz: $(VENV)/dev
+	HYPOTHESIS_PROFILE=fuzz $(PYTEST) -n 2 --benchmark-disable -m fuzz --timeout 1800 $(ARGS)
+
+proofs: $(VENV)/dev
+	$(PYTEST) -n 2 --dist worksteal --benchmark-disable -m slow --timeout 3600 $(ARGS)
+
+clean:
+	rm -rf build dist out demo_out docs/_build .pytest_cache .ruff_cache .hypothesis .benchmarks
+	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -exec rm -rf {} +
+
+distclean: clean
+	rm -rf $(VENV)
