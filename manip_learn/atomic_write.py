@@ -1,47 +1,84 @@
-"""Write a file whole or not at all."""
+"""Write a file completely or not at all."""
 
 from __future__ import annotations
 
+import contextlib
 import os
-import tempfile
+import secrets
+import stat
 from pathlib import Path
 
 from manip_learn.errors import OutputError
 
 
-def write_atomically(path: str | Path, content: bytes | str) -> Path:
-    """Write to a temporary file beside `path`, flush it to the disk, then rename it: no reader ever sees half a file.
+def write_atomically(path: str | os.PathLike[str], content: bytes | str) -> Path:
+    """Write `content` to `path`; whoever reads the path sees the old content or the new one, never a part of it.
 
-    Missing folders are made.
+    The bytes go to a temporary file in the same folder, are flushed to the disk, and take the place of the old file in
+    one step. Missing folders are made. Text is written as UTF-8, line ends as they are.
+
+    Returns:
+        The absolute path that was written.
 
     Raises:
-        OutputError: The path is a folder, or cannot be written.
+        OutputError: The path is a folder or a device, the old file is write-protected, or the folder cannot be written.
     """
-    target = Path(path).expanduser()
-    data = content.encode("utf-8") if isinstance(content, str) else content
-    if target.is_dir():
-        raise OutputError(f"cannot write {target}: it is a folder; name a file in it")
-    temporary = None
+    target = _checked_target(path)
+    data = content.encode("utf-8") if isinstance(content, str) else bytes(content)
+    temporary = target.with_name(f".{target.name[:20]}.{secrets.token_hex(6)}.tmp")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())
+        _write_durably(temporary, data)
+        if target.exists():
+            temporary.chmod(stat.S_IMODE(target.stat().st_mode))
         os.replace(temporary, target)
+        _flush_folder(target.parent)
     except OSError as error:
+        reason = error.strerror or str(error)
         raise OutputError(
-            f"cannot write {target}: {error.strerror or error}; choose a folder that you may write to"
+            f"cannot write {target}: {reason}; choose a file in a folder that you may write to"
         ) from error
     finally:
-        if temporary is not None and os.path.exists(temporary):
-            os.unlink(temporary)
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
     return target
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def _checked_target(path: str | os.PathLike[str]) -> Path:
+    text = os.fspath(path)
+    if not text:
+        raise OutputError("cannot write to an empty path: give a file name")
+    try:
+        target = Path(text).expanduser().resolve()  # a link stays a link, its target is replaced
+        mode = target.stat().st_mode if target.exists() else None
+    except (OSError, RuntimeError, ValueError) as error:
+        raise OutputError(f"cannot write {text!r}: {error}; choose another file name") from error
+    if mode is None:
+        if text.endswith(("/", os.sep)):
+            raise OutputError(f"cannot write {text!r}: it names a folder; give a file name in it")
+        return target
+    if stat.S_ISDIR(mode):
+        raise OutputError(f"cannot write {target}: it is a folder; give a file name in it")
+    if not stat.S_ISREG(mode):
+        raise OutputError(f"cannot write {target}: it is a device or a pipe; give an ordinary file name")
+    if not os.access(target, os.W_OK):
+        raise OutputError(f"cannot write {target}: the file is write-protected; choose another name or remove it")
+    return target
+
+
+def _write_durably(path: Path, data: bytes) -> None:
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _flush_folder(folder: Path) -> None:
+    """Make the new name itself durable, where the system can do so."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

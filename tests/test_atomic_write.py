@@ -1,0 +1,88 @@
+"""Files are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import stat
+
+import pytest
+
+from manip_learn.atomic_write import write_atomically
+from manip_learn.errors import OutputError
+
+
+def test_writes_and_replaces(tmp_path):
+    """Text and bytes arrive unchanged, in folders that did not exist, and the old content is gone."""
+    path = tmp_path / "new" / "folder" / "page.html"
+    assert write_atomically(path, "ä\r\n") == path.resolve()
+    assert path.read_bytes() == "ä\r\n".encode()
+    write_atomically(path, b"\x00\xff")
+    assert path.read_bytes() == b"\x00\xff"
+
+
+def test_leaves_nothing_behind(tmp_path, monkeypatch):
+    """When the last step fails, the old file is still whole and no temporary file stays."""
+    path = tmp_path / "page.html"
+    write_atomically(path, "old")
+
+    def refuse(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", refuse)
+    with pytest.raises(OutputError, match="No space left"):
+        write_atomically(path, "new")
+    assert [p.name for p in tmp_path.iterdir()] == ["page.html"]
+    assert path.read_text() == "old"
+
+
+def test_refuses_folders_and_devices(tmp_path):
+    """A folder, a device, an empty path and a folder that is a file are each refused in one sentence."""
+    (tmp_path / "file").write_text("")
+    os.mkfifo(tmp_path / "pipe")
+    cases = {
+        tmp_path: "it is a folder",
+        f"{tmp_path}/missing/": "names a folder",
+        "": "empty path",
+        "/dev/null": "device or a pipe",
+        tmp_path / "pipe": "device or a pipe",
+        tmp_path / "file" / "page.html": "cannot write",
+        tmp_path / ("x" * 300): "cannot write",
+    }
+    for path, reason in cases.items():
+        with pytest.raises(OutputError, match=reason):
+            write_atomically(path, "x")
+    assert not (tmp_path / "missing").exists()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_respects_write_protection(tmp_path):
+    """A write-protected file or folder is not overwritten."""
+    path = tmp_path / "page.html"
+    path.write_text("old")
+    path.chmod(0o444)
+    with pytest.raises(OutputError, match="write-protected"):
+        write_atomically(path, "new")
+    tmp_path.chmod(0o555)
+    try:
+        with pytest.raises(OutputError, match="Permission denied"):
+            write_atomically(tmp_path / "other.html", "new")
+    finally:
+        tmp_path.chmod(0o755)
+
+
+def test_keeps_links_and_modes(tmp_path):
+    """A symbolic link still points at its target, and the file keeps its access rights."""
+    target, link = tmp_path / "target", tmp_path / "link"
+    target.write_text("old")
+    target.chmod(0o600)
+    link.symlink_to(target)
+    write_atomically(link, "new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+    assert stat.S_IMODE(target.stat().st_mode) == 0o600
+    umask = os.umask(0o022)
+    try:
+        write_atomically(tmp_path / "fresh", "x")
+    finally:
+        os.umask(umask)
+    assert stat.S_IMODE((tmp_path / "fresh").stat().st_mode) == 0o644
