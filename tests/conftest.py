@@ -1,0 +1,136 @@
+"""Robots that the tests share, and how hard Hypothesis tries."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+hypothesis.settings.register_profile("default", max_examples=25, deadline=None, derandomize=True)
+hypothesis.settings.register_profile("fuzz", max_examples=2000, deadline=None, print_blob=True)
+hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+
+if os.environ.get("CHECK_SHAPES"):
+    # every shape in a signature is checked while the tests run; must come before the first import of the library
+    from jaxtyping import install_import_hook
+
+    install_import_hook("manip_learn", "beartype.beartype")
+
+import numpy as np  # noqa: E402
+import pinocchio as pin  # noqa: E402
+
+from manip_learn.robot.loading import load_robot  # noqa: E402
+from manip_learn.robot.robot import Robot  # noqa: E402
+
+ROBOTS = Path(__file__).resolve().parents[1] / "robots"
+
+
+def chain_urdf(name: str, joints: list[tuple[str, str, str, str]], extra: str = "") -> str:
+    """URDF of links one after the other; each joint is (type, axis, origin xyz, origin rpy), inertias everywhere."""
+    links = [_link("base")]
+    for i, (kind, axis, xyz, rpy) in enumerate(joints):
+        parent = "base" if i == 0 else f"link{i - 1}"
+        limit = "" if kind in ("continuous", "floating") else '<limit lower="-2" upper="2" velocity="2" effort="10"/>'
+        axis_tag = "" if kind == "floating" else f'<axis xyz="{axis}"/>'
+        links.append(_link(f"link{i}"))
+        links.append(
+            f'<joint name="joint{i}" type="{kind}"><parent link="{parent}"/><child link="link{i}"/>'
+            f'<origin xyz="{xyz}" rpy="{rpy}"/>{axis_tag}{limit}</joint>'
+        )
+    return f'<robot name="{name}">{"".join(links)}{extra}{_tip(len(joints) - 1)}</robot>'
+
+
+def _link(name: str) -> str:
+    return (
+        f'<link name="{name}"><inertial><origin xyz="0.1 0.02 -0.05"/><mass value="1.5"/>'
+        '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.03"/></inertial></link>'
+    )
+
+
+def _tip(last: int) -> str:
+    return (
+        f'<link name="tip"/><joint name="tip_fixed" type="fixed"><parent link="link{last}"/><child link="tip"/>'
+        '<origin xyz="0.3 -0.1 0.2" rpy="0.4 0.3 -0.2"/></joint>'
+    )
+
+
+ONE = [("revolute", "0 0.6 0.8", "0.1 0.2 0.3", "0.1 0 0.3")]
+GANTRY = [
+    ("prismatic", "1 0 0", "0 0 0.4", "0 0 0"),
+    ("prismatic", "0 1 0", "0.1 0 0.2", "0 0 0.5"),
+    ("revolute", "0 0 1", "0 0.3 0", "0.2 0 0"),
+    ("revolute", "0.6 0 0.8", "0.2 0 0.4", "0 0.7 0"),
+    ("prismatic", "0 0.8 0.6", "0 0.1 0.2", "0 0 0"),
+]
+WRIST = [
+    ("continuous", "0 0 1", "0 0 0.3", "0 0 0"),
+    ("revolute", "0 1 0", "0.4 0 0", "0 0 0.2"),
+    ("continuous", "1 0 0", "0.3 0 0.1", "0.3 0 0"),
+    ("revolute", "0 1 0", "0.2 0 0", "0 0 0"),
+]
+FLOATING = [
+    ("floating", "", "0 0 0.5", "0.1 0 0"),
+    ("revolute", "0 1 0", "0.2 0 0.1", "0 0 0.4"),
+    ("revolute", "1 0 0", "0.3 0 0", "0 0.3 0"),
+]
+BRANCH = (
+    _link("arm_a")
+    + _link("arm_b")
+    + '<joint name="a_side" type="revolute"><parent link="link1"/><child link="arm_a"/><origin xyz="0 0.3 0"/>'
+    '<axis xyz="1 0 0"/><limit lower="-2" upper="2" velocity="1" effort="1"/></joint>'
+    '<joint name="z_side" type="prismatic"><parent link="arm_a"/><child link="arm_b"/><origin xyz="0 0.1 0.2"/>'
+    '<axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+)
+
+URDFS = {
+    "one": chain_urdf("one", ONE),
+    "gantry": chain_urdf("gantry", GANTRY),
+    "wrist": chain_urdf("wrist", WRIST),
+    "floating": chain_urdf("floating", FLOATING),
+    "tree": chain_urdf("tree", [*GANTRY[1:4], ("revolute", "0 1 0", "0.1 0 0.1", "0 0 0")], BRANCH),
+    "mimic": chain_urdf("mimic", [*GANTRY[2:4], ("revolute", "0 1 0", "0.2 0 0.1", "0 0 0"), *GANTRY[4:]]).replace(
+        '<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="joint0" multiplier="-0.7" offset="0.2"/>', 1
+    ),
+}
+TIPS = {
+    "planar3": "tip",
+    "sawyer": "right_hand",
+    "panda": "panda_hand_tcp",
+    "ur5": "tool0",
+    "kinova": "j2s6s200_end_effector",
+}
+LOCKED = {"panda": ("panda_finger_joint1",)}
+
+
+@cache
+def named_robot(name: str, folder: Path) -> Robot:
+    """A robot of `URDFS`, of the project's `robots` folder, or of example-robot-data."""
+    if name == "floating":
+        return Robot(pin.buildModelFromXML(URDFS[name]), fingerprint=name)
+    if name in URDFS:
+        path = folder / f"{name}.urdf"
+        path.write_text(URDFS[name], encoding="utf-8")
+        return load_robot(path)
+    return load_robot(name, locked=LOCKED.get(name, ()))
+
+
+def tip_of(robot_name: str) -> str:
+    """The frame that the tests look at."""
+    return TIPS.get(robot_name, "tip")
+
+
+@pytest.fixture(scope="session")
+def robot_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Robot]:
+    """Name -> robot, each built once."""
+    folder = tmp_path_factory.mktemp("robots")
+    return lambda name: named_robot(name, folder)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """The same random numbers in every test."""
+    return np.random.default_rng(20191103)

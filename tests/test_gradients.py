@@ -1,0 +1,277 @@
+"""Every derivative of the library against central differences: features x axes x reference x robots x postures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from conftest import LOCKED, TIPS, URDFS, tip_of
+
+from manip_learn.constraint import Constraint
+from manip_learn.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
+from manip_learn.manipulability import (
+    gradient_of,
+    log_manipulability_gradient,
+    manipulability,
+    manipulability_gradient,
+)
+from manip_learn.robot.robot import Robot
+
+H = 1e-5
+ROBOTS = [*URDFS, *TIPS]
+AXES = ["xyz", "pose", "planar", "x", "x rz", "ry z"]
+REFERENCES = ["world", "local"]
+RobotOf = Callable[[str], Robot]
+
+
+def central_difference(f: Callable[[np.ndarray], np.ndarray | float], robot: Robot, q: np.ndarray) -> np.ndarray:
+    """d f / d q along every tangent coordinate, last axis."""
+    columns = []
+    for k in range(robot.nv):
+        step = np.zeros(robot.nv)
+        step[k] = H
+        columns.append((np.asarray(f(robot.integrate(q, step))) - np.asarray(f(robot.integrate(q, -step)))) / (2 * H))
+    return np.stack(columns, axis=-1)
+
+
+def postures(robot: Robot, rng: np.random.Generator) -> list[np.ndarray]:
+    """Two at random, and two where arms are singular: stretched (all joints zero) and one elbow only bent."""
+    zero, bent = np.zeros(robot.nv), np.zeros(robot.nv)
+    bent[robot.nv // 2] = 0.9
+    return [
+        robot.random_configuration(rng),
+        robot.random_configuration(rng),
+        robot.configuration(zero),
+        robot.configuration(bent),
+    ]
+
+
+def check_derivative(features: FeatureMap, robot: Robot, q: np.ndarray) -> None:
+    exact, expected = features.derivative(q), central_difference(features, robot, q)
+    scale = max(1.0, float(np.max(np.abs(expected))))
+    assert exact.shape == (features.n_rows, robot.nv, robot.nv)
+    np.testing.assert_allclose(exact, expected, rtol=0, atol=1e-8 * scale)
+    value, together = features.value_and_derivative(q)
+    np.testing.assert_allclose(value, features(q), rtol=0, atol=1e-13 * scale)
+    np.testing.assert_array_equal(together, exact)
+
+
+@pytest.mark.parametrize("reference", REFERENCES)
+@pytest.mark.parametrize("axes", AXES)
+@pytest.mark.parametrize("name", ROBOTS)
+def test_frame_jacobian_derivative(robot_of: RobotOf, rng: np.random.Generator, name: str, axes: str, reference: str):
+    """dPhi/dq of a frame's rows is right at random and at singular postures, at the tip and halfway."""
+    robot = robot_of(name)
+    halfway = robot.frame_names[len(robot.frame_names) // 2]
+    for frame in (tip_of(name), halfway):
+        features = FrameJacobian(robot, frame, axes, reference)
+        for q in postures(robot, rng):
+            check_derivative(features, robot, q)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_frame_jacobian_is_the_rate_of_the_pose(robot_of: RobotOf, rng: np.random.Generator, name: str):
+    """World rows are the rate of the frame's origin and of its orientation; local rows are those seen by the frame."""
+    robot = robot_of(name)
+    frame = robot.frame(tip_of(name))
+    for q in postures(robot, rng):
+        pose, rate = robot.pose(q, frame), central_difference(lambda x: robot.pose(x, frame), robot, q)
+        R = pose[:3, :3]
+        spin = np.einsum("ijk,lj->ilk", rate[:3, :3], R)  # skew matrix of the angular velocity
+        expected = np.concatenate([rate[:3, 3], [spin[2, 1], spin[0, 2], spin[1, 0]]])
+        world, local = robot.jacobian(q, frame, "world"), robot.jacobian(q, frame, "local")
+        np.testing.assert_allclose(world, expected, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(local, np.concatenate([R.T @ world[:3], R.T @ world[3:]]), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("axes", ["xyz", "x", "z y"])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_centre_of_mass_derivative(robot_of: RobotOf, rng: np.random.Generator, name: str, axes: str):
+    """The centre of mass's rows are the rate of its coordinates, and their derivative is right."""
+    robot = robot_of(name)
+    features = CentreOfMass(robot, axes)
+    for q in postures(robot, rng):
+        np.testing.assert_allclose(features(q), central_difference(features.coordinates, robot, q), rtol=0, atol=1e-8)
+        check_derivative(features, robot, q)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_stacked_derivative(robot_of: RobotOf, rng: np.random.Generator, name: str):
+    """Stacking keeps each part's rows and derivatives, whatever their references."""
+    robot = robot_of(name)
+    features = Stacked(
+        [
+            FrameJacobian(robot, tip_of(name), "x rz", "local"),
+            CentreOfMass(robot, "z"),
+            FrameJacobian(robot, tip_of(name), "y"),
+        ]
+    )
+    for q in postures(robot, rng):
+        check_derivative(features, robot, q)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_custom_derivative(robot_of: RobotOf, rng: np.random.Generator, name: str):
+    """Without a derivative of the user's own, differences along tangent coordinates come within 1e-8."""
+    robot = robot_of(name)
+    frame = robot.frame(tip_of(name))
+    features = CustomFeatures(lambda q: robot.jacobian(q, frame)[:2], ("x", "y"), robot=robot)
+    exact = FrameJacobian(robot, tip_of(name), "x y")
+    for q in postures(robot, rng):
+        np.testing.assert_allclose(features.derivative(q), exact.derivative(q), rtol=0, atol=1e-8)
+
+
+def relative_error(got: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.linalg.norm(got - expected) / np.linalg.norm(expected))
+
+
+@pytest.mark.parametrize("reference", REFERENCES)
+@pytest.mark.parametrize("axes", AXES)
+@pytest.mark.parametrize("name", ROBOTS)
+def test_manipulability_gradient(robot_of: RobotOf, rng: np.random.Generator, name: str, axes: str, reference: str):
+    """grad mu and grad log mu of dense random constraints are right to 1e-6, for every number of rows."""
+    robot = robot_of(name)
+    features = FrameJacobian(robot, tip_of(name), axes, reference)
+    checked = flat = 0
+    for s in range(1, min(features.n_rows, robot.nv) + 1):
+        constraint = Constraint(rng.normal(size=(s, features.n_rows)), features)
+        for _ in range(3):
+            q = robot.random_configuration(rng)
+            sigma = np.linalg.svd(constraint(q), compute_uv=False)
+            if sigma[-1] < 1e-3 * sigma[0]:  # differences lose their digits near the tip of the cone
+                continue
+            gradient = manipulability_gradient(constraint, q)
+            expected = central_difference(lambda x, c=constraint: manipulability(c, x), robot, q)
+            if np.linalg.norm(expected) < 1e-6 * np.prod(sigma):  # mu is constant
+                np.testing.assert_allclose(gradient, expected, rtol=0, atol=1e-9)
+                flat += 1
+                continue
+            assert relative_error(gradient, expected) <= 1e-6
+            in_logs = central_difference(lambda x, c=constraint: np.log(manipulability(c, x)), robot, q)
+            assert relative_error(log_manipulability_gradient(constraint, q), in_logs) <= 1e-6
+            checked += 1
+    assert checked + flat > 0 or structurally_singular(name, axes)
+
+
+def structurally_singular(name: str, axes: str) -> bool:
+    """A planar arm neither moves along z nor turns about x or y: those rows are zero at every posture."""
+    return name == "planar3" and axes == "ry z"
+
+
+@pytest.mark.parametrize("name", ["one", "planar3", "gantry", "wrist", "mimic"])
+def test_more_rows_than_joints(robot_of: RobotOf, rng: np.random.Generator, name: str):
+    """With more rows than joints mu is 0 everywhere, and so is its gradient."""
+    robot = robot_of(name)
+    constraint = Constraint(np.eye(6), FrameJacobian(robot, tip_of(name), "pose"))
+    q = robot.random_configuration(rng)
+    assert manipulability(constraint, q) == 0.0
+    np.testing.assert_array_equal(manipulability_gradient(constraint, q), np.zeros(robot.nv))
+    np.testing.assert_array_equal(log_manipulability_gradient(constraint, q), np.zeros(robot.nv))
+
+
+# Each is exactly singular with its rank short by one: robot, axes, selection (None: all rows), posture.
+CONES = [
+    pytest.param("planar3", "x y", None, [0.0, 0.0, 0.0], id="planar-stretched-along-x"),
+    pytest.param("planar3", "x y", None, [0.4, 0.0, 0.0], id="planar-stretched-askew"),
+    pytest.param("planar3", "x y", None, [0.7, np.pi, np.pi], id="planar-folded"),
+    pytest.param("planar3", "x y", [[1.0, 0.0]], [0.0, 0.0, 0.0], id="planar-one-row-all-zero"),
+    pytest.param("planar3", "planar", None, [0.2, 0.0, 0.5], id="planar-square"),
+    pytest.param("planar3", "planar", [[0.6, 0.8, 0.0], [0.0, 0.0, 1.0]], [0.4, 0.0, 0.0], id="planar-dense-rows"),
+    pytest.param("wrist", "rotation", None, [0.3, 0.0, 0.0, 0.2], id="continuous-joints"),
+    pytest.param("ur5", "rotation", None, [0.3, -1.0, 0.8, 0.4, 0.0, 0.2], id="ur5-wrist"),
+    pytest.param("ur5", "pose", None, [0.3, -1.0, 0.8, 0.4, 0.0, 0.2], id="ur5-pose"),
+    pytest.param("panda", "rotation", None, [0.3, 0.0, 0.2, 0.0, 0.3, 0.0, 0.1], id="panda-upright"),
+]
+
+
+def cone(robot_of: RobotOf, name: str, axes: str, selection: list | None, positions: list[float]):
+    robot = robot_of(name)
+    features = FrameJacobian(robot, tip_of(name), axes)
+    constraint = Constraint(np.eye(features.n_rows) if selection is None else selection, features)
+    return robot, constraint, robot.configuration(positions)
+
+
+@pytest.mark.parametrize(("name", "axes", "selection", "positions"), CONES)
+def test_steepest_ascent_at_singularity(robot_of, rng, name, axes, selection, positions):
+    """At an exact singularity grad mu has the direction and the rate of the cone's steepest ascent: mu rises along it
+    at the rate claimed, either way, and faster than along 200 directions at random.
+    """
+    robot, constraint, q = cone(robot_of, name, axes, selection, positions)
+    gradient = manipulability_gradient(constraint, q)
+    rate = float(np.linalg.norm(gradient))
+    assert np.all(np.isfinite(gradient))
+    assert rate > 1e-3
+
+    def rise(direction: np.ndarray, h: float = 1e-6) -> float:
+        return manipulability(constraint, robot.integrate(q, h * direction)) / h
+
+    assert manipulability(constraint, q) <= 1e-15
+    assert rise(gradient / rate) == pytest.approx(rate, rel=1e-4)
+    assert rise(-gradient / rate) == pytest.approx(rate, rel=1e-4)
+    directions = rng.normal(size=(200, robot.nv))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    assert max(rise(d) for d in directions) <= rate * (1 + 1e-4)
+    # nor does any small turn of the direction itself help
+    for d in directions[:50]:
+        turned = gradient / rate + 0.05 * d
+        assert rise(turned / np.linalg.norm(turned)) <= rate * (1 + 1e-4)
+
+
+@pytest.mark.parametrize(("name", "axes", "selection", "positions"), CONES)
+def test_gradient_towards_singularity(robot_of, rng, name, axes, selection, positions):
+    """From 1e-2 down to 1e-13 off the singularity the gradients stay finite, and grad mu keeps pointing up the cone:
+    a step along it raises mu.
+    """
+    robot, constraint, q = cone(robot_of, name, axes, selection, positions)
+    away = rng.normal(size=robot.nv)
+    rate = float(np.linalg.norm(manipulability_gradient(constraint, q)))
+    for distance in 10.0 ** -np.arange(2.0, 14.0):
+        near = robot.integrate(q, distance * away)
+        gradient = manipulability_gradient(constraint, near)
+        assert np.all(np.isfinite(gradient))
+        assert np.all(np.isfinite(log_manipulability_gradient(constraint, near)))
+        assert np.linalg.norm(gradient) <= 1.5 * rate + 0.1
+        length = float(np.linalg.norm(gradient))
+        step = robot.integrate(near, 1e-4 * max(distance, 1e-10) * gradient / length)
+        assert manipulability(constraint, step) >= manipulability(constraint, near)
+
+
+def test_rank_short_by_two(robot_of: RobotOf):
+    """Where the rank is short by two, mu grows faster than linearly in no direction: the gradient is zero, not NaN."""
+    robot = robot_of("planar3")
+    A, dA = np.zeros((2, robot.nv)), np.ones((2, robot.nv, robot.nv))
+    mu, gradient, _ = gradient_of(A, dA)
+    assert mu == 0.0
+    np.testing.assert_array_equal(gradient, np.zeros(robot.nv))
+
+
+def test_gradient_keeps_its_digits_near_the_cone(robot_of: RobotOf):
+    """1e-7 from a singularity the gradient of the stretched planar arm is still right to 1e-6 (closed form)."""
+    robot = robot_of("planar3")
+    constraint = Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y"))
+    # links of 1 m: mu^2 is the sum of the squared 2 x 2 minors of the planar Jacobian
+    q1, q2, q3 = 0.4, 1e-7, 2e-7
+
+    def minors(q2: float, q3: float) -> np.ndarray:
+        return np.array([np.sin(q2) + np.sin(q2 + q3), np.sin(q2 + q3) + np.sin(q3), np.sin(q3)])
+
+    m = minors(q2, q3)
+    d2 = np.array([np.cos(q2) + np.cos(q2 + q3), np.cos(q2 + q3), 0.0])
+    d3 = np.array([np.cos(q2 + q3), np.cos(q2 + q3) + np.cos(q3), np.cos(q3)])
+    mu = float(np.linalg.norm(m))
+    expected = np.array([0.0, m @ d2, m @ d3]) / mu
+    got = manipulability_gradient(constraint, np.array([q1, q2, q3]))
+    assert manipulability(constraint, np.array([q1, q2, q3])) == pytest.approx(mu, rel=1e-6)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6 * np.linalg.norm(expected))
+
+
+def test_the_robots_cover_what_they_should(robot_of: RobotOf):
+    """The matrix above holds nv = 1, 3, 6 and 7, prismatic and continuous joints, a mimic joint, a floating base."""
+    robots = {name: robot_of(name) for name in ROBOTS}
+    assert {1, 3, 6, 7} <= {r.nv for r in robots.values()}
+    kinds = {b.kind for r in robots.values() for b in r.blocks}
+    assert {"revolute", "prismatic", "continuous", "floating"} <= kinds
+    assert any(r.mimics for r in robots.values())
+    assert any(r.nq != r.nv for r in robots.values())
+    assert set(LOCKED) <= set(ROBOTS)
