@@ -1,1 +1,107 @@
-"""Learn task constraints from demonstrations, and keep the arm away from singularities."""
+"""Learn which directions a demonstrated task constrains, and keep the arm away from its singularities.
+
+URDF + demonstrations -> Lambda -> controller -> replay. Method: J. Manavalan and M. Howard, "Learning Singularity
+Avoidance".
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from manip_learn.constraint import Constraint
+    from manip_learn.controller import Command, ResolvedRateController
+    from manip_learn.demonstrations import Demonstrations, Trajectory
+    from manip_learn.errors import ManipLearnError
+    from manip_learn.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
+    from manip_learn.io import load_demonstrations
+    from manip_learn.learning import ConstraintLearner
+    from manip_learn.manipulability_measure import log_manipulability_gradient, manipulability, manipulability_gradient
+    from manip_learn.playback import replay
+    from manip_learn.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
+    from manip_learn.robot import Robot, load_robot
+    from manip_learn.rollout import Rollout, simulate
+    from manip_learn.tasks import Hold, PointAttractor, Task, Track
+    from manip_learn.velocities import derive_velocities
+
+__version__ = "0.1.0"
+
+# loaded at first use, so that `import manip_learn` and `manip-learn --help` are quick
+_HOMES = {
+    "CentreOfMass": "features",
+    "Command": "controller",
+    "Constraint": "constraint",
+    "ConstraintLearner": "learning",
+    "CustomFeatures": "features",
+    "Demonstrations": "demonstrations",
+    "FeatureMap": "features",
+    "FrameJacobian": "features",
+    "Hold": "tasks",
+    "JointAttractor": "policies",
+    "ManipLearnError": "errors",
+    "ManipulabilityAscent": "policies",
+    "NullSpacePolicy": "policies",
+    "PointAttractor": "tasks",
+    "ResolvedRateController": "controller",
+    "Robot": "robot",
+    "Rollout": "rollout",
+    "Stacked": "features",
+    "Task": "tasks",
+    "Track": "tasks",
+    "Trajectory": "demonstrations",
+    "ZeroPolicy": "policies",
+    "derive_velocities": "velocities",
+    "load_demonstrations": "io",
+    "load_robot": "robot",
+    "log_manipulability_gradient": "manipulability_measure",
+    # the file is not called manipulability.py: importing it would put the module where the function belongs
+    "manipulability": "manipulability_measure",
+    "manipulability_gradient": "manipulability_measure",
+    "replay": "playback",
+    "simulate": "rollout",
+}
+__all__ = [
+    "CentreOfMass",
+    "Command",
+    "Constraint",
+    "ConstraintLearner",
+    "CustomFeatures",
+    "Demonstrations",
+    "FeatureMap",
+    "FrameJacobian",
+    "Hold",
+    "JointAttractor",
+    "ManipLearnError",
+    "ManipulabilityAscent",
+    "NullSpacePolicy",
+    "PointAttractor",
+    "ResolvedRateController",
+    "Robot",
+    "Rollout",
+    "Stacked",
+    "Task",
+    "Track",
+    "Trajectory",
+    "ZeroPolicy",
+    "derive_velocities",
+    "load_demonstrations",
+    "load_robot",
+    "log_manipulability_gradient",
+    "manipulability",
+    "manipulability_gradient",
+    "replay",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        value = getattr(importlib.import_module(f"manip_learn.{_HOMES[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'manip_learn' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint import Constraint
-from manip_learn.manipulability import gradient_of
+from manip_learn.manipulability_measure import gradient_of
 from manip_learn.policies.policy import NullSpacePolicy
 
 

@@ -195,6 +195,14 @@ class Robot:
             return self._configuration_from_positions(q)
         return self._normalised(q)
 
+    def checked_posture(self, q: ArrayLike) -> Float[np.ndarray, " n"]:
+        """A posture as it is, configuration or joint positions, once its size and its numbers have been checked.
+
+        Raises:
+            ConfigurationError: Wrong size, NaN or infinity.
+        """
+        return self._finite_vector(q)
+
     def _finite_vector(self, q: ArrayLike) -> np.ndarray:
         try:
             vector = np.ascontiguousarray(q, dtype=np.float64)

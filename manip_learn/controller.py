@@ -1,0 +1,222 @@
+"""Resolved-rate control: u = A^+ b + N pi, made safe for a real arm."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint import Constraint
+from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
+from manip_learn.linalg import Inverse, inverse_singular_values, matlab_tolerance
+from manip_learn.manipulability_measure import SINGULAR_RATIO
+from manip_learn.policies.manipulability_ascent import ManipulabilityAscent
+from manip_learn.policies.policy import NullSpacePolicy
+from manip_learn.policies.zero_policy import ZeroPolicy
+from manip_learn.robot.robot import Robot
+from manip_learn.tasks.hold import Hold
+from manip_learn.tasks.task import Task
+
+# worst first: a command has one status, the gravest thing that was done to it
+STATUSES = ("singular", "position-limited", "velocity-limited", "damped", "null-scaled", "ok")
+
+
+@final
+class Command(NamedTuple):
+    """What the controller asks for at one instant.
+
+    Attributes:
+        velocity: u, shape (nv,) [rad/s or m/s], finite and within the limits.
+        status: The gravest thing that was done: `"ok"`; `"null-scaled"`: the null-space part was shortened to the room
+            that the task left; `"damped"`: the task part was damped near a singularity; `"velocity-limited"`,
+            `"position-limited"`: the task was slowed down for a limit; `"singular"`: a task direction is lost.
+        manipulability: mu(q).
+        task_velocity: b, shape (s,), as the task wanted it.
+        task_part: A^+ b as commanded, shape (nv,).
+        null_part: N pi as commanded, shape (nv,).
+        task_scale: Share of the task velocity that is commanded, 0 to 1.
+        null_scale: Share of the null-space velocity that is commanded, 0 to 1.
+        smallest_singular_value: Of A(q).
+    """
+
+    velocity: Float[np.ndarray, " nv"]
+    status: str
+    manipulability: float
+    task_velocity: Float[np.ndarray, " s"]
+    task_part: Float[np.ndarray, " nv"]
+    null_part: Float[np.ndarray, " nv"]
+    task_scale: float
+    null_scale: float
+    smallest_singular_value: float
+
+
+@final
+class ResolvedRateController:
+    """u = A^+ b + N pi, equation (2) of Manavalan and Howard, with limits.
+
+    N is always the exact projector. The task part is damped only where a singular value is below `threshold`. The task
+    part is slowed down as a whole at the limits (clipping joint by joint would bend the task's direction), and the
+    null-space part is then shortened to the room that is left.
+
+    Args:
+        constraint: A(q).
+        task: b(q, t); None holds still (b = 0).
+        null_policy: pi(q, t); None is zero.
+        inverse: `"damped"` for a real arm; `"exact"` or `"truncated"` (Matlab's tolerance) as in the paper.
+        threshold: Singular value of A at which damping sets in, in the constraint's units (m or 1).
+        damping: Damping factor at a singular value of 0.
+        limits: False ignores the joint limits and the room for the null-space part (the paper's law, bare).
+        dt: Look-ahead for the position limits [s], unless the call says otherwise.
+        robot: Whose limits count; the features' own robot by default.
+
+    Raises:
+        ConstraintError: The null policy belongs to another number of joints, or settings that are not positive.
+    """
+
+    def __init__(
+        self,
+        constraint: Constraint,
+        task: Task | None = None,
+        null_policy: NullSpacePolicy | None = None,
+        inverse: Inverse = "damped",
+        *,
+        threshold: float = 0.05,
+        damping: float = 0.05,
+        limits: bool = True,
+        dt: float = 0.01,
+        robot: Robot | None = None,
+    ):
+        if inverse not in ("exact", "truncated", "damped"):
+            raise ConstraintError(f"inverse must be 'exact', 'truncated' or 'damped', not {inverse!r}")
+        for name, value in (("threshold", threshold), ("damping", damping), ("dt", dt)):
+            if not (np.isfinite(value) and value > 0.0):
+                raise ConstraintError(f"{name} must be a positive number, got {value!r}")
+        self.constraint = constraint
+        self.task: Task = task or Hold()
+        self.null_policy: NullSpacePolicy = null_policy or ZeroPolicy(constraint.nv)
+        self.inverse: Inverse = inverse
+        self.threshold = float(threshold)
+        self.damping = float(damping)
+        self.limits = bool(limits)
+        self.dt = float(dt)
+        self.robot: Robot | None = robot or getattr(constraint.features, "robot", None)
+        self._shares_constraint = (
+            isinstance(self.null_policy, ManipulabilityAscent) and self.null_policy.constraint is constraint
+        )
+
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float | None = None) -> Command:
+        """The command at posture q and time t.
+
+        Args:
+            q: Posture: a configuration or joint positions.
+            t: Time [s].
+            dt: Look-ahead for the position limits [s].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+            TargetError: The task's target does not fit the constraint.
+        """
+        q = self._checked_posture(q)
+        A, pi = self._matrix_and_policy(q, t)
+        b = self._checked(self.task.velocity(self.constraint, q, t), A.shape[0], "the task's velocity b")
+        U, sigma, Vt = np.linalg.svd(A, full_matrices=True)
+        gains = inverse_singular_values(sigma, A.shape, self.inverse, self.threshold, self.damping)
+        k = sigma.shape[0]
+        task_part = Vt[:k].T @ (gains * (U[:, :k].T @ b))
+        rank = int(np.count_nonzero(sigma > matlab_tolerance(sigma, A.shape)))
+        Z = Vt[rank:]
+        null_part = Z.T @ (Z @ pi)
+        mu = float(np.prod(sigma)) if A.shape[0] <= A.shape[1] else 0.0
+        return self._limited(q, dt or self.dt, b, task_part, null_part, mu, sigma)
+
+    def _checked_posture(self, q: ArrayLike) -> np.ndarray:
+        if self.robot is not None:
+            return self.robot.checked_posture(q)
+        vector = np.asarray(q, dtype=np.float64)
+        if not np.all(np.isfinite(vector)):
+            raise ConfigurationError(f"the posture is not finite: {vector.tolist()}")
+        return vector
+
+    def _matrix_and_policy(self, q: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
+        if self._shares_constraint:  # one Hessian serves both
+            A, dA = self.constraint.value_and_derivative(q)
+            return A, self.null_policy.from_constraint_matrix(A, dA)  # type: ignore[attr-defined]
+        A = self.constraint(q)
+        return A, self._checked(self.null_policy(q, t), A.shape[1], "the null-space policy's velocity")
+
+    @staticmethod
+    def _checked(vector: ArrayLike, size: int, what: str) -> np.ndarray:
+        array = np.asarray(vector, dtype=np.float64)
+        if array.shape != (size,) or not np.all(np.isfinite(array)):
+            raise TargetError(f"{what} must be {size} finite numbers, got {array.tolist()}")
+        return array
+
+    def _limited(
+        self,
+        q: np.ndarray,
+        dt: float,
+        b: np.ndarray,
+        task_part: np.ndarray,
+        null_part: np.ndarray,
+        mu: float,
+        sigma: np.ndarray,
+    ) -> Command:
+        task_scale = null_scale = 1.0
+        position_bound = False
+        if self.limits and self.robot is not None:
+            lower, upper, at_position = self._velocity_bounds(self.robot, q, dt)
+            task_scale, joint = _largest_share(task_part, lower, upper)
+            position_bound = joint >= 0 and bool(at_position[joint])
+            task_part = task_scale * task_part
+            null_scale, _ = _largest_share(null_part, lower - task_part, upper - task_part)
+            null_part = null_scale * null_part
+        velocity = task_part + null_part
+        if not np.all(np.isfinite(velocity)):
+            raise ConfigurationError(
+                f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {sigma[-1]:.1e}): "
+                "use inverse='damped'"
+            )
+        if sigma[-1] <= SINGULAR_RATIO * sigma[0]:
+            status = "singular"
+        elif task_scale < 1.0:
+            status = "position-limited" if position_bound else "velocity-limited"
+        elif self.inverse == "damped" and sigma[-1] < self.threshold:
+            status = "damped"
+        else:
+            status = "null-scaled" if null_scale < 1.0 else "ok"
+        return Command(
+            velocity, status, mu, b, task_part, null_part, task_scale, null_scale, float(sigma[-1])
+        )
+
+    @staticmethod
+    def _velocity_bounds(robot: Robot, q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        positions = robot.positions(q)
+        # standing still is always allowed, also outside the limits
+        to_lower = np.minimum((robot.position_lower - positions) / dt, 0.0)
+        to_upper = np.maximum((robot.position_upper - positions) / dt, 0.0)
+        limit = robot.velocity_limit
+        return (
+            np.maximum(-limit, to_lower),
+            np.minimum(limit, to_upper),
+            (to_lower > -limit) | (to_upper < limit),
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"ResolvedRateController({self.constraint!r}, task={self.task!r}, null_policy={self.null_policy!r}, "
+            f"inverse={self.inverse!r})"
+        )
+
+
+def _largest_share(v: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[float, int]:
+    """Largest share in [0, 1] of v that stays within the bounds, and the joint that binds (-1: none)."""
+    bound = np.where(v > 0.0, upper, lower)
+    ratio = np.full(v.shape, np.inf)
+    np.divide(bound, v, out=ratio, where=v != 0.0)
+    ratio = np.maximum(ratio, 0.0)
+    joint = int(np.argmin(ratio)) if ratio.size else -1
+    if joint < 0 or ratio[joint] >= 1.0:
+        return 1.0, -1
+    return float(ratio[joint]), joint
