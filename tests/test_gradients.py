@@ -10,7 +10,7 @@ from conftest import LOCKED, TIPS, URDFS, tip_of
 
 from manip_learn.constraint import Constraint
 from manip_learn.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
-from manip_learn.manipulability import (
+from manip_learn.manipulability_measure import (
     gradient_of,
     log_manipulability_gradient,
     manipulability,
@@ -139,7 +139,7 @@ def test_manipulability_gradient(robot_of: RobotOf, rng: np.random.Generator, na
         for _ in range(3):
             q = robot.random_configuration(rng)
             sigma = np.linalg.svd(constraint(q), compute_uv=False)
-            if sigma[-1] < 1e-3 * sigma[0]:  # differences lose their digits near the tip of the cone
+            if sigma[-1] <= 1e-3 * sigma[0]:  # differences lose their digits near the tip of the cone
                 continue
             gradient = manipulability_gradient(constraint, q)
             expected = central_difference(lambda x, c=constraint: manipulability(c, x), robot, q)
@@ -148,9 +148,11 @@ def test_manipulability_gradient(robot_of: RobotOf, rng: np.random.Generator, na
                 flat += 1
                 continue
             assert relative_error(gradient, expected) <= 1e-6
+            checked += 1
+            if np.linalg.norm(expected) * H > 1e-3 * np.prod(sigma):  # log mu is too curved for differences
+                continue
             in_logs = central_difference(lambda x, c=constraint: np.log(manipulability(c, x)), robot, q)
             assert relative_error(log_manipulability_gradient(constraint, q), in_logs) <= 1e-6
-            checked += 1
     assert checked + flat > 0 or structurally_singular(name, axes)
 
 
@@ -170,26 +172,36 @@ def test_more_rows_than_joints(robot_of: RobotOf, rng: np.random.Generator, name
     np.testing.assert_array_equal(log_manipulability_gradient(constraint, q), np.zeros(robot.nv))
 
 
-# Each is exactly singular with its rank short by one: robot, axes, selection (None: all rows), posture.
+# Each is exactly singular with its rank short by one: robot, axes, selection (None: all rows; "blocked": one row that
+# no joint moves at this posture, and one at random), posture.
 CONES = [
     pytest.param("planar3", "x y", None, [0.0, 0.0, 0.0], id="planar-stretched-along-x"),
     pytest.param("planar3", "x y", None, [0.4, 0.0, 0.0], id="planar-stretched-askew"),
     pytest.param("planar3", "x y", None, [0.7, np.pi, np.pi], id="planar-folded"),
     pytest.param("planar3", "x y", [[1.0, 0.0]], [0.0, 0.0, 0.0], id="planar-one-row-all-zero"),
     pytest.param("planar3", "planar", None, [0.2, 0.0, 0.5], id="planar-square"),
-    pytest.param("planar3", "planar", [[0.6, 0.8, 0.0], [0.0, 0.0, 1.0]], [0.4, 0.0, 0.0], id="planar-dense-rows"),
-    pytest.param("wrist", "rotation", None, [0.3, 0.0, 0.0, 0.2], id="continuous-joints"),
+    pytest.param(
+        "planar3", "planar", [[np.cos(0.4), np.sin(0.4), 0.0], [-0.5, 0.3, 2.0]], [0.4, 0.0, 0.0], id="planar-dense"
+    ),
+    pytest.param("wrist", "pose", "blocked", [0.3, 0.9, -0.4, 0.2], id="continuous-joints"),
+    pytest.param("gantry", "pose", "blocked", [0.3, 0.5, -0.4, 0.2, 0.1], id="prismatic-joints"),
+    pytest.param("mimic", "pose", "blocked", [0.3, 0.5, -0.4], id="mimic-joint"),
     pytest.param("ur5", "rotation", None, [0.3, -1.0, 0.8, 0.4, 0.0, 0.2], id="ur5-wrist"),
     pytest.param("ur5", "pose", None, [0.3, -1.0, 0.8, 0.4, 0.0, 0.2], id="ur5-pose"),
-    pytest.param("panda", "rotation", None, [0.3, 0.0, 0.2, 0.0, 0.3, 0.0, 0.1], id="panda-upright"),
+    pytest.param("panda", "rotation", None, [0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1], id="panda-upright"),
 ]
 
 
-def cone(robot_of: RobotOf, name: str, axes: str, selection: list | None, positions: list[float]):
+def cone(robot_of: RobotOf, name: str, axes: str, selection: list | str | None, positions: list[float]):
     robot = robot_of(name)
     features = FrameJacobian(robot, tip_of(name), axes)
-    constraint = Constraint(np.eye(features.n_rows) if selection is None else selection, features)
-    return robot, constraint, robot.configuration(positions)
+    q = robot.configuration(positions)
+    if selection is None:
+        selection = np.eye(features.n_rows)
+    elif selection == "blocked":
+        still = np.linalg.svd(features(q))[0][:, -1]
+        selection = np.stack([still, np.random.default_rng(3).normal(size=features.n_rows)])
+    return robot, Constraint(selection, features), q
 
 
 @pytest.mark.parametrize(("name", "axes", "selection", "positions"), CONES)
@@ -221,7 +233,7 @@ def test_steepest_ascent_at_singularity(robot_of, rng, name, axes, selection, po
 @pytest.mark.parametrize(("name", "axes", "selection", "positions"), CONES)
 def test_gradient_towards_singularity(robot_of, rng, name, axes, selection, positions):
     """From 1e-2 down to 1e-13 off the singularity the gradients stay finite, and grad mu keeps pointing up the cone:
-    a step along it raises mu.
+    a step along it raises mu (one of 1e-9 where the distance itself drowns in rounding).
     """
     robot, constraint, q = cone(robot_of, name, axes, selection, positions)
     away = rng.normal(size=robot.nv)
@@ -233,7 +245,7 @@ def test_gradient_towards_singularity(robot_of, rng, name, axes, selection, posi
         assert np.all(np.isfinite(log_manipulability_gradient(constraint, near)))
         assert np.linalg.norm(gradient) <= 1.5 * rate + 0.1
         length = float(np.linalg.norm(gradient))
-        step = robot.integrate(near, 1e-4 * max(distance, 1e-10) * gradient / length)
+        step = robot.integrate(near, (1e-2 * distance if distance > 1e-11 else 1e-9) * gradient / length)
         assert manipulability(constraint, step) >= manipulability(constraint, near)
 
 
