@@ -44,7 +44,19 @@ class FeatureMap(ABC):
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
         """Phi at n configurations, the rows of q."""
-        return np.stack([self(row) for row in np.asarray(q, dtype=np.float64)])
+        rows = np.asarray(q, dtype=np.float64)
+        out = np.empty((len(rows), self.n_rows, self.nv))
+        for i, row in enumerate(rows):
+            out[i] = self(row)
+        return out
+
+    def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
+        """Phi and dPhi/dq at n configurations, the rows of q."""
+        rows = np.asarray(q, dtype=np.float64)
+        Phi, dPhi = np.empty((len(rows), self.n_rows, self.nv)), np.empty((len(rows), self.n_rows, self.nv, self.nv))
+        for i, row in enumerate(rows):
+            Phi[i], dPhi[i] = self.value_and_derivative(row)
+        return Phi, dPhi
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Task coordinates r(q) whose rate is Phi(q) u.

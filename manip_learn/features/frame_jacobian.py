@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from manip_learn.errors import FeatureError, TargetError
 from manip_learn.features.feature_map import FeatureMap
+from manip_learn.robot.batch import batch_kinematics
 from manip_learn.robot.robot import Reference, Robot
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -67,6 +68,7 @@ class FrameJacobian(FeatureMap):
         self.reference: Reference = reference
         self.nv = robot.nv
         rows = [AXES.index(n) for n in self.row_names]
+        self._row_numbers = tuple(rows)
         # a slice makes views where fancy indexing would copy
         contiguous = rows == list(range(rows[0], rows[0] + len(rows)))
         self._rows: Any = slice(rows[0], rows[0] + len(rows)) if contiguous else np.array(rows)
@@ -91,6 +93,18 @@ class FrameJacobian(FeatureMap):
         """Phi(q) and dPhi/dq at the cost of one Hessian."""
         J, H = self.robot.jacobian_and_derivative(q, self.frame, self.reference)
         return J[self._rows], H[self._rows]
+
+    def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
+        """Phi at n postures, the rows of q, in bulk (see `robot.batch`).
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        """
+        return batch_kinematics(self.robot, self.frame).jacobian(q, self.reference, self._row_numbers)
+
+    def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
+        """Phi and dPhi/dq at n postures, in bulk."""
+        return batch_kinematics(self.robot, self.frame).jacobian_and_derivative(q, self.reference, self._row_numbers)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Position of the frame's origin in the base frame [m] and its rotation vector [rad], the chosen rows."""

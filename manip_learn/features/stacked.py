@@ -54,6 +54,11 @@ class Stacked(FeatureMap):
         """Phi at many configurations, each part in its own fast way."""
         return np.concatenate([part.batch(q) for part in self.parts], axis=1)
 
+    def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
+        """Phi and dPhi/dq at many configurations, each part in its own fast way."""
+        values, derivatives = zip(*(part.batch_with_derivative(q) for part in self.parts), strict=True)
+        return np.concatenate(values, axis=1), np.concatenate(derivatives, axis=1)
+
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Task coordinates of all parts."""
         return np.concatenate([part.coordinates(q) for part in self.parts])

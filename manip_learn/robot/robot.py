@@ -14,6 +14,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.errors import ConfigurationError, UnknownNameError
+from manip_learn.robot.batch import batch_kinematics
 from manip_learn.robot.coupling import Coupling, Mimic
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.joint_block import JointBlock, joint_kind
@@ -356,6 +357,11 @@ class Robot:
         return self._expanded(self.configuration(q))
 
     @property
+    def coupling(self) -> Coupling | None:
+        """How mimic joints follow, in Pinocchio's joint order; None without mimic joints."""
+        return self._coupling
+
+    @property
     def pinocchio_model(self) -> pin.Model:
         """The underlying Pinocchio model. It has mimic joints as joints of their own; do not change it."""
         return self._model
@@ -395,6 +401,14 @@ class Robot:
         data = self._data
         pin.framesForwardKinematics(self._model, data, self._pin_q(q))
         return data.oMf[frame.index].homogeneous.copy()
+
+    def pose_batch(self, q: ArrayLike, frame: Frame) -> Float[np.ndarray, "n 4 4"]:
+        """`pose` at n postures, the rows of q.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        """
+        return batch_kinematics(self, frame).pose(q)
 
     def jacobian(self, q: ArrayLike, frame: Frame, reference: Reference = "world") -> Float[np.ndarray, "6 nv"]:
         """Frame Jacobian, linear rows first: velocity of the frame's origin [m/s] and angular velocity [rad/s] a
