@@ -78,9 +78,18 @@ def null_projector(A: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "n n"]:
 
 
 def orthonormal_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s p"]:
-    """The matrix with orthonormal rows closest to M (polar factor): keeps the row space, and the rows where it can."""
+    """The matrix with orthonormal rows closest to M (polar factor): keeps the row space, and the rows where it can.
+
+    The rows of M must be independent.
+    """
     U, _, Vt = np.linalg.svd(M, full_matrices=False)
     return U @ Vt
+
+
+def row_basis(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "r p"]:
+    """Orthonormal rows that span the row space of M (numerical rank by Matlab's tolerance)."""
+    _, sigma, Vt = np.linalg.svd(M, full_matrices=False)
+    return Vt[: np.count_nonzero(sigma > matlab_tolerance(sigma, M.shape))]
 
 
 def complement_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "k p"]:
@@ -89,9 +98,12 @@ def complement_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "k p"]:
 
 
 def principal_angles(M1: Float[np.ndarray, "s p"], M2: Float[np.ndarray, "k p"]) -> Float[np.ndarray, " m"]:
-    """Principal angles [rad] between two row spaces, largest first, accurate for tiny angles too."""
-    Q1 = orthonormal_rows(M1)
-    Q2 = orthonormal_rows(M2)
+    """Principal angles [rad] between two row spaces, largest first, accurate for tiny angles too.
+
+    Rows may depend on each other or be zero: they add nothing to the space.
+    """
+    Q1 = row_basis(M1)
+    Q2 = row_basis(M2)
     if Q1.shape[0] < Q2.shape[0]:
         Q1, Q2 = Q2, Q1
     cosines = np.linalg.svd(Q2 @ Q1.T, compute_uv=False)
@@ -104,7 +116,29 @@ def principal_angles(M1: Float[np.ndarray, "s p"], M2: Float[np.ndarray, "k p"])
 
 def row_space_angle(M1: Float[np.ndarray, "s p"], M2: Float[np.ndarray, "k p"]) -> float:
     """Largest principal angle [rad] between two row spaces; pi/2 if their dimensions differ."""
-    if np.linalg.matrix_rank(M1) != np.linalg.matrix_rank(M2):
+    Q1, Q2 = row_basis(M1), row_basis(M2)
+    if Q1.shape != Q2.shape:
         return float(np.pi / 2)
-    angles = principal_angles(M1, M2)
-    return float(np.max(angles, initial=0.0))
+    return float(np.max(principal_angles(Q1, Q2), initial=0.0))
+
+
+def batch_row_spaces(
+    A: Float[np.ndarray, "n s nv"],
+) -> tuple[Float[np.ndarray, "n nv nv"], Float[np.ndarray, "n s s"]]:
+    """A_n^T = Q_n[:, :s] R_n for a stack of matrices: bases of row and null spaces by Householder reflections.
+
+    The null basis is Z_n = Q_n[:, s:], the pseudo-inverse A_n^+ = Q_n[:, :s] R_n^{-T}. Vectorised over the stack, where
+    a LAPACK call a matrix would cost more in calls than in arithmetic.
+    """
+    n, s, nv = A.shape
+    work = np.array(A.transpose(0, 2, 1), order="C")  # (n, nv, s), a copy even for s = 1: reduced to R in place
+    Q = np.broadcast_to(np.eye(nv), (n, nv, nv)).copy()
+    for j in range(min(s, nv)):
+        v = work[:, j:, j].copy()
+        norm = np.sqrt(np.einsum("ni,ni->n", v, v))
+        v[:, 0] += np.where(v[:, 0] >= 0.0, norm, -norm)
+        square = np.einsum("ni,ni->n", v, v)
+        beta = np.divide(2.0, square, out=np.zeros(n), where=square > 0.0)
+        work[:, j:, j:] -= (beta[:, None] * v)[:, :, None] * np.einsum("ni,nik->nk", v, work[:, j:, j:])[:, None, :]
+        Q[:, :, j:] -= np.einsum("nki,ni->nk", Q[:, :, j:], v)[:, :, None] * (beta[:, None] * v)[:, None, :]
+    return Q, np.triu(work[:, :s, :])

@@ -186,7 +186,6 @@ CONES = [
     pytest.param("wrist", "pose", "blocked", [0.3, 0.9, -0.4, 0.2], id="continuous-joints"),
     pytest.param("gantry", "pose", "blocked", [0.3, 0.5, -0.4, 0.2, 0.1], id="prismatic-joints"),
     pytest.param("mimic", "pose", "blocked", [0.3, 0.5, -0.4], id="mimic-joint"),
-    pytest.param("ur5", "rotation", None, [0.3, -1.0, 0.8, 0.4, 0.0, 0.2], id="ur5-wrist"),
     pytest.param("ur5", "pose", None, [0.3, -1.0, 0.8, 0.4, 0.0, 0.2], id="ur5-pose"),
     pytest.param("panda", "rotation", None, [0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1], id="panda-upright"),
 ]

@@ -1,0 +1,154 @@
+"""Inverses, null spaces and angles between row spaces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from manip_learn.linalg import (
+    EPS,
+    batch_row_spaces,
+    complement_rows,
+    inverse_singular_values,
+    matlab_tolerance,
+    null_basis,
+    null_projector,
+    orthonormal_rows,
+    principal_angles,
+    pseudo_inverse,
+    row_basis,
+    row_space_angle,
+)
+
+
+def with_singular_values(rng: np.random.Generator, sigma: list[float], n: int) -> np.ndarray:
+    """A random (s, n) matrix with these singular values."""
+    U = np.linalg.qr(rng.normal(size=(len(sigma), len(sigma))))[0]
+    V = np.linalg.qr(rng.normal(size=(n, len(sigma))))[0]
+    return (U * sigma) @ V.T
+
+
+@pytest.mark.parametrize("shape", [(1, 3), (2, 7), (3, 3), (6, 7), (4, 2)])
+def test_exact_inverse_is_the_moore_penrose_one(rng, shape):
+    """Away from singularities the exact inverse is NumPy's."""
+    A = rng.normal(size=shape)
+    np.testing.assert_allclose(pseudo_inverse(A), np.linalg.pinv(A), rtol=0, atol=1e-13)
+
+
+def test_exact_inverse_inverts_however_small(rng):
+    """The exact inverse keeps a singular value of 1e-200; truncation at Matlab's tolerance drops it."""
+    A = np.array([[1.0, 0.0, 0.0], [0.0, 1e-200, 0.0]])
+    assert pseudo_inverse(A, "exact")[1, 1] == pytest.approx(1e200)
+    assert pseudo_inverse(A, "truncated")[1, 1] == 0.0
+    assert pseudo_inverse(A, "truncated")[0, 0] == 1.0
+
+
+def test_zero_matrix_has_a_zero_inverse():
+    """Nothing is divided by zero: the inverse of 0 is 0 in every sense, also without rows or columns."""
+    for inverse in ("exact", "truncated", "damped"):
+        np.testing.assert_array_equal(pseudo_inverse(np.zeros((2, 4)), inverse), np.zeros((4, 2)))
+    assert pseudo_inverse(np.zeros((0, 4))).shape == (4, 0)
+    assert pseudo_inverse(np.zeros((3, 0))).shape == (0, 3)
+
+
+def test_matlab_tolerance():
+    """The tolerance is max(size(A)) * eps(norm(A)), eps in Matlab's sense of the spacing of doubles."""
+    assert matlab_tolerance(np.array([1.0, 0.1]), (2, 3)) == 3 * EPS
+    assert matlab_tolerance(np.array([3.0, 0.1]), (2, 3)) == 3 * 2 * EPS
+    assert matlab_tolerance(np.array([]), (0, 3)) >= 0.0
+
+
+def test_damped_inverse(rng):
+    """Damping leaves directions above the threshold alone, bounds the others, and sets in without a step or a kink."""
+    A = with_singular_values(rng, [2.0, 0.6, 1e-9], 7)
+    damped = pseudo_inverse(A, "damped", threshold=0.1, damping=0.05)
+    U = np.linalg.svd(A)[0]
+    np.testing.assert_allclose(np.linalg.norm(damped @ U[:, :2], axis=0), [1 / 2.0, 1 / 0.6], rtol=1e-9)
+    assert np.linalg.norm(damped @ U[:, 2]) < 1e-5
+    sigma = np.linspace(0.0, 0.2, 20001)
+    gain = inverse_singular_values(sigma, (1, 7), "damped", 0.1, 0.05)
+    assert gain[0] == 0.0
+    assert np.max(gain) <= 1 / (2 * 0.05) * 2
+    slope = np.diff(gain) / np.diff(sigma)
+    assert np.max(np.abs(np.diff(slope))) < 0.2  # the slope has no jump
+
+
+def test_unknown_inverse_is_refused():
+    """A misspelt inverse is an error, not the exact one."""
+    with pytest.raises(ValueError, match="'exact', 'truncated' or 'damped'"):
+        pseudo_inverse(np.eye(2), "damp")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("sigma", "dimension"), [([1.0, 0.5], 5), ([1.0, 1e-14], 5), ([1.0, 1e-17], 6), ([0.0, 0.0], 7), ([3.0] * 7, 0)]
+)
+def test_null_basis(rng, sigma, dimension):
+    """The null basis is orthonormal, is mapped to zero, and has the dimension that Matlab's rank leaves."""
+    A = with_singular_values(rng, sigma, 7)
+    Z = null_basis(A)
+    assert Z.shape == (7, dimension)
+    np.testing.assert_allclose(Z.T @ Z, np.eye(dimension), rtol=0, atol=1e-14)
+    assert np.max(np.abs(A @ Z), initial=0.0) < 1e-14
+    np.testing.assert_array_equal(null_projector(A), Z @ Z.T)
+
+
+def test_orthonormal_rows(rng):
+    """Rows become orthonormal, span the same space, and orthonormal ones stay as they are."""
+    M = rng.normal(size=(2, 5))
+    Q = orthonormal_rows(M)
+    np.testing.assert_allclose(Q @ Q.T, np.eye(2), rtol=0, atol=1e-14)
+    assert row_space_angle(M, Q) < 1e-14
+    np.testing.assert_allclose(orthonormal_rows(Q), Q, rtol=0, atol=1e-14)
+
+
+def test_complement_and_basis(rng):
+    """A row basis and the complement of the row space are orthonormal together, also for dependent rows."""
+    M = rng.normal(size=(2, 5))
+    for rows in (M, np.vstack([M, M[0] + M[1], np.zeros(5)])):
+        both = np.vstack([row_basis(rows), complement_rows(rows)])
+        assert row_basis(rows).shape == (2, 5)
+        np.testing.assert_allclose(both @ both.T, np.eye(5), rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("exponent", range(0, -17, -1))
+def test_principal_angles_of_every_size(exponent):
+    """An angle of 1e-16 is measured as well as one of 1 radian: no digits are lost to the arc cosine."""
+    angle = 10.0**exponent
+    M1 = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0]])
+    M2 = np.array([[np.cos(angle), np.sin(angle), 0.0, 0.0], [3.0, 0.0, 0.0, 5.0]])
+    M2[1] = 3.0 * M2[0] + [0.0, 0.0, 0.0, 5.0]  # same space, other rows
+    assert principal_angles(M1, M2)[0] == pytest.approx(angle, rel=1e-9, abs=1e-15)
+    assert row_space_angle(M2, M1) == pytest.approx(angle, rel=1e-9, abs=1e-15)
+
+
+def test_principal_angles_of_other_dimensions(rng):
+    """A line in a plane is at angle 0 to it, whichever comes first; their row spaces still differ by a right angle."""
+    plane = rng.normal(size=(2, 4))
+    line = (plane[0] - 2.0 * plane[1])[None, :]
+    for M1, M2 in ((plane, line), (line, plane)):
+        assert principal_angles(M1, M2).shape == (1,)
+        assert principal_angles(M1, M2)[0] < 1e-14
+        assert row_space_angle(M1, M2) == np.pi / 2
+
+
+def test_angles_see_no_rows_that_add_nothing():
+    """Zero and repeated rows (the paper prints Lambda with a zero row) neither hide nor make an angle."""
+    xy, yz = np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 1.0, 1.0])
+    assert row_space_angle(xy, yz) == pytest.approx(np.pi / 2)
+    assert row_space_angle(xy, np.eye(3)[:2]) < 1e-15
+    assert row_space_angle(np.eye(3)[[0, 0]], np.eye(3)[:1]) < 1e-15
+    assert row_space_angle(np.eye(3)[[0, 0]], np.eye(3)[:2]) == np.pi / 2
+    assert row_space_angle(np.zeros((2, 3)), np.zeros((1, 3))) == 0.0
+
+
+@pytest.mark.parametrize("shape", [(1, 3), (2, 3), (3, 3), (2, 7), (6, 7)])
+def test_batch_row_spaces(rng, shape):
+    """In a stack, each Q is orthogonal, A^T = Q[:, :s] R, and Q[:, s:] is a null basis, as matrix by matrix."""
+    s, nv = shape
+    A = rng.normal(size=(40, s, nv))
+    A[3, 0] = 0.0  # singular
+    A[5] = 0.0
+    Q, R = batch_row_spaces(A)
+    np.testing.assert_allclose(Q.transpose(0, 2, 1) @ Q, np.broadcast_to(np.eye(nv), (40, nv, nv)), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(Q[:, :, :s] @ R, A.transpose(0, 2, 1), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(A @ Q[:, :, s:], 0.0, rtol=0, atol=1e-13)
