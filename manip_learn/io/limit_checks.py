@@ -1,0 +1,141 @@
+"""Positions against the joint limits: units, turns, signs and jumps."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from manip_learn.io.read_request import ReadRequest
+from manip_learn.io.recording import Recording
+from manip_learn.robot import Robot
+
+NOTABLE = 1e-6  # [rad or m] beyond a limit
+FAR_ANGLE, FAR_LENGTH = 0.1, 0.05  # [rad], [m]: a few degrees are calibration, more is another fault
+MANY_TURNS = 4 * np.pi  # [rad] for joints without limits
+FAST = 3.0  # times the velocity limit
+JUMP = np.pi / 2  # [rad] in one step
+
+
+def excess(robot: Robot, q: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, " nv"]:
+    """How far each joint gets beyond its limits [rad or m]; 0 within."""
+    below, above = robot.position_lower - q.min(axis=0), q.max(axis=0) - robot.position_upper
+    return np.maximum(np.maximum(below, above), 0.0)
+
+
+def check_limits(
+    recording: Recording,
+    request: ReadRequest,
+    angular: Bool[np.ndarray, " nv"],
+    time: Float[np.ndarray, " T"],
+    q: Float[np.ndarray, "T nv"],
+) -> list[str]:
+    """Notes on positions a little outside the limits and on odd speeds.
+
+    Raises:
+        RecordingError: Positions that look like degrees, are far outside, or jump.
+    """
+    robot = request.robot
+    beyond = excess(robot, q)
+    far = beyond > np.where(angular, FAR_ANGLE, FAR_LENGTH)
+    notes = _fast_notes(robot, time, q)
+    if request.units is None and not recording.trusted:
+        _refuse_degrees(recording, robot, angular, q, far, bool(notes))
+    if np.any(far) and request.outside_limits == "refuse" and not recording.trusted:
+        _refuse_far(recording, request, q, int(np.argmax(np.where(far, beyond, 0.0))))
+    slight = np.flatnonzero(beyond > NOTABLE)
+    if slight.size:
+        worst = int(np.argmax(beyond))
+        notes.append(
+            f"{slight.size} joint(s) get beyond their limits, {robot.joint_names[worst]!r} the farthest: by "
+            f"{beyond[worst]:.3g} {'rad' if angular[worst] else 'm'}"
+        )
+    if not recording.trusted and request.outside_limits == "refuse":
+        _refuse_jumps(recording, robot, angular, time, q)
+    return notes
+
+
+def _refuse_degrees(
+    recording: Recording,
+    robot: Robot,
+    angular: Bool[np.ndarray, " nv"],
+    q: Float[np.ndarray, "T nv"],
+    far: Bool[np.ndarray, " nv"],
+    fast: bool,
+) -> None:
+    unlimited = angular & ~np.isfinite(robot.position_lower) & ~np.isfinite(robot.position_upper)
+    turning = unlimited & (np.abs(q).max(axis=0) > MANY_TURNS) & fast
+    if not np.any((far & angular) | turning):
+        return
+    inside = excess(robot, np.radians(q)) <= FAR_ANGLE
+    if not np.all(inside | ~angular):
+        return
+    i = int(np.argmax(np.where((far & angular) | turning, np.abs(q).max(axis=0), 0.0)))
+    sample = int(np.argmax(np.abs(q[:, i])))
+    raise recording.refusal(
+        "degrees",
+        f"positions look like degrees: {q[sample, i]:.6g} where the limits are [{robot.position_lower[i]:.4g}, "
+        f"{robot.position_upper[i]:.4g}] rad; pass degrees=True, or convert the file to radians",
+        sample=sample,
+        column=robot.joint_names[i],
+    )
+
+
+def _refuse_far(recording: Recording, request: ReadRequest, q: Float[np.ndarray, "T nv"], i: int) -> None:
+    robot = request.robot
+    lower, upper = robot.position_lower[i], robot.position_upper[i]
+    outside = np.maximum(lower - q[:, i], q[:, i] - upper)
+    sample = int(np.argmax(outside))
+    if np.all((-q[:, i] >= lower) & (-q[:, i] <= upper)):
+        guess = "a wrong sign?"
+    elif any(np.all((q[:, i] + t >= lower) & (q[:, i] + t <= upper)) for t in (-2 * np.pi, 2 * np.pi)):
+        guess = "a full turn too much?"
+    elif request.joint_names:
+        guess = "the wrong order in joint_names?"
+    else:
+        guess = "wrong units, columns with the wrong names, or another robot?"
+    raise recording.refusal(
+        "outside-limits",
+        f"{q[sample, i]:.6g} is outside the limits [{lower:.4g}, {upper:.4g}] of robot {robot.name!r} at "
+        f"{np.count_nonzero(outside > 0)} of {q.shape[0]} samples: {guess} Correct the file, or pass "
+        "outside_limits='note' if it is right",
+        sample=sample,
+        column=robot.joint_names[i],
+    )
+
+
+def _fast_notes(robot: Robot, time: Float[np.ndarray, " T"], q: Float[np.ndarray, "T nv"]) -> list[str]:
+    width = int(np.clip(time.shape[0] // 20, 1, 10))
+    speed = np.abs(q[width:] - q[:-width]) / (time[width:] - time[:-width])[:, None]
+    typical = np.percentile(speed, 95, axis=0)
+    fast = typical > FAST * robot.velocity_limit
+    if not np.any(fast):
+        return []
+    i = int(np.argmax(np.where(fast, typical / robot.velocity_limit, 0.0)))
+    return [
+        f"joint {robot.joint_names[i]!r} moves at {typical[i]:.3g}, its limit is {robot.velocity_limit[i]:.3g}: "
+        "check the unit of time"
+    ]
+
+
+def _refuse_jumps(
+    recording: Recording,
+    robot: Robot,
+    angular: Bool[np.ndarray, " nv"],
+    time: Float[np.ndarray, " T"],
+    q: Float[np.ndarray, "T nv"],
+) -> None:
+    change, steps = np.abs(np.diff(q, axis=0)), np.diff(time)
+    limit = np.where(np.isfinite(robot.velocity_limit), 10 * robot.velocity_limit, 50.0)
+    jump = angular & (change > JUMP) & (change > limit * steps[:, None])
+    if np.any(jump):
+        sample, i = (int(k) for k in np.argwhere(jump)[0])
+        turn = abs(change[sample, i] - 2 * np.pi) < 0.5
+        cause = "it wraps around a full turn, which this limited joint cannot" if turn else "a faulty sample?"
+        raise recording.refusal(
+            "jump",
+            f"the joint jumps from {q[sample, i]:.4g} to {q[sample + 1, i]:.4g} rad within {steps[sample]:.3g} s: "
+            f"{cause} "
+            "Correct the file (a real break in the recording: put the parts into files of their own)",
+            sample=sample + 1,
+            column=robot.joint_names[i],
+        )

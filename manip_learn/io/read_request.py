@@ -1,0 +1,77 @@
+"""What the caller asked for when recordings are read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, final, get_args
+
+from manip_learn.errors import RecordingError
+from manip_learn.robot import Robot
+
+Units = Literal["radians", "degrees", "normalised"]
+TimeUnit = Literal["s", "ms", "us", "ns"]
+
+SECONDS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+@final
+@dataclass(frozen=True)
+class ReadRequest:
+    """Options of `load_demonstrations`, checked once; every reader gets the same object.
+
+    Attributes:
+        robot: The robot whose joints are wanted.
+        units: Unit of angles in the files; None: radians, and doubts are refused. `"normalised"` is -100 .. 100 between
+            the joint limits.
+        time_unit: Unit of the time column; None: seconds, and doubts are refused.
+        ignore_columns: Names of columns that shall not be read.
+        rename: Name in the file -> name wanted (`time`, or a joint).
+        joint_names: Names of the columns, in order, for files that have none.
+        topics: Topics of a bag to read; None: all that carry the robot's joints.
+        rate: Samples a second, for files without time stamps [Hz].
+        outside_limits: What to do with positions far outside the joint limits.
+
+    Raises:
+        RecordingError: An option that is not one of its allowed values.
+    """
+
+    robot: Robot
+    units: Units | None = None
+    time_unit: TimeUnit | None = None
+    ignore_columns: tuple[str, ...] = ()
+    rename: Mapping[str, str] = field(default_factory=dict)
+    joint_names: tuple[str, ...] | None = None
+    topics: tuple[str, ...] | None = None
+    rate: float | None = None
+    outside_limits: Literal["refuse", "note"] = "refuse"
+
+    def __post_init__(self) -> None:
+        _check_choice("units", self.units, (None, *get_args(Units)))
+        _check_choice("time_unit", self.time_unit, (None, *get_args(TimeUnit)))
+        _check_choice("outside_limits", self.outside_limits, ("refuse", "note"))
+        for option in ("ignore_columns", "joint_names", "topics"):
+            object.__setattr__(self, option, _names(option, getattr(self, option)))
+        if self.rate is not None and not (math.isfinite(self.rate) and self.rate > 0):
+            raise RecordingError(
+                f"rate must be a positive number of samples a second [Hz], got {self.rate!r}", code="option"
+            )
+
+    def wanted_name(self, name: str) -> str:
+        """The name that stands for `name` of the file."""
+        return self.rename.get(name, name)
+
+
+def _check_choice(option: str, value: object, allowed: tuple[object, ...]) -> None:
+    if value not in allowed:
+        raise RecordingError(f"{option} must be one of {', '.join(map(repr, allowed))}, got {value!r}", code="option")
+
+
+def _names(option: str, value: str | Sequence[str] | None) -> tuple[str, ...] | None:
+    if value is None:
+        return None
+    names = (value,) if isinstance(value, str) else tuple(value)
+    if not all(isinstance(n, str) for n in names):
+        raise RecordingError(f"{option} must be names, got {value!r}", code="option")
+    return names

@@ -1,0 +1,70 @@
+"""One recording as it stands in a file, before it is matched to a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.errors import RecordingError
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Numbers and names of one demonstration, unit and order still those of the file.
+
+    Attributes:
+        path: File.
+        name: How messages call it, e.g. `demo_01.csv` or `demo.hdf5 demo_3`.
+        time: shape (T,), stamps as in the file.
+        position_names: One name a column of `positions`.
+        positions: shape (T, m).
+        velocity_names: One joint name a column of `velocities`.
+        velocities: shape (T, k), or None.
+        strict_columns: True where people wrote the names (a surplus name is a mistake), False where a machine did.
+        in_seconds: True if the format itself says that `time` is in seconds.
+        trusted: True for our own rollouts: limits are not used to doubt their units.
+        line_of: Sample -> line in the file, where there are lines.
+        notes: What the reader noticed or did.
+    """
+
+    path: Path
+    name: str
+    time: Float[np.ndarray, " T"]
+    position_names: tuple[str, ...]
+    positions: Float[np.ndarray, "T m"]
+    velocity_names: tuple[str, ...] = ()
+    velocities: Float[np.ndarray, "T k"] | None = None
+    strict_columns: bool = True
+    in_seconds: bool = False
+    trusted: bool = False
+    line_of: Callable[[int], int] | None = None
+    notes: tuple[str, ...] = ()
+
+    def with_notes(self, *notes: str) -> Recording:
+        """The same with more notes."""
+        return replace(self, notes=self.notes + notes)
+
+    def line(self, sample: int) -> int | None:
+        """Line of the sample in the file, counted from 1, or None."""
+        return None if self.line_of is None else self.line_of(int(sample))
+
+    def place(self, sample: int) -> str:
+        """`line 12`, or `sample 10` where there are no lines."""
+        line = self.line(sample)
+        return f"sample {int(sample)}" if line is None else f"line {line}"
+
+    def refusal(self, code: str, text: str, *, sample: int | None = None, column: str | None = None) -> RecordingError:
+        """The error that refuses this recording, with its place."""
+        line = None if sample is None else self.line(sample)
+        where = self.name if line is None else f"{self.name}:{line}"
+        if sample is not None and line is None:
+            where += f" sample {int(sample)}"
+        if column is not None:
+            where += f", column {column!r}"
+        return RecordingError(f"{where}: {text}", code=code, path=self.path, line=line, column=column)
