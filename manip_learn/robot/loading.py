@@ -1,29 +1,83 @@
-"""Names and files -> Robot."""
+"""Names and files -> `Robot`."""
 
 from __future__ import annotations
 
-import hashlib
-import importlib.metadata
+import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import pinocchio as pin
 
 from manip_learn.errors import RobotError
+from manip_learn.robot.description_file import read_description
+from manip_learn.robot.locking import Locked
+from manip_learn.robot.mjcf import load_mjcf
+from manip_learn.robot.names import find_robot
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.urdf_robot import robot_from_urdf
+from manip_learn.robot.xacro_file import expanded_xacro
+
+Base = Literal["fixed", "floating", "planar"]
+SUFFIXES = (".urdf", ".xml", ".xacro", ".mjcf")
+BASES = {"floating": pin.JointModelFreeFlyer, "planar": pin.JointModelPlanar}
 
 
-def load_robot(name: str | Path, package_dirs: Sequence[str | Path] = (), locked: Sequence[str] = ()) -> Robot:
-    """First version: the gate, mimic joints and mesh folders are still to come."""
-    path = Path(name)
-    if not path.suffix:
-        here = Path(__file__).resolve().parents[2] / "robots" / f"{name}.urdf"
-        files = [Path(str(f.locate())) for f in importlib.metadata.files("example-robot-data") or []]
-        path = here if here.exists() else next((f for f in files if f.name == f"{name}.urdf"), path)
-    if not path.is_file():
-        raise RobotError(f"no robot {name}", code="missing")
-    model = pin.buildModelFromUrdf(str(path))
-    if locked:
-        model = pin.buildReducedModel(model, [model.getJointId(j) for j in locked], pin.neutral(model))
-    digest = hashlib.sha256(path.read_bytes() + repr(sorted(locked)).encode()).hexdigest()
-    return Robot(model, name=model.name, source=path, fingerprint=digest)
+def load_robot(
+    name: str | os.PathLike[str],
+    package_dirs: Sequence[str | os.PathLike[str]] = (),
+    locked: Locked = (),
+    *,
+    base: Base = "fixed",
+    xacro: bool = False,
+) -> Robot:
+    """Load a robot by its name or from a file; nothing is repaired or ignored without a sentence in `Robot.warnings`.
+
+    Args:
+        name: `"planar3"`, `"sawyer"`, a robot of example-robot-data such as `"panda"`, or the path of a URDF or MJCF
+            file. What exists as a file, or ends in .urdf, .xml, .mjcf or .xacro, is a path.
+        package_dirs: Folders that contain the packages of `package://` meshes. Kinematics needs none.
+        locked: Joints to hold still, at zero or the limit nearest to it; or a mapping joint -> position [rad or m].
+        base: Whether the root link is `"fixed"`, or free to move in space (`"floating"`) or in the plane (`"planar"`).
+        xacro: Whether a .xacro file may be expanded. Off by default, since expanding one runs expressions of its author.
+
+    Raises:
+        UnknownNameError: No such robot, or a locked joint that does not exist; lists near matches.
+        MissingExtraError: The robot or the file format needs a package that is not installed.
+        RobotError: The description is refused: `code`, file, line, joint or link, the value seen and the fix.
+    """
+    path = _path(name)
+    folders = tuple(Path(d).expanduser() for d in ([package_dirs] if isinstance(package_dirs, str) else package_dirs))
+    for folder in folders:
+        if not folder.is_dir():
+            raise RobotError(f"package folder {folder}: there is no such folder; check the path", code="package-dir")
+    if base not in ("fixed", *BASES):
+        raise RobotError(f"base is {base!r}; it must be one of 'fixed', 'floating', 'planar'", code="base")
+    root_joint = BASES[base]() if base in BASES else None
+    if path.suffix == ".xacro":
+        content = expanded_xacro(path, allowed=xacro)
+    else:
+        content = read_description(path)
+        if _is_mjcf(content):
+            return load_mjcf(content, path, folders, locked, root_joint)
+    return robot_from_urdf(content, path, package_dirs=folders, locked=locked, root_joint=root_joint)
+
+
+def _path(name: str | os.PathLike[str]) -> Path:
+    if not isinstance(name, str):
+        return Path(name).expanduser()
+    if not name.strip():
+        raise RobotError("no robot is named; give a name such as 'panda' or the path of a URDF file", code="missing")
+    path = Path(name).expanduser()
+    if path.suffix in SUFFIXES or os.sep in name:
+        return path
+    try:
+        is_file = path.is_file()
+    except ValueError:
+        is_file = False
+    return path if is_file else find_robot(name)
+
+
+def _is_mjcf(content: bytes) -> bool:
+    head = content[:4096]
+    return b"<mujoco" in head and b"<robot" not in head

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, final
 
@@ -55,6 +55,8 @@ class Robot:
         package_dirs: Folders in which `package://` meshes are looked up.
         fingerprint: SHA-256 of what was read, with the locked joints: tells two robots apart.
         warnings: What was repaired or ignored while loading, in sentences.
+        description: Text of the URDF as it was read, xacro expanded; None if there was none.
+        locked: Joints that are held still, and where [rad or m].
     """
 
     def __init__(
@@ -67,6 +69,8 @@ class Robot:
         fingerprint: str = "",
         mimics: Sequence[Mimic] = (),
         warnings: Sequence[str] = (),
+        description: bytes | None = None,
+        locked: Mapping[str, float] | None = None,
     ):
         self._model = model
         self.name: str = name or model.name
@@ -74,9 +78,10 @@ class Robot:
         self.package_dirs = tuple(package_dirs)
         self.fingerprint = fingerprint
         self.mimics = tuple(mimics)
-        self.warnings = tuple(warnings)
+        self.description = description
+        self.locked: dict[str, float] = dict(locked or {})
         self._build_blocks()
-        self._build_limits()
+        self.warnings = (*warnings, *self._build_limits())
         self._build_frames()
         self._fast_hessian = pinocchio_order_is_known(model)
         self._columns_to_joints = columns_to_joints(model)
@@ -126,7 +131,7 @@ class Robot:
             offset[row] = m.offset
         return Coupling(lift, offset)
 
-    def _build_limits(self) -> None:
+    def _build_limits(self) -> list[str]:
         lower, upper = np.full(self.nv, -np.inf), np.full(self.nv, np.inf)
         velocity = np.full(self.nv, np.inf)
         model = self._model
@@ -135,18 +140,38 @@ class Robot:
                 lower[b.v], upper[b.v] = model.lowerPositionLimit[b.pin_q], model.upperPositionLimit[b.pin_q]
             limit = np.asarray(model.velocityLimit[b.pin_v])
             velocity[b.v] = np.where(limit > 0, limit, np.inf)
-        # a follower's limits bind its leader, seen through the multiplier
-        column = {b.name: b.v.start for b in self.blocks}
-        for m in self.mimics:
-            joint, k = model.joints[model.getJointId(m.joint)], column[m.leader]
-            limit = float(model.velocityLimit[joint.idx_v])
-            if m.multiplier == 0.0:
-                continue
-            if limit > 0:
-                velocity[k] = min(velocity[k], limit / abs(m.multiplier))
+        warnings = [w for m in self.mimics for w in self._bind_leader(m, lower, upper, velocity)]
         for array in (lower, upper, velocity):
             array.setflags(write=False)
         self.position_lower, self.position_upper, self.velocity_limit = lower, upper, velocity
+        return warnings
+
+    def _bind_leader(self, m: Mimic, lower: np.ndarray, upper: np.ndarray, velocity: np.ndarray) -> list[str]:
+        """A follower's limits bind its leader, seen through the multiplier."""
+        model = self._model
+        joint = model.joints[model.getJointId(m.joint)]
+        leader = next(b for b in self.blocks if b.name == m.leader)
+        k, limit = leader.v.start, float(model.velocityLimit[joint.idx_v])
+        if m.multiplier == 0.0:
+            return []
+        if limit > 0:
+            velocity[k] = min(velocity[k], limit / abs(m.multiplier))
+        if joint.nq != 1 or leader.kind == "continuous":
+            return []
+        ends = (model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q])
+        low, high = sorted((float(end) - m.offset) / m.multiplier for end in ends)
+        # files round: a follower's limit may cut a hair off its leader's
+        room = 1e-6 + 1e-4 * (high - low) if math.isfinite(high - low) else 0.0
+        if low <= lower[k] + room and high >= upper[k] - room:
+            return []
+        new_lower, new_upper = max(low, lower[k]), min(high, upper[k])
+        if new_lower >= new_upper:
+            return [
+                f"joint {m.joint!r} would need {m.leader!r} in {low:.4g} ... {high:.4g}, outside that joint's own limits "
+                f"{lower[k]:.4g} ... {upper[k]:.4g}; the limits of {m.joint!r} are ignored"
+            ]
+        lower[k], upper[k] = new_lower, new_upper
+        return [f"joint {m.leader!r} is limited to {new_lower:.4g} ... {new_upper:.4g} by its follower {m.joint!r}"]
 
     def _build_frames(self) -> None:
         frames: dict[str, Frame] = {}

@@ -1,0 +1,132 @@
+"""A checked URDF -> `Robot`."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from manip_learn.errors import RobotError
+from manip_learn.robot.c_stderr import captured_c_stderr
+from manip_learn.robot.coupling import Mimic
+from manip_learn.robot.gate import check_urdf
+from manip_learn.robot.kinematic_urdf import LARGE, kinematic_urdf
+from manip_learn.robot.locking import Locked, locked_positions, names_of
+from manip_learn.robot.robot import Robot
+from manip_learn.robot.urdf_elements import UrdfFile
+
+
+def robot_from_urdf(
+    content: bytes,
+    path: Path,
+    *,
+    package_dirs: Sequence[Path] = (),
+    locked: Locked = (),
+    root_joint: pin.JointModel | None = None,
+) -> Robot:
+    """Robot from the text of a URDF.
+
+    Args:
+        content: The URDF, xacro expanded.
+        path: Where it came from.
+        package_dirs: Folders of mesh packages.
+        locked: Joints to hold still; names, or names -> positions [rad or m].
+        root_joint: Joint between the world and the root link; None if it is fixed.
+
+    Raises:
+        RobotError: The gate refuses the description, or Pinocchio does.
+        UnknownNameError: A locked joint that does not exist.
+    """
+    passed = check_urdf(content, path, names_of(locked))
+    urdf, warnings = passed.urdf, list(passed.warnings)
+    if root_joint is not None and urdf.joint("root_joint") is not None:
+        raise RobotError(
+            f"{path}: a joint is called 'root_joint', the name of the moving base; rename it", code="name-reserved", path=path
+        )
+    still = locked_positions(urdf, passed.mimics, locked)
+    text = kinematic_urdf(urdf)
+    model = _built(text, root_joint, path, warnings)
+    _check_counts(model, urdf, root_joint, path)
+    _set_unlimited(model)
+    if still:
+        model = _reduced(model, still)
+    return Robot(
+        model,
+        name=urdf.name,
+        source=path,
+        description=content,
+        package_dirs=package_dirs,
+        fingerprint=_fingerprint(text, still, passed.mimics.followers, root_joint),
+        mimics=[m for m in passed.mimics.followers if m.joint not in still],
+        locked=still,
+        warnings=warnings,
+    )
+
+
+def _built(text: str, root_joint: pin.JointModel | None, path: Path, warnings: list[str]) -> pin.Model:
+    lines: list[str] = []
+    try:
+        with captured_c_stderr() as lines:
+            model = pin.buildModelFromXML(text) if root_joint is None else pin.buildModelFromXML(text, root_joint)
+    except (ValueError, RuntimeError) as error:
+        said = " ".join([*lines, str(error)])
+        raise RobotError(f"{path}: Pinocchio refuses the robot: {said[:500]}", code="pinocchio", path=path) from error
+    warnings += [f"Pinocchio: {line}" for line in lines]
+    return model
+
+
+def _check_counts(model: pin.Model, urdf: UrdfFile, root_joint: pin.JointModel | None, path: Path) -> None:
+    """Everything in the file must be in the model, and nothing else."""
+    extra = 0 if root_joint is None else 1
+    kinds = [f.type for f in model.frames][1:]  # the first is the universe
+    seen = {
+        "links": kinds.count(pin.FrameType.BODY),
+        "joints": kinds.count(pin.FrameType.JOINT) + kinds.count(pin.FrameType.FIXED_JOINT) - extra,
+        "degrees of freedom": model.nv - (0 if root_joint is None else root_joint.nv),
+    }
+    wanted = {
+        "links": len(urdf.links),
+        "joints": len(urdf.joints),
+        "degrees of freedom": sum(j.nv for j in urdf.joints),
+    }
+    for what, number in wanted.items():
+        if seen[what] != number:
+            raise RobotError(
+                f"{path}: the file has {number} {what}, the loaded model {seen[what]}; please report this file",
+                code="counts",
+                path=path,
+            )
+
+
+def _set_unlimited(model: pin.Model) -> None:
+    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    velocity = np.array(model.velocityLimit)
+    lower[lower <= -LARGE], upper[upper >= LARGE], velocity[velocity >= LARGE] = -np.inf, np.inf, np.inf
+    model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit = lower, upper, velocity
+
+
+def _reduced(model: pin.Model, still: dict[str, float]) -> pin.Model:
+    q = pin.neutral(model)
+    indices = []
+    for name, position in still.items():
+        index = model.getJointId(name)
+        joint = model.joints[index]
+        indices.append(index)
+        if joint.nv == 1:
+            x = (np.cos(position), np.sin(position)) if joint.nq == 2 else position
+            q[joint.idx_q : joint.idx_q + joint.nq] = x
+    return pin.buildReducedModel(model, indices, q)
+
+
+def _fingerprint(
+    text: str, still: dict[str, float], followers: Sequence[Mimic], root_joint: pin.JointModel | None
+) -> str:
+    """Hash of the kinematics: comments, meshes, colours and the order of elements do not count."""
+    lines = sorted(text.splitlines())
+    lines += sorted(f"locked {name} {position!r}" for name, position in still.items())
+    lines += sorted(f"mimic {m.joint} {m.leader} {m.multiplier!r} {m.offset!r}" for m in followers)
+    lines.append(f"base {'fixed' if root_joint is None else root_joint.shortname()}")
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
