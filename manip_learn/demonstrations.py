@@ -56,15 +56,17 @@ class Trajectory:
         except (TypeError, ValueError) as error:
             raise RecordingError(f"{self.name}: {what} must be numbers: {error}", code="not-a-number") from error
         if array.ndim != ndim:
-            raise RecordingError(f"{self.name}: {what} must have {ndim} dimension(s), got shape {array.shape}", code="shape")
+            raise RecordingError(
+                f"{self.name}: {what} must have {ndim} dimension(s), got shape {array.shape}", code="shape"
+            )
         if not np.all(np.isfinite(array)):
             where = np.argwhere(~np.isfinite(array))[0]
             column = ""
             if ndim == 2 and array.shape[1] == len(self.joint_names):
                 column = f", joint {self.joint_names[where[1]]!r}"
             raise RecordingError(
-                f"{self.name}: {what} of sample {where[0]}{column} is {array[tuple(where)]}, a finite number is needed: "
-                "remove the sample or repair the recording",
+                f"{self.name}: {what} of sample {where[0]}{column} is {array[tuple(where)]}, a finite number is "
+                "needed: remove the sample or repair the recording",
                 code="not-finite",
             )
         array.setflags(write=False)
@@ -73,7 +75,9 @@ class Trajectory:
     def _check_shapes(self) -> None:
         T, nv = self.time.shape[0], len(self.joint_names)
         if len(set(self.joint_names)) != nv:
-            raise RecordingError(f"{self.name}: joint names must differ, got {self.joint_names}", code="duplicate-joint")
+            raise RecordingError(
+                f"{self.name}: joint names must differ, got {self.joint_names}", code="duplicate-joint"
+            )
         if T == 0:
             raise RecordingError(f"{self.name}: there are no samples", code="empty")
         if self.q.shape[0] != T or self.q.shape[1] < nv:
@@ -83,6 +87,10 @@ class Trajectory:
             )
         if self.u is not None and self.u.shape != (T, nv):
             raise RecordingError(f"{self.name}: u must have shape ({T}, {nv}), got {self.u.shape}", code="shape")
+
+    def __reduce__(self):
+        # through the constructor: a pickled array comes back writeable
+        return Trajectory, (self.time, self.q, self.u, self.joint_names, self.name)
 
     def __len__(self) -> int:
         return int(self.time.shape[0])

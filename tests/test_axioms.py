@@ -1,0 +1,199 @@
+"""Laws that must hold for every input: projectors, inverses, row spaces, motion on the configuration manifold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import TIPS, URDFS, tip_of
+from hypothesis import given
+from hypothesis import strategies as st
+
+from manip_learn.constraint import Constraint
+from manip_learn.features import FrameJacobian
+from manip_learn.linalg import (
+    matlab_tolerance,
+    null_projector,
+    orthonormal_rows,
+    principal_angles,
+    pseudo_inverse,
+    row_space_angle,
+)
+from manip_learn.manipulability_measure import manipulability, manipulability_gradient, products_of_others
+
+ROBOTS = [*URDFS, *TIPS]
+
+
+@st.composite
+def constraint_matrices(draw: st.DrawFn, smallest: float = 1e-16) -> tuple[np.ndarray, np.ndarray]:
+    """A (s, nv) and its singular values: random directions, singular values from `smallest` to 10."""
+    nv = draw(st.integers(1, 8))
+    s = draw(st.integers(1, nv))
+    exponents = st.floats(np.log10(smallest), 1.0)
+    sigma = np.sort(10.0 ** np.array(draw(st.lists(exponents, min_size=s, max_size=s))))[::-1]
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    U = np.linalg.qr(rng.normal(size=(s, s)))[0]
+    V = np.linalg.qr(rng.normal(size=(nv, s)))[0]
+    return (U * sigma) @ V.T, sigma
+
+
+@given(constraint_matrices())
+@pytest.mark.fuzz
+def test_null_projector(draw):
+    """N = N^T to the last bit, N^2 = N, A N = 0 and trace N = nv - rank, however near A is to a singularity."""
+    A, sigma = draw
+    N = null_projector(A)
+    rank = np.count_nonzero(np.linalg.svd(A, compute_uv=False) > matlab_tolerance(sigma, A.shape))
+    np.testing.assert_array_equal(N, N.T)
+    np.testing.assert_allclose(N @ N, N, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(A @ N, 0.0, rtol=0, atol=1e-14 * sigma[0])
+    assert np.trace(N) == pytest.approx(A.shape[1] - rank, abs=1e-13)
+
+
+@given(constraint_matrices())
+@pytest.mark.fuzz
+def test_moore_penrose_conditions(draw):
+    """The exact inverse X satisfies A X A = A, X A X = X, and A X and X A are symmetric, to the conditioning of A."""
+    A, sigma = draw
+    computed = np.linalg.svd(A, compute_uv=False)
+    X = pseudo_inverse(A)
+    condition = float(computed[0] / max(computed[-1], 1e-16 * computed[0]))
+    slack = 1e-14 * condition
+    np.testing.assert_allclose(A @ X @ A, A, rtol=0, atol=slack * sigma[0])
+    np.testing.assert_allclose(X @ A @ X, X, rtol=0, atol=slack * np.max(np.abs(X)))
+    np.testing.assert_allclose(A @ X, (A @ X).T, rtol=0, atol=slack)
+    np.testing.assert_allclose(X @ A, (X @ A).T, rtol=0, atol=slack)
+
+
+@given(constraint_matrices(smallest=1e-3))
+@pytest.mark.fuzz
+def test_projector_is_what_the_inverse_leaves(draw):
+    """Away from singularities N = I - A^+ A, and task and null-space parts are orthogonal."""
+    A, _ = draw
+    N = null_projector(A)
+    np.testing.assert_allclose(N, np.eye(A.shape[1]) - pseudo_inverse(A) @ A, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(N @ pseudo_inverse(A), 0.0, rtol=0, atol=1e-11)
+
+
+@given(constraint_matrices(), st.floats(1e-3, 1.0), st.floats(1e-3, 1.0))
+@pytest.mark.fuzz
+def test_damped_inverse_is_bounded(draw, threshold, damping):
+    """The damped inverse is finite everywhere, never larger than the exact one, and bounded by its two settings."""
+    A, _ = draw
+    gain = np.linalg.norm(pseudo_inverse(A, "damped", threshold=threshold, damping=damping), 2)
+    assert np.isfinite(gain)
+    assert gain <= np.linalg.norm(pseudo_inverse(A), 2) * (1 + 1e-9)
+    assert gain <= max(1.0 / (0.5 * threshold), 1.0 / (2.0 * 0.75 * damping)) * (1 + 1e-9)
+
+
+@given(constraint_matrices(smallest=1e-6), st.integers(0, 2**32 - 1))
+@pytest.mark.fuzz
+def test_only_the_row_space_counts(draw, seed):
+    """Any invertible mixing of the rows leaves N, the polar factor's row space and the angles as they are."""
+    A, sigma = draw
+    s = A.shape[0]
+    rng = np.random.default_rng(seed)
+    G = np.linalg.qr(rng.normal(size=(s, s)))[0] * rng.uniform(0.5, 2.0, s)
+    condition = sigma[0] / sigma[-1]
+    np.testing.assert_allclose(null_projector(G @ A), null_projector(A), rtol=0, atol=1e-13 * condition)
+    assert row_space_angle(G @ A, A) <= 1e-13 * condition
+    Q = orthonormal_rows(A)
+    np.testing.assert_allclose(Q @ Q.T, np.eye(s), rtol=0, atol=1e-13)
+    assert row_space_angle(Q, A) <= 1e-13 * condition
+
+
+@given(st.integers(2, 7), st.integers(1, 6), st.floats(-15.0, 0.0), st.integers(0, 2**32 - 1))
+@pytest.mark.fuzz
+def test_principal_angles_of_turned_spaces(p, s, exponent, seed):
+    """A row space turned by a known angle is found at that angle, from 1e-15 to 1 rad, and angles are symmetric."""
+    s = min(s, p - 1)
+    rng = np.random.default_rng(seed)
+    basis = np.linalg.qr(rng.normal(size=(p, p)))[0].T
+    angle = 10.0**exponent
+    turned = basis[:s].copy()
+    turned[0] = np.cos(angle) * basis[0] + np.sin(angle) * basis[s]
+    mixed = rng.normal(size=(s, s)) + 3.0 * np.eye(s)
+    slack = 1e-13 + 1e-9 * angle
+    found = principal_angles(mixed @ basis[:s], turned)
+    assert found[0] == pytest.approx(angle, abs=slack)
+    np.testing.assert_allclose(found[1:], 0.0, rtol=0, atol=slack)
+    np.testing.assert_allclose(principal_angles(turned, mixed @ basis[:s]), found, rtol=0, atol=slack)
+
+
+@given(st.lists(st.floats(0.0, 1e6), min_size=1, max_size=8))
+@pytest.mark.fuzz
+def test_products_of_others(sigma):
+    """Each entry is the product of all the others, exactly 0 where one of those is 0, without a division."""
+    got = products_of_others(np.array(sigma))
+    for i in range(len(sigma)):
+        assert got[i] == pytest.approx(np.prod([x for j, x in enumerate(sigma) if j != i]), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_manipulability_is_sqrt_det(robot_of, rng, name):
+    """mu is sqrt(det(A A^T)), does not change when Lambda's rows are turned among themselves, and grad mu neither."""
+    robot = robot_of(name)
+    features = FrameJacobian(robot, tip_of(name), "pose")
+    s = min(3, robot.nv)
+    selection = np.linalg.qr(rng.normal(size=(6, s)))[0].T
+    turn = np.linalg.qr(rng.normal(size=(s, s)))[0]
+    constraint, turned = Constraint(selection, features), Constraint(turn @ selection, features)
+    for _ in range(5):
+        q = robot.random_configuration(rng)
+        A = constraint(q)
+        mu = manipulability(constraint, q)
+        assert mu == pytest.approx(np.sqrt(max(np.linalg.det(A @ A.T), 0.0)), rel=1e-6, abs=1e-7)
+        assert manipulability(turned, q) == pytest.approx(mu, rel=1e-10, abs=1e-14)
+        gradient = manipulability_gradient(constraint, q)
+        np.testing.assert_allclose(manipulability_gradient(turned, q), gradient, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_integrate_and_difference_are_inverse(robot_of, rng, name):
+    """difference(q, integrate(q, v)) = v and integrate(q, difference(q, r)) reaches r, for both kinds of vector."""
+    robot = robot_of(name)
+    for scale in (1e-12, 1e-6, 0.5):
+        q, v = robot.random_configuration(rng), scale * rng.uniform(-1.0, 1.0, robot.nv)
+        for posture in (q, robot.positions(q)):
+            moved = robot.integrate(posture, v)
+            assert moved.shape == posture.shape
+            np.testing.assert_allclose(robot.difference(posture, moved), v, rtol=0, atol=1e-14 + 1e-9 * scale)
+        r = robot.integrate(q, v)
+        back = robot.integrate(q, robot.difference(q, r))
+        np.testing.assert_allclose(robot.difference(back, r), 0.0, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_positions_and_configuration_are_inverse(robot_of, rng, name):
+    """Positions -> configuration -> positions and back lose nothing; a configuration stays as it is."""
+    robot = robot_of(name)
+    for _ in range(10):
+        q = robot.random_configuration(rng)
+        positions = robot.positions(q)
+        assert q.shape == (robot.nq,)
+        assert positions.shape == (robot.nv,)
+        np.testing.assert_allclose(robot.configuration(positions), q, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(robot.positions(robot.configuration(positions)), positions, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(robot.configuration(q), q, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_both_kinds_of_vector_mean_the_same_posture(robot_of, rng, name):
+    """Kinematics from a configuration and from joint positions agree, also after a full turn of an unlimited joint."""
+    robot = robot_of(name)
+    frame = robot.frame(tip_of(name))
+    q = robot.random_configuration(rng)
+    positions = robot.positions(q).copy()
+    for block in robot.blocks:
+        if block.kind == "continuous":
+            positions[block.v] += 2.0 * np.pi
+    np.testing.assert_allclose(robot.pose(positions, frame), robot.pose(q, frame), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(robot.jacobian(positions, frame), robot.jacobian(q, frame), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(robot.difference(q, positions), 0.0, rtol=0, atol=1e-14)
+
+
+def test_shortest_way_round(robot_of):
+    """Between 3 rad and -3 rad a continuous joint goes through pi, the short way; a limited one does not."""
+    robot = robot_of("wrist")
+    a, b = np.array([3.0, 1.0, -3.0, 0.0]), np.array([-3.0, -1.0, 3.0, 0.0])
+    short = 2.0 * np.pi - 6.0
+    np.testing.assert_allclose(robot.difference(a, b), [short, -2.0, -short, 0.0], rtol=0, atol=1e-14)

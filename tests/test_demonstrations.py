@@ -1,0 +1,153 @@
+"""Trajectories and demonstrations refuse what cannot be used, and never change under the caller's hands."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+
+from manip_learn.demonstrations import Demonstrations, Trajectory
+from manip_learn.errors import RecordingError
+
+NAMES = ("a", "b")
+
+
+def trajectory(T: int = 5, name: str = "demo", **changes) -> Trajectory:
+    fields = {
+        "time": np.arange(T) * 0.1,
+        "q": np.arange(2.0 * T).reshape(T, 2),
+        "u": np.ones((T, 2)),
+        "joint_names": NAMES,
+        "name": name,
+        **changes,
+    }
+    return Trajectory(**fields)
+
+
+def test_frozen_through_and_through():
+    """No field and no entry can be changed, and the caller's own arrays stay his."""
+    q = np.zeros((5, 2))
+    t = trajectory(q=q)
+    q[0, 0] = 7.0
+    assert t.q[0, 0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        t.q[0, 0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        t.time[0] = 1.0
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        t.q = q  # type: ignore[misc]
+
+
+def test_any_numbers_become_float64_in_native_order():
+    """Lists, integers, float32 and big-endian numbers are taken as what they mean."""
+    q = np.arange(10).reshape(5, 2)
+    for numbers in (q.tolist(), q, q.astype(np.float32), q.astype(">f8"), np.asfortranarray(q)):
+        t = trajectory(q=numbers)
+        assert t.q.dtype == np.float64
+        assert t.q.dtype.isnative
+        np.testing.assert_array_equal(t.q, q)
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "words"),
+    [
+        ({"time": []}, "empty", "no samples"),
+        ({"time": [0, 1, 2]}, "shape", "got"),
+        ({"time": [[0, 1, 2, 3, 4]]}, "shape", "1 dimension"),
+        ({"q": np.zeros(5)}, "shape", "2 dimension"),
+        ({"q": np.zeros((5, 1))}, "shape", "q must have shape"),
+        ({"u": np.zeros((5, 3))}, "shape", "u must have shape"),
+        ({"u": np.zeros((4, 2))}, "shape", "u must have shape"),
+        ({"q": [["x", "y"]] * 5}, "not-a-number", "must be numbers"),
+        ({"q": [[1.0, 2.0], [3.0]]}, "not-a-number", "must be numbers"),
+        ({"q": None}, None, "demo"),
+        ({"time": [0, 1, 1, 2, 3]}, "time-order", "sample 2 is at 1"),
+        ({"time": [0, 1, 0.5, 2, 3]}, "time-order", "time must increase"),
+        ({"time": [0, 1, np.nan, 2, 3]}, "not-finite", "sample 2"),
+        ({"q": [[0, 0], [0, np.nan], [0, 0], [0, 0], [0, 0]]}, "not-finite", "sample 1, joint 'b' is nan"),
+        ({"u": [[0, 0], [0, 0], [0, 0], [-np.inf, 0], [0, 0]]}, "not-finite", "sample 3, joint 'a' is -inf"),
+        ({"joint_names": ("a", "a")}, "duplicate-joint", "must differ"),
+    ],
+)
+def test_refuses(changes, code, words):
+    """What cannot be used is refused by name: the trajectory, the sample, the joint and the value."""
+    if "time" in changes and len(changes["time"]) == 0:
+        changes = {"time": [], "q": np.zeros((0, 2)), "u": np.zeros((0, 2))}
+    with pytest.raises(RecordingError) as caught:
+        trajectory(**changes)
+    assert words in str(caught.value)
+    assert str(caught.value).startswith("demo: ")
+    if code is not None:
+        assert caught.value.code == code
+
+
+def test_velocities_may_be_missing():
+    """A recording without velocities is a recording; all of its parts are without them too."""
+    t = trajectory(u=None)
+    assert t.u is None
+    assert t.part(slice(1, 3)).u is None
+    assert not Demonstrations([trajectory(), t]).has_velocities
+    assert Demonstrations([trajectory()]).has_velocities
+
+
+def test_more_posture_columns_than_joints():
+    """Postures may be configurations with more columns than there are velocities (continuous joints)."""
+    assert trajectory(q=np.ones((5, 3))).q.shape == (5, 3)
+
+
+def test_parts():
+    """A slice and an index array pick the same samples of time, q and u; the name follows."""
+    t = trajectory(T=6)
+    for samples in (slice(1, 6, 2), np.array([1, 3, 5])):
+        part = t.part(samples)
+        np.testing.assert_array_equal(part.time, t.time[1::2])
+        np.testing.assert_array_equal(part.q, t.q[1::2])
+        assert part.u is not None
+        np.testing.assert_array_equal(part.u, np.ones((3, 2)))
+        assert part.name == "demo"
+    assert t.part(slice(0, 2), "start").name == "start"
+    assert len(t) == 6
+    assert t.duration == pytest.approx(0.5)
+    with pytest.raises(RecordingError, match="no samples"):
+        t.part(slice(3, 3))
+
+
+def test_demonstrations_are_a_sequence():
+    """Length, order, iteration and slices are those of the trajectories; notes stay with slices."""
+    one, two, three = trajectory(3, "one"), trajectory(4, "two"), trajectory(5, "three")
+    demos = Demonstrations(iter([one, two, three]), ["trimmed"])
+    assert len(demos) == 3
+    assert demos[1] is two
+    assert list(demos) == [one, two, three]
+    assert isinstance(demos[1:], Demonstrations)
+    assert demos[1:].trajectories == (two, three)
+    assert demos[1:].notes == ("trimmed",)
+    assert demos.joint_names == NAMES
+    assert demos.n_samples == 12
+    assert two in demos
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ([], "at least one"),
+        ([trajectory(), "text"], "got str"),
+        ([trajectory(), trajectory(name="other", joint_names=("b", "a"))], "other has the joints"),
+        ([trajectory(), trajectory(name="other", joint_names=("a", "c"))], "same joints in the same order"),
+    ],
+)
+def test_demonstrations_refuse(content, words):
+    """None at all, another type, or other joints (in another order too) are refused with the reason."""
+    with pytest.raises(RecordingError, match=words):
+        Demonstrations(content)
+
+
+def test_demonstrations_travel():
+    """Pickling (workers) keeps everything, and what arrives is just as frozen."""
+    copy = pickle.loads(pickle.dumps(Demonstrations([trajectory()], ["note"])))
+    np.testing.assert_array_equal(copy[0].q, trajectory().q)
+    assert copy.notes == ("note",)
+    with pytest.raises(ValueError, match="read-only"):
+        copy[0].q[0, 0] = 1.0
