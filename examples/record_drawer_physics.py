@@ -17,10 +17,11 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from make_recordings.csv_file import write_csv
 from make_recordings.grip import grip_posture
-from make_recordings.guided_arm import GRIP_FRAME, STIFF_SOLIMP, STIFF_SOLREF, guided_arm
+from make_recordings.guided_arm import GRIP_FRAME, STIFF_SOLIMP, STIFF_SOLREF, guided_arm, set_damping
 from make_recordings.operator import out_and_in, slow_noise
-from make_recordings.recorder import Recording, record, stays_inside, write_csv
+from make_recordings.recorder import Recording, record, stays_inside
 from scipy.spatial.transform import Rotation
 
 from manip_learn.robot import Robot, load_robot
@@ -43,7 +44,8 @@ def drawer_model(handle: np.ndarray) -> mujoco.MjModel:
     drawer.mass, drawer.inertia, drawer.explicitinertial = 3.0, np.array([0.05, 0.05, 0.05]), True
     drawer.gravcomp = 1.0
     rail = drawer.add_joint(name="rail", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=-AXIS)
-    rail.damping, rail.frictionloss = [4.0, 0.0, 0.0], 3.0
+    set_damping(rail, 4.0)
+    rail.frictionloss = 3.0
     drawer.add_site(name="handle")
     spec.body(GRIP_FRAME).add_site(name="grip")
     ball = spec.add_equality(name="ball_grip", type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_SITE)

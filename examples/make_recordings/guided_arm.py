@@ -39,14 +39,15 @@ def guided_arm() -> mujoco.MjSpec:
         body.gravcomp = 1.0
     for joint in spec.joints:
         damping, friction, rotor = GUIDING[joint.name]
-        joint.damping = _like(joint.damping, damping)
+        set_damping(joint, damping)
         joint.frictionloss = friction
         joint.armature = rotor
     return spec
 
 
-def _like(old, value: float):
-    """MuJoCo 4 keeps three damping coefficients a joint, MuJoCo 3 one."""
-    if isinstance(old, float):
-        return value
-    return [value] + [0.0] * (len(old) - 1)
+def set_damping(joint: mujoco.MjsJoint, damping: float) -> None:
+    """Linear damping [N m s/rad or N s/m]; MuJoCo 4 keeps three coefficients a joint, MuJoCo 3 one."""
+    if isinstance(joint.damping, float):
+        joint.damping = damping
+    else:
+        joint.damping = [damping] + [0.0] * (len(joint.damping) - 1)

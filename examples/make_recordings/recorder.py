@@ -1,12 +1,11 @@
-"""Let the physics run and write what the encoders see."""
+"""Let the physics run and keep what the encoders see."""
 
 # pyright: reportAttributeAccessIssue=false
 # (the compiled parts of MuJoCo have no complete stubs)
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import final
 
 import mujoco
@@ -17,7 +16,6 @@ from manip_learn.robot import Robot
 
 RATE = 100.0  # [Hz]
 ENCODER_NOISE = 1e-4  # [rad]
-DECIMALS = 5  # 1e-5 rad: a tenth of the noise
 
 LIMIT_MARGIN = 0.15  # [rad]
 SPEED_SHARE = 0.9
@@ -83,12 +81,3 @@ def stays_inside(recording: Recording, robot: Robot) -> bool:
         and np.all(recording.exact < robot.position_upper - LIMIT_MARGIN)
         and np.all(speed < SPEED_SHARE * robot.velocity_limit)
     )
-
-
-def write_csv(path: Path, time: Iterable[float], columns: dict[str, np.ndarray], decimals: int = DECIMALS) -> None:
-    """One row a sample: time with 2 decimals, then the columns with a fixed number of decimals."""
-    lines = [",".join(["time", *columns])]
-    rows = np.column_stack(list(columns.values()))
-    lines += [f"{t:.2f}," + ",".join(f"{x:.{decimals}f}" for x in row) for t, row in zip(time, rows, strict=True)]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
