@@ -41,17 +41,23 @@ def read_description(path: Path) -> bytes:
 def _explained(error: OSError | ValueError, path: Path) -> RobotError:
     if isinstance(error, FileNotFoundError | NotADirectoryError):
         return RobotError(f"{path}: there is no such file; check the path", code="missing", path=path)
-    if isinstance(error, IsADirectoryError) or (isinstance(error, OSError) and error.errno in (errno.ENXIO, errno.EISDIR)):
+    if isinstance(error, IsADirectoryError) or (
+        isinstance(error, OSError) and error.errno in (errno.ENXIO, errno.EISDIR)
+    ):
         return _not_a_file(path)
     reason = error.strerror if isinstance(error, OSError) else str(error)
-    return RobotError(f"{path!s}: cannot be read ({reason}); check the path and its permissions", code="unreadable", path=path)
+    return RobotError(
+        f"{path!s}: cannot be read ({reason}); check the path and its permissions", code="unreadable", path=path
+    )
 
 
 def _not_a_file(path: Path) -> RobotError:
     hint = "name a URDF file"
     if path.is_dir():
         inside = sorted(p.name for p in path.glob("*.urdf"))[:4]
-        hint = f"it is a folder; name a file in it, e.g. {', '.join(inside)}" if inside else "it is a folder; name a file"
+        hint = (
+            f"it is a folder; name a file in it, e.g. {', '.join(inside)}" if inside else "it is a folder; name a file"
+        )
     return RobotError(f"{path}: not a regular file; {hint}", code="not-a-file", path=path)
 
 

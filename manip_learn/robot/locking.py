@@ -67,7 +67,9 @@ def _position(joint: UrdfJoint, value: float | None) -> float:
     try:
         position = float(value)
     except (TypeError, ValueError) as error:
-        raise RobotError(f"joint {joint.name!r}: locked at {value!r}, a number is wanted", code="locked-position") from error
+        raise RobotError(
+            f"joint {joint.name!r}: locked at {value!r}, a number is wanted", code="locked-position"
+        ) from error
     if not lower <= position <= upper:
         raise RobotError(
             f"joint {joint.name!r}: locked at {position:g}, outside its limits {lower:g} ... {upper:g}",

@@ -80,7 +80,12 @@ def _end_of_chain(
             where, fix = f"joint {start.name!r}", "let one of them move by itself"
             path = " -> ".join(repr(n) for n in [*seen, joint.name][:6])
             raise log.refusal(
-                "mimic-cycle", mimic.line, where, f"joints follow each other in a circle: {path}", "a leader is wanted", fix
+                "mimic-cycle",
+                mimic.line,
+                where,
+                f"joints follow each other in a circle: {path}",
+                "a leader is wanted",
+                fix,
             )
         seen.append(joint.name)
     _check_type(joint, log)

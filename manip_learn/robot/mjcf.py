@@ -84,7 +84,9 @@ def check_mjcf(root: XmlNode, log: GateLog) -> list[Mimic]:
     for depth, node in _walk(root):
         if node.tag == "include":
             fix = "write one file without <include>"
-            raise log.refusal("mjcf-include", node.line, "the file", "it includes another file", "one file is read", fix)
+            raise log.refusal(
+                "mjcf-include", node.line, "the file", "it includes another file", "one file is read", fix
+            )
         bodies += node.tag == "body"
         if node.tag in ("joint", "freejoint") and "site" not in node.attributes:
             joints += 1
@@ -95,7 +97,9 @@ def check_mjcf(root: XmlNode, log: GateLog) -> list[Mimic]:
                 fix = "write the true value"
                 raise log.refusal("not-finite", node.line, "the file", seen, "finite numbers are wanted", fix)
         if depth > MAX_DEPTH:
-            raise log.refusal("too-deep", node.line, "the bodies", "they nest too deep", f"at most {MAX_DEPTH} work", "merge")
+            raise log.refusal(
+                "too-deep", node.line, "the bodies", "they nest too deep", f"at most {MAX_DEPTH} work", "merge"
+            )
     for what, number, most, code in (
         ("bodies", bodies, MAX_LINKS, "too-many-links"),
         ("degrees of freedom", nv, MAX_NV, "too-many-dof"),

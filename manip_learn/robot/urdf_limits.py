@@ -54,7 +54,9 @@ def _check_velocity(joint: UrdfJoint, log: GateLog) -> None:
     where, limit = f"joint {joint.name!r}", joint.limit
     if limit is None or limit.velocity is None:
         if joint.type != "continuous" or limit is not None:
-            log.warn(joint.line if limit is None else limit.line, f"{where}: no velocity limit; it is taken as unlimited")
+            log.warn(
+                joint.line if limit is None else limit.line, f"{where}: no velocity limit; it is taken as unlimited"
+            )
         return
     if limit.velocity <= 0.0:
         unit = "m/s" if joint.type == "prismatic" else "rad/s"

@@ -51,7 +51,9 @@ def _parsed(text: str, node: XmlNode, attribute: str, where: str, log: GateLog) 
         value = float(text)
         if math.isfinite(value) and abs(value) <= LARGEST:
             return value
-        raise log.refusal("not-finite", node.line, where, seen, f"at most {LARGEST:g} is wanted", "write the true value")
+        raise log.refusal(
+            "not-finite", node.line, where, seen, f"at most {LARGEST:g} is wanted", "write the true value"
+        )
     if "${" in text:
         raise log.refusal(
             "xacro-expression",

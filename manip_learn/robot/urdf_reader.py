@@ -167,9 +167,7 @@ def _unit(xyz: tuple[float, ...], axis: XmlNode, where: str, log: GateLog) -> Ve
 
 
 def _limit(node: XmlNode, where: str, log: GateLog) -> UrdfLimit:
-    lower, upper, velocity, effort = (
-        number(node, key, where, log) for key in ("lower", "upper", "velocity", "effort")
-    )
+    lower, upper, velocity, effort = (number(node, key, where, log) for key in ("lower", "upper", "velocity", "effort"))
     return UrdfLimit(node.line, lower, upper, velocity, effort)
 
 

@@ -44,7 +44,9 @@ def robot_from_urdf(
     urdf, warnings = passed.urdf, list(passed.warnings)
     if root_joint is not None and urdf.joint("root_joint") is not None:
         raise RobotError(
-            f"{path}: a joint is called 'root_joint', the name of the moving base; rename it", code="name-reserved", path=path
+            f"{path}: a joint is called 'root_joint', the name of the moving base; rename it",
+            code="name-reserved",
+            path=path,
         )
     still = locked_positions(urdf, passed.mimics, locked)
     text = kinematic_urdf(urdf)

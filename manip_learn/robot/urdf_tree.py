@@ -70,9 +70,7 @@ def _check_names(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Ga
             if e.name in first:
                 seen = f"the name is already used on line {first[e.name]}"
                 fix = "rename one of the two"
-                raise log.refusal(
-                    f"duplicate-{kind}", e.line, f"{kind} {e.name!r}", seen, "names must be unique", fix
-                )
+                raise log.refusal(f"duplicate-{kind}", e.line, f"{kind} {e.name!r}", seen, "names must be unique", fix)
             first[e.name] = e.line
 
 
@@ -97,9 +95,7 @@ def _check_ends(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Gat
         parent_joint[j.child] = j.name
 
 
-def _check_reach(
-    root: UrdfLink, links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: GateLog
-) -> None:
+def _check_reach(root: UrdfLink, links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: GateLog) -> None:
     below: dict[str, list[str]] = {}
     for j in joints:
         below.setdefault(j.parent, []).append(j.child)

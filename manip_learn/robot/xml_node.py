@@ -76,7 +76,9 @@ class _Builder:
         if self.count > MAX_ELEMENTS:
             raise self._refusal("xml-too-large", f"more than {MAX_ELEMENTS} XML elements; split the file")
         if len(self.stack) >= MAX_NESTING:
-            raise self._refusal("xml-too-deep", f"XML elements are nested deeper than {MAX_NESTING} levels; URDF needs 6")
+            raise self._refusal(
+                "xml-too-deep", f"XML elements are nested deeper than {MAX_NESTING} levels; URDF needs 6"
+            )
         for key, value in attributes.items():
             if len(value) > MAX_ATTRIBUTE:
                 raise self._refusal(

@@ -1,0 +1,136 @@
+"""Is a file what its extension says, and does it point at other files? Decided without parsing it."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import stat
+import struct
+from pathlib import Path
+
+from manip_learn.errors import RobotError
+
+MAX_MESH_BYTES = 50_000_000
+HEAD = 4_096
+
+
+def checked_mesh(path: Path) -> bytes:
+    """Content of a mesh file whose kind is known and which stands alone.
+
+    Args:
+        path: A file inside the robot's folders.
+
+    Raises:
+        RobotError: Codes `mesh-kind`, `mesh-size`, `mesh-content`, `mesh-side-file`, `mesh-missing`.
+    """
+    kind = path.suffix.lower()
+    if kind not in CHECKS:
+        raise _refusal(path, "mesh-kind", f"{kind or 'no extension'!r} is not one of {', '.join(CHECKS)}")
+    content = _read(path)
+    CHECKS[kind](content, path)
+    return content
+
+
+def _read(path: Path) -> bytes:
+    try:
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    except OSError as error:
+        raise _refusal(path, "mesh-missing", str(error.strerror)) from error
+    with os.fdopen(descriptor, "rb") as file:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise _refusal(path, "mesh-kind", "it is not a regular file")
+        if status.st_size > MAX_MESH_BYTES:
+            raise _refusal(path, "mesh-size", f"it has {status.st_size} bytes, at most {MAX_MESH_BYTES} are read")
+        content = file.read(MAX_MESH_BYTES + 1)
+    if not content:
+        raise _refusal(path, "mesh-content", "it is empty")
+    return content
+
+
+def _check_stl(content: bytes, path: Path) -> None:
+    if len(content) >= 84:
+        triangles = struct.unpack_from("<I", content, 80)[0]
+        if len(content) == 84 + 50 * triangles and triangles > 0:
+            return
+    if content[:HEAD].lstrip().startswith(b"solid") and b"facet" in content[:HEAD] and b"\0" not in content[:HEAD]:
+        return
+    raise _refusal(path, "mesh-content", "its size does not fit the number of triangles it states")
+
+
+def _check_obj(content: bytes, path: Path) -> None:
+    if b"\0" in content or not re.search(rb"^\s*v\s", content, re.MULTILINE):
+        raise _refusal(path, "mesh-content", "it has no OBJ vertices")
+    # materials are not read, but the parser would open the file that is named
+    for name in re.findall(rb"^\s*(?:mtllib|maplib|call|csh)\s+(.+)$", content, re.MULTILINE):
+        _check_name(name.decode("utf-8", "replace").strip(), path)
+
+
+def _check_dae(content: bytes, path: Path) -> None:
+    text = content.lstrip(b"\xef\xbb\xbf \t\r\n")
+    if not text.startswith(b"<") or b"<COLLADA" not in content[:HEAD] or b"\0" in content:
+        raise _refusal(path, "mesh-content", "it is no COLLADA document")
+    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+        raise _refusal(path, "mesh-content", "it has a <!DOCTYPE>")
+    for name in re.findall(rb"<init_from>\s*([^<]*?)\s*</init_from>", content):
+        _check_name(name.decode("utf-8", "replace"), path)
+    for name in re.findall(rb"<instance_(?:geometry|node|controller)[^>]*\surl\s*=\s*[\"']([^\"']*)", content):
+        if not name.startswith(b"#"):
+            _check_name(name.decode("utf-8", "replace").partition("#")[0], path)
+
+
+def _check_ply(content: bytes, path: Path) -> None:
+    if not content.startswith(b"ply") or b"end_header" not in content[: 16 * HEAD]:
+        raise _refusal(path, "mesh-content", "it has no PLY header")
+
+
+def _check_glb(content: bytes, path: Path) -> None:
+    if len(content) < 20 or content[:4] != b"glTF":
+        raise _refusal(path, "mesh-content", "it has no glTF header")
+    size, kind = struct.unpack_from("<I4s", content, 12)
+    if kind != b"JSON" or size > len(content) - 20:
+        raise _refusal(path, "mesh-content", "its first chunk is no JSON")
+    _check_gltf(content[20 : 20 + size], path)
+
+
+def _check_gltf(content: bytes, path: Path) -> None:
+    try:
+        document = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise _refusal(path, "mesh-content", f"it is no JSON ({str(error)[:80]})") from error
+    if not isinstance(document, dict) or "asset" not in document:
+        raise _refusal(path, "mesh-content", "it is no glTF document")
+    for group in ("buffers", "images"):
+        for item in document.get(group) or []:
+            uri = item.get("uri") if isinstance(item, dict) else None
+            if uri is not None and not str(uri).startswith("data:"):
+                if group == "buffers":
+                    raise _refusal(path, "mesh-side-file", f"it reads the file {str(uri)[:80]!r}; save it as one .glb")
+                _check_name(str(uri), path)
+
+
+def _check_name(name: str, path: Path) -> None:
+    """A file that a mesh names must lie beside or below it; it is not read, but another program might."""
+    folder = path.parent.resolve()
+    name = name.removeprefix("file://").replace("\\", "/")
+    try:
+        inside = (folder / name).resolve().is_relative_to(folder.parent if name.startswith("../") else folder)
+    except (OSError, ValueError, RuntimeError):
+        inside = False
+    if "://" in name or "\0" in name or not inside:
+        raise _refusal(path, "mesh-side-file", f"it names the file {name[:80]!r}, outside its own folder")
+
+
+def _refusal(path: Path, code: str, reason: str) -> RobotError:
+    return RobotError(f"mesh {path}: {reason}", code=code, path=path)
+
+
+CHECKS = {
+    ".stl": _check_stl,
+    ".obj": _check_obj,
+    ".dae": _check_dae,
+    ".ply": _check_ply,
+    ".glb": _check_glb,
+    ".gltf": _check_gltf,
+}
