@@ -21,7 +21,6 @@ if os.environ.get("CHECK_SHAPES"):
     install_import_hook("manip_learn", "beartype.beartype")
 
 import numpy as np  # noqa: E402
-import pinocchio as pin  # noqa: E402
 
 from manip_learn.robot.loading import load_robot  # noqa: E402
 from manip_learn.robot.robot import Robot  # noqa: E402
@@ -34,12 +33,11 @@ def chain_urdf(name: str, joints: list[tuple[str, str, str, str]], extra: str = 
     links = [_link("base")]
     for i, (kind, axis, xyz, rpy) in enumerate(joints):
         parent = "base" if i == 0 else f"link{i - 1}"
-        limit = "" if kind in ("continuous", "floating") else '<limit lower="-2" upper="2" velocity="2" effort="10"/>'
-        axis_tag = "" if kind == "floating" else f'<axis xyz="{axis}"/>'
+        limit = "" if kind == "continuous" else '<limit lower="-2" upper="2" velocity="2" effort="10"/>'
         links.append(_link(f"link{i}"))
         links.append(
             f'<joint name="joint{i}" type="{kind}"><parent link="{parent}"/><child link="link{i}"/>'
-            f'<origin xyz="{xyz}" rpy="{rpy}"/>{axis_tag}{limit}</joint>'
+            f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>{limit}</joint>'
         )
     return f'<robot name="{name}">{"".join(links)}{extra}{_tip(len(joints) - 1)}</robot>'
 
@@ -72,11 +70,6 @@ WRIST = [
     ("continuous", "1 0 0", "0.3 0 0.1", "0.3 0 0"),
     ("revolute", "0 1 0", "0.2 0 0", "0 0 0"),
 ]
-FLOATING = [
-    ("floating", "", "0 0 0.5", "0.1 0 0"),
-    ("revolute", "0 1 0", "0.2 0 0.1", "0 0 0.4"),
-    ("revolute", "1 0 0", "0.3 0 0", "0 0.3 0"),
-]
 BRANCH = (
     _link("arm_a")
     + _link("arm_b")
@@ -90,7 +83,8 @@ URDFS = {
     "one": chain_urdf("one", ONE),
     "gantry": chain_urdf("gantry", GANTRY),
     "wrist": chain_urdf("wrist", WRIST),
-    "floating": chain_urdf("floating", FLOATING),
+    "humanoid": chain_urdf("humanoid", [*WRIST[1:3], GANTRY[4]]),
+    "rover": chain_urdf("rover", [*GANTRY[2:4], WRIST[0]]),
     "tree": chain_urdf("tree", [*GANTRY[1:4], ("revolute", "0 1 0", "0.1 0 0.1", "0 0 0")], BRANCH),
     "mimic": chain_urdf("mimic", [*GANTRY[2:4], ("revolute", "0 1 0", "0.2 0 0.1", "0 0 0"), *GANTRY[4:]]).replace(
         '<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="joint0" multiplier="-0.7" offset="0.2"/>', 1
@@ -103,18 +97,17 @@ TIPS = {
     "ur5": "tool0",
     "kinova": "j2s6s200_end_effector",
 }
+BASES = {"humanoid": "floating", "rover": "planar"}
 LOCKED = {"panda": ("panda_finger_joint1",)}
 
 
 @cache
 def named_robot(name: str, folder: Path) -> Robot:
     """A robot of `URDFS`, of the project's `robots` folder, or of example-robot-data."""
-    if name == "floating":
-        return Robot(pin.buildModelFromXML(URDFS[name]), fingerprint=name)
     if name in URDFS:
         path = folder / f"{name}.urdf"
         path.write_text(URDFS[name], encoding="utf-8")
-        return load_robot(path)
+        return load_robot(path, base=BASES.get(name, "fixed"))
     return load_robot(name, locked=LOCKED.get(name, ()))
 
 

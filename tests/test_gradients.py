@@ -278,11 +278,11 @@ def test_gradient_keeps_its_digits_near_the_cone(robot_of: RobotOf):
 
 
 def test_the_robots_cover_what_they_should(robot_of: RobotOf):
-    """The matrix above holds nv = 1, 3, 6 and 7, prismatic and continuous joints, a mimic joint, a floating base."""
+    """The matrix above holds nv = 1, 3, 6 and 7, prismatic, continuous and mimic joints, floating and planar bases."""
     robots = {name: robot_of(name) for name in ROBOTS}
     assert {1, 3, 6, 7} <= {r.nv for r in robots.values()}
     kinds = {b.kind for r in robots.values() for b in r.blocks}
-    assert {"revolute", "prismatic", "continuous", "floating"} <= kinds
+    assert {"revolute", "prismatic", "continuous", "floating", "planar"} <= kinds
     assert any(r.mimics for r in robots.values())
     assert any(r.nq != r.nv for r in robots.values())
     assert set(LOCKED) <= set(ROBOTS)

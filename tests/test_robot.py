@@ -1,0 +1,227 @@
+"""`Robot`: names, sizes, limits, what it refuses, threads and processes. Its derivatives are in test_gradients.py."""
+
+from __future__ import annotations
+
+import pickle
+import threading
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from conftest import TIPS, URDFS, tip_of
+
+from manip_learn.errors import ConfigurationError, UnknownNameError
+from manip_learn.robot.kinematic_hessian import closed_form, columns_to_joints, pinocchio_order_is_known
+
+ROBOTS = [*URDFS, *TIPS]
+WITH_MIMICS = ("mimic",)  # their public derivative is that of the independent joints
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_sizes_fit_together(robot_of, name):
+    """One name and one limit a degree of freedom; limits are read-only and not inverted; the neutral posture obeys."""
+    robot = robot_of(name)
+    assert len(robot.joint_names) == len(set(robot.joint_names)) == robot.nv
+    for limit in (robot.position_lower, robot.position_upper, robot.velocity_limit):
+        assert limit.shape == (robot.nv,)
+        assert not limit.flags.writeable
+    assert np.all(robot.position_lower < robot.position_upper)
+    assert np.all(robot.velocity_limit > 0)
+    neutral = robot.positions(robot.neutral())
+    assert np.all(neutral >= robot.position_lower)
+    assert np.all(neutral <= robot.position_upper)
+    assert robot.nq >= robot.nv
+    assert robot.name in repr(robot)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_random_postures_obey_the_limits(robot_of, rng, name):
+    """Random postures lie within the limits and are valid configurations."""
+    robot = robot_of(name)
+    for _ in range(20):
+        q = robot.random_configuration(rng)
+        positions = robot.positions(q)
+        assert np.all(positions >= robot.position_lower - 1e-12)
+        assert np.all(positions <= robot.position_upper + 1e-12)
+        assert pin.isNormalized(robot.pinocchio_model, robot.pinocchio_configuration(q), 1e-12)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_frame_and_joint_can_be_asked_for(robot_of, name):
+    """Each listed name is found, carries finite kinematics, and a joint's index is its place in joint_names."""
+    robot = robot_of(name)
+    q = robot.neutral()
+    for frame_name in robot.frame_names:
+        frame = robot.frame(frame_name)
+        assert frame.name == frame_name
+        assert np.all(np.isfinite(robot.pose(q, frame)))
+        assert robot.jacobian(q, frame).shape == (6, robot.nv)
+    for i, joint in enumerate(robot.joint_names):
+        assert robot.joint_index(joint) == i
+
+
+@pytest.mark.parametrize("wrong", ["", "tipp", "universe", "TIP", None, 3, "tip\x00", "a" * 10000])
+def test_unknown_names_never_reach_pinocchio(robot_of, wrong):
+    """Any other name, or no name at all, is an error of ours (Pinocchio would read foreign memory)."""
+    robot = robot_of("gantry")
+    with pytest.raises(UnknownNameError):
+        robot.frame(wrong)
+    with pytest.raises(UnknownNameError):
+        robot.joint_index(wrong)
+
+
+@pytest.mark.parametrize("name", ["one", "planar3", "wrist", "humanoid", "mimic"])
+def test_wrong_postures_are_refused(robot_of, name):
+    """Wrong sizes, NaN, infinity, text and nothing are refused wherever a posture or a velocity is taken."""
+    robot = robot_of(name)
+    frame = robot.frame(tip_of(name))
+    n = robot.nv
+    bad = [np.zeros(n + 7), [], np.full(n, np.nan), np.full(robot.nq, np.inf), ["x"] * n, None, np.zeros((n, 2)), {}]
+    for q in bad:
+        for ask in (robot.configuration, robot.positions):
+            with pytest.raises(ConfigurationError):
+                ask(q)
+        for ask in (robot.pose, robot.jacobian, robot.jacobian_and_derivative):
+            with pytest.raises(ConfigurationError):
+                ask(q, frame)
+        with pytest.raises(ConfigurationError):
+            robot.velocity(q)
+        with pytest.raises(ConfigurationError):
+            robot.integrate(np.zeros(n), q)
+        with pytest.raises(ConfigurationError):
+            robot.difference(np.zeros(n), q)
+
+
+def test_refusals_name_the_joint(robot_of):
+    """The sentence names the joint that is not finite, in postures and in velocities."""
+    robot = robot_of("gantry")
+    with pytest.raises(ConfigurationError, match="'joint2' is nan"):
+        robot.configuration([0, 0, np.nan, 0, 0])
+    with pytest.raises(ConfigurationError, match="'joint3' is inf"):
+        robot.velocity([0, 0, 0, np.inf, 0])
+    with pytest.raises(ConfigurationError, match="'joint1' is nan"):
+        robot.velocity([1e300, np.nan, 0, 0, 0])
+
+
+def test_configurations_without_direction_are_refused(robot_of):
+    """(cos, sin) = (0, 0) is no angle and a zero quaternion no orientation; other lengths are made 1."""
+    wrist, humanoid = robot_of("wrist"), robot_of("humanoid")
+    with pytest.raises(ConfigurationError, match="joint0"):
+        wrist.configuration(np.zeros(wrist.nq))
+    with pytest.raises(ConfigurationError, match="quaternion"):
+        humanoid.configuration(np.zeros(humanoid.nq))
+    q = wrist.configuration([0.3, 0.1, -0.4, 0.2])
+    longer = q.copy()
+    longer[:2] *= 3.0
+    np.testing.assert_allclose(wrist.configuration(longer), q, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["planar3", "wrist", "panda"])
+def test_any_memory_layout(robot_of, rng, name):
+    """Lists, float32, big-endian, strided and read-only vectors give the same kinematics."""
+    robot = robot_of(name)
+    frame = robot.frame(tip_of(name))
+    q = robot.random_configuration(rng).astype(np.float32).astype(np.float64)
+    expected = robot.jacobian(q, frame)
+    strided = np.stack([q, q], axis=1)[:, 0]
+    frozen = q.copy()
+    frozen.setflags(write=False)
+    for same in (q.tolist(), tuple(q), q.astype(">f8"), q.astype(np.float32), strided, frozen):
+        np.testing.assert_array_equal(robot.jacobian(same, frame), expected)
+
+
+def test_inputs_are_left_alone_and_results_belong_to_the_caller(robot_of, rng):
+    """No method writes to its arguments, and later calls do not change earlier results (Pinocchio hands out views)."""
+    robot = robot_of("wrist")
+    frame = robot.frame("tip")
+    q, v = 1.7 * robot.random_configuration(rng), rng.normal(size=robot.nv)
+    q.setflags(write=False)
+    v.setflags(write=False)
+    first = [
+        robot.pose(q, frame),
+        robot.jacobian(q, frame),
+        *robot.jacobian_and_derivative(q, frame),
+        robot.integrate(q, v),
+        robot.difference(q, robot.integrate(q, v)),
+        robot.centre_of_mass(q),
+        *robot.centre_of_mass_jacobian_and_derivative(q),
+    ]
+    copies = [a.copy() for a in first]
+    for _ in range(3):
+        other = robot.random_configuration(rng)
+        robot.pose(other, frame)
+        robot.jacobian_and_derivative(other, frame)
+        robot.centre_of_mass_jacobian_and_derivative(other)
+        robot.centre_of_mass(other)
+    for kept, copy in zip(first, copies, strict=True):
+        np.testing.assert_array_equal(kept, copy)
+
+
+def test_many_threads(robot_of, rng):
+    """One robot in eight threads gives in each what it gives alone."""
+    robot = robot_of("panda")
+    frame = robot.frame("panda_hand_tcp")
+    postures = [robot.random_configuration(rng) for _ in range(8)]
+    expected = [robot.jacobian_and_derivative(q, frame)[1] for q in postures]
+    wrong: list[int] = []
+
+    def work(i: int) -> None:
+        for _ in range(300):
+            if not np.array_equal(robot.jacobian_and_derivative(postures[i], frame)[1], expected[i]):
+                wrong.append(i)
+
+    threads = [threading.Thread(target=work, args=(i,)) for i in range(8)]
+    for t in threads:
+        t.start()
+    for t in threads:
+        t.join()
+    assert wrong == []
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_travels_between_processes(robot_of, rng, name):
+    """A pickled robot is the same robot: names, limits, fingerprint, kinematics."""
+    robot = robot_of(name)
+    copy = pickle.loads(pickle.dumps(robot))
+    q = robot.random_configuration(rng)
+    assert copy.fingerprint == robot.fingerprint
+    assert copy.joint_names == robot.joint_names
+    np.testing.assert_array_equal(copy.position_upper, robot.position_upper)
+    frame = copy.frame(tip_of(name))
+    np.testing.assert_array_equal(copy.jacobian(q, frame), robot.jacobian(q, robot.frame(tip_of(name))))
+
+
+@pytest.mark.parametrize("reference", ["world", "local"])
+@pytest.mark.parametrize("name", [name for name in ROBOTS if name not in WITH_MIMICS])
+def test_closed_form_hessian(robot_of, rng, name, reference):
+    """The stand-in for Pinocchio's Hessian, should its memory order change, gives the same derivatives."""
+    robot = robot_of(name)
+    model = robot.pinocchio_model
+    assert pinocchio_order_is_known(model)
+    frame = robot.frame(tip_of(name))
+    for _ in range(3):
+        q = robot.random_configuration(rng)
+        J, H = robot.jacobian_and_derivative(q, frame, reference)
+        np.testing.assert_allclose(closed_form(J, columns_to_joints(model), reference), H, rtol=0, atol=1e-13)
+
+
+def test_mimic_joint_is_no_degree_of_freedom(robot_of):
+    """The follower has no place in the posture, moves as it is told, and its part of the motion is its leader's."""
+    robot = robot_of("mimic")
+    assert robot.joint_names == ("joint0", "joint1", "joint3")
+    assert [(m.joint, m.leader, m.multiplier, m.offset) for m in robot.mimics] == [("joint2", "joint0", -0.7, 0.2)]
+    full = robot.pinocchio_configuration([0.5, 0.1, 0.3])
+    model = robot.pinocchio_model
+    assert full[model.joints[model.getJointId("joint2")].idx_q] == pytest.approx(-0.7 * 0.5 + 0.2)
+
+
+def test_joint_order_is_that_of_the_names(robot_of):
+    """A branching robot's names are in Pinocchio's order, and each position moves the joint of its own name."""
+    robot = robot_of("tree")
+    q = robot.positions(robot.neutral()).copy()
+    q[robot.joint_index("z_side")] = 0.25
+    moved, still = robot.frame("arm_b"), robot.frame("tip")
+    assert np.linalg.norm(robot.pose(q, moved)[:3, 3] - robot.pose(robot.neutral(), moved)[:3, 3]) == pytest.approx(
+        0.25
+    )
+    np.testing.assert_array_equal(robot.pose(q, still), robot.pose(robot.neutral(), still))
