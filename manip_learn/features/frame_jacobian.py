@@ -94,17 +94,26 @@ class FrameJacobian(FeatureMap):
         J, H = self.robot.jacobian_and_derivative(q, self.frame, self.reference)
         return J[self._rows], H[self._rows]
 
-    def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
-        """Phi at n postures, the rows of q, in bulk (see `robot.batch`).
+    def batch(self, q: ArrayLike, *, compiled: bool | None = None) -> Float[np.ndarray, "n p nv"]:
+        """Phi at n postures, the rows of q, in bulk.
+
+        Args:
+            q: Configurations (nq) or joint positions (nv), one a row.
+            compiled: Use the numba kernels (equal to 1e-12); None: where numba is installed and n is large.
 
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            MissingExtraError: `compiled=True` without numba.
         """
-        return batch_kinematics(self.robot, self.frame).jacobian(q, self.reference, self._row_numbers)
+        kinematics = batch_kinematics(self.robot, self.frame)
+        return kinematics.jacobian(q, self.reference, self._row_numbers, compiled=compiled)
 
-    def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
-        """Phi and dPhi/dq at n postures, in bulk."""
-        return batch_kinematics(self.robot, self.frame).jacobian_and_derivative(q, self.reference, self._row_numbers)
+    def batch_with_derivative(
+        self, q: ArrayLike, *, compiled: bool | None = None
+    ) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
+        """Phi and dPhi/dq at n postures, in bulk; arguments and errors as for `batch`."""
+        kinematics = batch_kinematics(self.robot, self.frame)
+        return kinematics.jacobian_and_derivative(q, self.reference, self._row_numbers, compiled=compiled)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Position of the frame's origin in the base frame [m] and its rotation vector [rad], the chosen rows."""

@@ -10,11 +10,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.robot.batch_postures import checked_postures
+from manip_learn.robot.batch_postures import checked_postures, positions_of
 from manip_learn.robot.chain import Chain, chain_to
 from manip_learn.robot.chain_columns import ChainColumns
 from manip_learn.robot.chain_motion import ChainMotion, contracted, write_derivative, write_jacobian
 from manip_learn.robot.chain_sweep import SweepBuffers, sweep, tip_position
+from manip_learn.robot.compiled import kernels
 from manip_learn.robot.frame import Frame
 
 if TYPE_CHECKING:
@@ -64,7 +65,12 @@ class BatchKinematics:
             self.fast = self._agrees_with_pinocchio()
 
     def jacobian(
-        self, q: ArrayLike, reference: Reference = "world", rows: Sequence[int] = ALL_ROWS
+        self,
+        q: ArrayLike,
+        reference: Reference = "world",
+        rows: Sequence[int] = ALL_ROWS,
+        *,
+        compiled: bool | None = None,
     ) -> Float[np.ndarray, "n p nv"]:
         """Frame Jacobians, linear rows first [m/s, rad/s a joint velocity].
 
@@ -72,31 +78,53 @@ class BatchKinematics:
             q: Postures, one a row: configurations (nq) or joint positions (nv).
             reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
             rows: Which of x y z rx ry rz, as 0 .. 5.
+            compiled: Use the numba kernels (equal to 1e-12); None: where numba is installed and n is large.
 
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            MissingExtraError: `compiled=True` without numba.
         """
         postures = checked_postures(self._robot, q)
+        numba_kernels = kernels(compiled, len(postures))
         if not self.fast:
             return self._looped(postures, reference, rows)[0]
-        out = self._empty(len(rows), self._robot.nv, n=len(postures))
+        if numba_kernels is not None and self._columns.public is not None:
+            J = self._new_table(len(postures), len(rows), self._robot.nv)
+            chain = numba_kernels.kernel_chain(self._chain, self._columns.public, reference)
+            positions = positions_of(self._robot, postures)
+            numba_kernels.jacobians(chain, positions, np.array(rows), self._columns.public, J)
+            return J
+        out = self._new_table(len(rows), self._robot.nv, len(postures))
         for part, motion in self._motions(postures, reference, CHUNK):
             write_jacobian(motion, rows, self._columns, out[..., part])
         return out.transpose(2, 0, 1)
 
     def jacobian_and_derivative(
-        self, q: ArrayLike, reference: Reference = "world", rows: Sequence[int] = ALL_ROWS
+        self,
+        q: ArrayLike,
+        reference: Reference = "world",
+        rows: Sequence[int] = ALL_ROWS,
+        *,
+        compiled: bool | None = None,
     ) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Frame Jacobians J and dJ/dq; entry [n, i, j, k] = d J_ij / d q_k along tangent coordinate k, exact.
 
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            MissingExtraError: `compiled=True` without numba.
         """
         postures = checked_postures(self._robot, q)
+        numba_kernels = kernels(compiled, len(postures))
         if not self.fast:
             return self._looped(postures, reference, rows)
         p, n, nv = len(rows), len(postures), self._robot.nv
-        J, H = self._empty(p, nv, n=n), self._empty(p, nv, nv, n=n)
+        if numba_kernels is not None and self._columns.public is not None:
+            J, H = self._new_table(n, p, nv), self._new_table(n, p, nv, nv)
+            chain = numba_kernels.kernel_chain(self._chain, self._columns.public, reference)
+            positions = positions_of(self._robot, postures)
+            numba_kernels.jacobians_and_derivatives(chain, positions, np.array(rows), self._columns.public, J, H)
+            return J, H
+        J, H = self._new_table(p, nv, n), self._new_table(p, nv, nv, n)
         for part, motion in self._motions(postures, reference, DERIVATIVE_CHUNK):
             write_jacobian(motion, rows, self._columns, J[..., part])
             write_derivative(motion, rows, self._columns, H[..., part])
@@ -131,7 +159,7 @@ class BatchKinematics:
                 out[:, part] = np.einsum("ijn,nijk->kn", weigh(J.transpose(1, 2, 0), part), H)
             return out.T
         for part, motion in self._motions(postures, reference, CHUNK):
-            J = self._empty(len(rows), self._robot.nv, n=part.stop - part.start)
+            J = self._new_table(len(rows), self._robot.nv, part.stop - part.start)
             write_jacobian(motion, rows, self._columns, J)
             weights = np.zeros((6, *motion.w.shape[1:]))
             weights[list(rows)] = self._columns.gather(weigh(J, part))
@@ -183,9 +211,9 @@ class BatchKinematics:
             size = min(chunk, n - start)
             yield slice(start, start + size), buffers.first(size)
 
-    def _empty(self, *shape: int, n: int) -> np.ndarray:
+    def _new_table(self, *shape: int) -> np.ndarray:
         # columns of joints that do not carry the frame are never written
-        return np.empty((*shape, n)) if self._columns.full else np.zeros((*shape, n))
+        return np.empty(shape) if self._columns.full else np.zeros(shape)
 
     def _looped(self, postures: np.ndarray, reference: Reference, rows: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         nv, chosen = self._robot.nv, list(rows)

@@ -20,11 +20,13 @@ class ChainColumns:
 
     Attributes:
         full: True if every public joint moves the chain, so that no column of a Jacobian is zero by construction.
+        public: Public column of each joint of the chain, shape (j,); None with mimic joints.
     """
 
     def __init__(self, robot: Robot, chain: Chain):
         self._robot = robot
         self._lift: np.ndarray | None = None
+        self.public: np.ndarray | None = None
         self._select: slice | np.ndarray = slice(0, 0)
         coupling = robot.coupling
         if coupling is not None:
@@ -34,7 +36,8 @@ class ChainColumns:
             self.full = False
             return
         public = {block.pin_v.start: block.v.start for block in robot.blocks}
-        columns = np.array([public[int(c)] for c in chain.columns])
+        columns = np.array([public[int(c)] for c in chain.columns], dtype=np.int64)
+        self.public = columns
         self.full = len(columns) == robot.nv
         contiguous = np.array_equal(columns, np.arange(columns[0], columns[0] + len(columns)))
         self._select = slice(int(columns[0]), int(columns[0]) + len(columns)) if contiguous else columns

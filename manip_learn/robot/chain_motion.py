@@ -18,7 +18,7 @@ AFTER = ((1, 2), (2, 0), (0, 1))  # (a x b)_r = a_i b_j - a_j b_i with i, j = AF
 
 @final
 class ChainMotion:
-    """Columns (v_j, w_j) of a frame's Jacobian: v_j = w_j x lever_j for a joint that turns, its axis for one that slides.
+    """Columns (v_j, w_j) of a frame's Jacobian: (w_j x lever_j, w_j) if joint j turns, (axis, 0) if it slides.
 
     Args:
         axis: Unit axes of the joints, along the base axes or the frame's own; may be overwritten.

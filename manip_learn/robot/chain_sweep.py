@@ -116,7 +116,7 @@ def _tilt(
     y: np.ndarray, z: np.ndarray, c: float, s: float, z_out: np.ndarray, y_out: np.ndarray, work: np.ndarray
 ) -> np.ndarray:
     """Turn (y, z) about x: z goes into `z_out`, the new y comes back. Right angles cost no multiplication."""
-    if c == 1.0:
+    if c == 1.0 and s == 0.0:  # a tilt of 1e-9 has a cosine of 1, too
         z_out[...] = z
         return y
     if c == 0.0 and s == 1.0:
