@@ -39,7 +39,7 @@ def load_robot(
         package_dirs: Folders that contain the packages of `package://` meshes. Kinematics needs none.
         locked: Joints to hold still, at zero or the limit nearest to it; or a mapping joint -> position [rad or m].
         base: Whether the root link is `"fixed"`, or free to move in space (`"floating"`) or in the plane (`"planar"`).
-        xacro: Whether a .xacro file may be expanded. Off by default, since expanding one runs expressions of its author.
+        xacro: Whether a .xacro file may be expanded. Off by default, since expanding runs its author's expressions.
 
     Raises:
         UnknownNameError: No such robot, or a locked joint that does not exist; lists near matches.

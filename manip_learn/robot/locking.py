@@ -42,7 +42,7 @@ def locked_positions(urdf: UrdfFile, mimics: Mimics, locked: Locked) -> dict[str
     for name in asked:
         if name in leader_of and leader_of[name].leader not in still:
             raise RobotError(
-                f"joint {name!r} cannot be locked alone: it follows {leader_of[name].leader!r}; lock that joint instead",
+                f"joint {name!r} cannot be locked alone: it follows {leader_of[name].leader!r}; lock that joint",
                 code="locked-follower",
             )
     for m in mimics.followers:
@@ -61,7 +61,7 @@ def _position(joint: UrdfJoint, value: float | None) -> float:
         return min(max(0.0, lower), upper)
     if joint.nv != 1:
         raise RobotError(
-            f"joint {joint.name!r} is {joint.type} and can only be locked where it is: give its name without a position",
+            f"joint {joint.name!r} is {joint.type} and can be locked only where it is: give no position",
             code="locked-position",
         )
     try:

@@ -39,7 +39,7 @@ class MeshRoots:
 
 
 def mesh_roots(urdf: Path, package_dirs: Sequence[Path]) -> MeshRoots:
-    """Folders of a robot: its own, those given, those above, ROS_PACKAGE_PATH, AMENT_PREFIX_PATH, example-robot-data."""
+    """Folders of a robot: its own, given ones, those above, of ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, example data."""
     folder = urdf.resolve().parent
     given = [Path(d).resolve() for d in package_dirs]
     ancestors = [p for p in (folder, *folder.parents[:LEVELS_UP]) if p != p.parent]

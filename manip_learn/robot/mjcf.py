@@ -167,7 +167,7 @@ def _still(model: pin.Model, mimics: list[Mimic], locked: Locked) -> dict[str, f
             still[m.joint] = m.multiplier * still[m.leader] + m.offset
         elif m.joint in still:
             raise RobotError(
-                f"joint {m.joint!r} cannot be locked alone: it follows {m.leader!r}; lock that joint instead",
+                f"joint {m.joint!r} cannot be locked alone: it follows {m.leader!r}; lock that joint",
                 code="locked-follower",
             )
     return still

@@ -53,7 +53,7 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
     except (LookupError, ValueError) as error:  # an encoding that Python does not know, or cannot use
         line = builder.parser.CurrentLineNumber
         raise RobotError(
-            f"{path}:{line}: the XML declaration names an encoding that cannot be read ({error}); save the file as UTF-8",
+            f"{path}:{line}: its XML declaration names an encoding that cannot be read ({error}); save it as UTF-8",
             code="encoding",
             path=path,
             line=line,
