@@ -1,0 +1,21 @@
+"""Replays and live views in the browser."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from manip_learn.playback.live_viewer import LiveViewer
+    from manip_learn.playback.replay_page import ReplayResult, replay
+
+__all__ = ["LiveViewer", "ReplayResult", "replay"]
+
+# the file is not called replay.py: importing it would put the module where the function belongs
+_HOMES = {"LiveViewer": "live_viewer", "ReplayResult": "replay_page", "replay": "replay_page"}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(importlib.import_module(f"manip_learn.playback.{_HOMES[name]}"), name)
+    raise AttributeError(f"module 'manip_learn.playback' has no attribute {name!r}")

@@ -1,0 +1,106 @@
+"""What the browser needs for forward kinematics: which joint hangs on which, and how each one moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, final
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from manip_learn.robot.robot import Robot
+
+Motion = Literal["fixed", "revolute", "prismatic", "free"]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class TreeJoint:
+    """One moving joint, mimic joints included.
+
+    Attributes:
+        name: Name in the URDF.
+        parent: Index of the joint it hangs on; the world is 0.
+        placement: shape (4, 4), from the joint at rest to its parent [m].
+        motion: `"revolute"` and `"prismatic"` move along `axis` by one number; `"free"` is given as a whole pose; only
+            the world is `"fixed"`.
+        axis: shape (3,), unit vector in the joint's own frame; zero for `"free"` and `"fixed"`.
+    """
+
+    name: str
+    parent: int
+    placement: Float[np.ndarray, "4 4"]
+    motion: Motion
+    axis: Float[np.ndarray, " 3"]
+
+    @property
+    def width(self) -> int:
+        """Numbers a key frame: 1 along the axis, 7 for a free pose (x, y, z, quaternion x, y, z, w)."""
+        return {"fixed": 0, "free": 7}.get(self.motion, 1)
+
+
+def kinematic_tree(robot: Robot) -> tuple[TreeJoint, ...]:
+    """The joints of a robot, parents first; entry 0 is the world."""
+    model = robot.pinocchio_model
+    world = TreeJoint("", 0, np.eye(4), "fixed", np.zeros(3))
+    joints = [world]
+    for i in range(1, model.njoints):
+        motion, axis = _motion(model.joints[i])
+        joints.append(
+            TreeJoint(model.names[i], int(model.parents[i]), model.jointPlacements[i].homogeneous, motion, axis)
+        )
+    return tuple(joints)
+
+
+def _motion(joint: pin.JointModel) -> tuple[Motion, np.ndarray]:
+    """How a joint moves, read off its motion subspace, so that every kind of one-axis joint is covered."""
+    if joint.nv != 1:
+        return "free", np.zeros(3)
+    data = joint.createData()
+    q = np.zeros(joint.idx_q + joint.nq)  # a shorter vector would be read past its end
+    q[joint.idx_q] = 1.0
+    joint.calc(data, q)
+    subspace = np.asarray(data.S).reshape(6)
+    linear, angular = subspace[:3], subspace[3:]
+    if not np.any(linear) and np.isclose(np.linalg.norm(angular), 1.0):
+        return "revolute", angular.copy()
+    if not np.any(angular) and np.isclose(np.linalg.norm(linear), 1.0):
+        return "prismatic", linear.copy()
+    return "free", np.zeros(3)
+
+
+def joint_tracks(
+    robot: Robot, tree: tuple[TreeJoint, ...], postures: Float[np.ndarray, "K n"]
+) -> Float[np.ndarray, "K w"]:
+    """Postures as the numbers that move the tree, joint after joint (see `TreeJoint.width`).
+
+    Angles of continuous joints are unwrapped, so that a motion between two key frames takes the short way.
+
+    Raises:
+        ConfigurationError: A posture of the wrong size or with NaN.
+    """
+    model = robot.pinocchio_model
+    full = np.array([robot.pinocchio_configuration(q) for q in postures])
+    columns: list[np.ndarray] = []
+    for i, node in enumerate(tree):
+        joint = model.joints[i]
+        part = full[:, joint.idx_q : joint.idx_q + joint.nq] if i else full[:, :0]
+        if node.motion == "free":
+            columns.append(_poses(joint, part))
+        elif node.width == 1:
+            angle = part[:, :1] if joint.nq == 1 else np.unwrap(np.arctan2(part[:, 1:2], part[:, 0:1]), axis=0)
+            columns.append(angle)
+    return np.concatenate(columns, axis=1) if columns else np.zeros((len(full), 0))
+
+
+def _poses(joint: pin.JointModel, part: Float[np.ndarray, "K k"]) -> Float[np.ndarray, "K 7"]:
+    data, poses = joint.createData(), np.empty((len(part), 7))
+    q = np.zeros(joint.idx_q + joint.nq)
+    for k, values in enumerate(part):
+        q[joint.idx_q :] = values
+        joint.calc(data, q)
+        poses[k] = pin.SE3ToXYZQUAT(data.M)
+        if k and poses[k, 3:] @ poses[k - 1, 3:] < 0.0:  # q and -q turn alike: keep the signs continuous
+            poses[k, 3:] *= -1.0
+    return poses

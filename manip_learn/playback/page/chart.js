@@ -1,0 +1,185 @@
+// The manipulability curves, the status strips below them, and a cursor that can be dragged.
+
+const STATUS = {
+  ok: { colour: "#dfe5ea", say: "ok" },
+  "null-scaled": { colour: "#9cc7e0", say: "null-space part scaled" },
+  damped: { colour: "#e69f00", say: "damped" },
+  "velocity-limited": { colour: "#cc79a7", say: "velocity limit" },
+  "position-limited": { colour: "#7b4fa3", say: "position limit" },
+  singular: { colour: "#17212b", say: "singular" },
+};
+const OTHER_STATUS = ["#56b4e9", "#8c6d1f", "#4d7f6a", "#a04040", "#77808a"];
+const DASHES = ["", "7 4", "2 4", "10 3 2 3", "1 3 6 3"];
+
+function svg(tag, attributes, parent) {
+  const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+  if (parent) parent.appendChild(node);
+  return node;
+}
+
+function niceTicks(low, high, count) {
+  const span = high - low;
+  if (!(span > 0)) return [low];
+  const raw = span / Math.max(count, 1), power = Math.pow(10, Math.floor(Math.log10(raw)));
+  const step = [1, 2, 2.5, 5, 10].map((m) => m * power).find((s) => s >= raw * 0.999);
+  const ticks = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * span; k++) ticks.push(k * step);
+  return ticks;
+}
+
+function short(x) {
+  if (x === 0) return "0";
+  const size = Math.abs(x);
+  return size >= 1e-3 && size < 1e5 ? String(Number(x.toPrecision(4))) : x.toExponential(1).replace("e+", "e");
+}
+
+class Chart {
+  constructor(element, rollouts, duration, onSeek) {
+    Object.assign(this, { element, rollouts, duration, onSeek, logarithmic: false, start: 0 });
+    this.styles = new Map();
+    new ResizeObserver(() => this.draw()).observe(element);
+    const seek = (event) => {
+      const box = element.getBoundingClientRect();
+      const share = (event.clientX - box.left - this.left) / Math.max(this.right - this.left, 1);
+      onSeek(this.start + Math.min(Math.max(share, 0), 1) * this.duration);
+    };
+    if (!onSeek) return;
+    element.addEventListener("pointerdown", (event) => { element.setPointerCapture(event.pointerId); seek(event); });
+    element.addEventListener("pointermove", (event) => { if (event.buttons & 1) seek(event); });
+  }
+
+  statusStyle(word) {
+    if (STATUS[word]) return STATUS[word];
+    if (!this.styles.has(word)) this.styles.set(word, { colour: OTHER_STATUS[this.styles.size % OTHER_STATUS.length], say: word });
+    return this.styles.get(word);
+  }
+
+  x(t) { return this.left + ((t - this.start) / Math.max(this.duration, 1e-9)) * (this.right - this.left); }
+
+  y(value) {
+    const [low, high] = this.range, of = (v) => (this.logarithmic ? Math.log10(Math.max(v, low)) : v);
+    return this.bottom - ((of(value) - of(low)) / (of(high) - of(low))) * (this.bottom - this.top);
+  }
+
+  findRange(curves) {
+    let high = 0, low = Infinity, least = Infinity;
+    for (const { curve } of curves)
+      for (const v of curve) {
+        if (v > high) high = v;
+        if (v < least) least = v;
+        if (v > 0 && v < low) low = v;
+      }
+    if (high <= 0) return [Math.min(least, 0), 1];
+    if (!this.logarithmic) return [Math.min(least, 0), 1.06 * high];
+    low = Math.max(low, 1e-12 * high);
+    return [Math.pow(10, Math.floor(Math.log10(low))), Math.pow(10, Math.ceil(Math.log10(high) + 1e-9))];
+  }
+
+  ticksY() {
+    if (!this.logarithmic) return niceTicks(...this.range, Math.max(2, (this.bottom - this.top) / 30));
+    const [low, high] = this.range.map(Math.log10), every = Math.max(1, Math.ceil((high - low) / Math.max(2, (this.bottom - this.top) / 24)));
+    const ticks = [];
+    for (let k = Math.round(low); k <= high + 1e-9; k += every) ticks.push(Math.pow(10, k));
+    return ticks;
+  }
+
+  draw() {
+    const w = this.element.clientWidth, h = this.element.clientHeight;
+    if (w < 50 || h < 40) return;
+    const curves = this.rollouts.filter((r) => r.visible && r.curve.length), strips = this.rollouts.filter((r) => r.visible && r.status.length);
+    const stripsHeight = strips.length ? 4 + 10 * Math.min(strips.length, 6) : 0;
+    Object.assign(this, { left: 58, right: w - 14, top: 8, bottom: h - 24 - stripsHeight });
+    this.range = this.findRange(curves);
+    const root = svg("svg", { width: w, height: h, "aria-hidden": "true" });
+    this.drawAxes(root, h, stripsHeight);
+    curves.forEach((r) => this.drawCurve(root, r));
+    strips.slice(0, 6).forEach((r, i) => this.drawStrip(root, r, this.bottom + 5 + 10 * i));
+    this.cursor = svg("line", { y1: this.top, y2: this.bottom + stripsHeight + 2, stroke: "#17212b", "stroke-width": 1.5 }, root);
+    this.knob = svg("path", { d: "M-6 0h12l-6 8z", fill: "#17212b" }, root);
+    this.dots = curves.map((r) => [r, svg("circle", { r: 5, fill: r.colour, stroke: "#fff", "stroke-width": 2 }, root)]);
+    this.element.replaceChildren(root);
+    if (this.time !== undefined) this.setTime(this.time);
+  }
+
+  drawAxes(root, h, stripsHeight) {
+    for (const v of this.ticksY()) {
+      const y = this.y(v);
+      svg("line", { x1: this.left, x2: this.right, y1: y, y2: y, stroke: "#e3e8ed" }, root);
+      svg("text", { x: this.left - 8, y: y + 4, "text-anchor": "end" }, root).textContent = short(v);
+    }
+    const ticks = niceTicks(this.start, this.start + this.duration, (this.right - this.left) / 90);
+    ticks.forEach((t, i) => {
+      const x = this.x(t);
+      svg("line", { x1: x, x2: x, y1: this.top, y2: this.bottom, stroke: "#eef1f4" }, root);
+      const text = svg("text", { x, y: this.bottom + stripsHeight + 18, "text-anchor": "middle" }, root);
+      text.textContent = short(Number(t.toPrecision(8))) + (i === ticks.length - 1 ? " s" : "");
+      if (x > this.right - 14) text.setAttribute("text-anchor", "end");
+    });
+  }
+
+  drawCurve(root, rollout) {
+    const points = [];
+    for (let i = 0; i < rollout.curve.length; i++)
+      points.push(`${this.x(rollout.curveTimes[i]).toFixed(1)},${this.y(rollout.curve[i]).toFixed(2)}`);
+    const style = { fill: "none", stroke: rollout.colour, "stroke-width": rollout.solid ? 3 : 2, "stroke-linejoin": "round" };
+    svg("polyline", { points: points.join(" "), ...style, "stroke-dasharray": DASHES[rollout.index % DASHES.length] }, root);
+  }
+
+  drawStrip(root, rollout, y) {
+    svg("rect", { x: this.left - 14, y: y, width: 8, height: 7, rx: 2, fill: rollout.colour }, root);
+    rollout.status.forEach(([t, word], i) => {
+      const next = i + 1 < rollout.status.length ? rollout.status[i + 1][0] : rollout.duration;
+      const x = this.x(t), width = Math.max(this.x(next) - x, 1.2);
+      const bar = svg("rect", { x, y, width, height: 7, fill: this.statusStyle(word).colour }, root);
+      svg("title", {}, bar).textContent = `${rollout.name}: ${this.statusStyle(word).say}`;
+    });
+  }
+
+  setTime(t) {
+    this.time = t;
+    if (!this.cursor) return;
+    const x = this.x(t);
+    this.cursor.setAttribute("x1", x);
+    this.cursor.setAttribute("x2", x);
+    this.knob.setAttribute("transform", `translate(${x} ${this.top - 8})`);
+    for (const [rollout, dot] of this.dots) {
+      dot.setAttribute("cx", this.x(Math.min(t, rollout.duration)));
+      dot.setAttribute("cy", this.y(curveValue(rollout, t)));
+    }
+  }
+
+  // The words that occur, mildest first.
+  statusKey() {
+    const words = new Set(this.rollouts.flatMap((r) => r.status.map(([, word]) => word)));
+    const known = Object.keys(STATUS).filter((w) => words.delete(w));
+    return [...known, ...words].map((word) => this.statusStyle(word));
+  }
+}
+
+// Index of the last time that is not after t.
+function indexAt(times, t) {
+  let low = 0, high = times.length;
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (times[middle] <= t) low = middle; else high = middle;
+  }
+  return low;
+}
+
+function curveValue(rollout, t) {
+  const i = indexAt(rollout.curveTimes, t), times = rollout.curveTimes, curve = rollout.curve;
+  if (i + 1 >= curve.length || t <= times[i]) return curve[i];
+  const share = (t - times[i]) / (times[i + 1] - times[i]);
+  return curve[i] + share * (curve[i + 1] - curve[i]);
+}
+
+function statusAt(rollout, t) {
+  if (!rollout.status.length) return null;
+  let low = 0, high = rollout.status.length;
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (rollout.status[middle][0] <= t) low = middle; else high = middle;
+  }
+  return rollout.status[low][1];
+}

@@ -1,0 +1,74 @@
+// A robot that is moving now: poses arrive from the program, the newest one is drawn.
+
+const LIVE_SPAN = 20; // seconds of manipulability that stay in the chart
+
+class Live {
+  constructor(show, data) {
+    this.show = show;
+    this.rollout = show.rollouts[0];
+    this.rollout.solid = true;
+    this.values = { times: [], mu: [] };
+    this.rollout.curveTimes = this.values.times;
+    this.rollout.curve = this.values.mu;
+    this.chart = new Chart(get("chart"), show.rollouts, LIVE_SPAN, null);
+    this.legend = new Legend(get("legend"), show.rollouts, { onShow: (r, v) => show.show(r, v), onSolid: () => {} });
+    get("panel").hidden = true;
+    get("log").addEventListener("click", () => {
+      this.chart.logarithmic = !this.chart.logarithmic;
+      get("log").setAttribute("aria-pressed", String(this.chart.logarithmic));
+      this.chart.draw();
+    });
+    for (const button of document.querySelectorAll("[data-view]"))
+      button.addEventListener("click", () => show.stage && show.stage.look(button.dataset.view === "fit" ? show.stage.view : button.dataset.view));
+    show.setTime(0);
+    this.source = new EventSource(data.events);
+    this.source.onmessage = (event) => this.receive(JSON.parse(event.data));
+    this.source.onopen = () => this.say("live", false);
+    this.source.onerror = () => this.say("no connection to the program", true);
+    this.say("waiting for the first pose", false);
+    requestAnimationFrame(() => this.frame());
+  }
+
+  get playing() { return true; }
+  seek() {}
+  play() {}
+  pause() {}
+
+  say(text, lost) {
+    get("subtitle").textContent = text;
+    get("subtitle").classList.toggle("lost", lost);
+  }
+
+  receive({ time, values, mu }) {
+    this.rollout.instance.setValues(values);
+    this.show.time = time;
+    if (mu !== null) this.addValue(time, mu);
+    if (this.show.stage) this.show.stage.dirty();
+    this.say(`live · ${time.toFixed(2)} s`, false);
+  }
+
+  addValue(time, mu) {
+    const { times, mu: curve } = this.values;
+    if (times.length && time < times[times.length - 1]) { times.length = 0; curve.length = 0; }
+    times.push(time);
+    curve.push(mu);
+    while (times.length > 2 && times[1] < time - LIVE_SPAN) { times.shift(); curve.shift(); }
+    this.rollout.duration = time;
+    this.changed = true;
+  }
+
+  frame() {
+    const now = performance.now();
+    if (this.changed && now - (this.drawn ?? 0) > 100) {
+      get("panel").hidden = false;
+      this.chart.start = Math.max(0, this.rollout.duration - LIVE_SPAN);
+      this.chart.draw();
+      this.chart.setTime(this.rollout.duration);
+      this.legend.setTime(this.rollout.duration);
+      this.changed = false;
+      this.drawn = now;
+    }
+    if (this.show.stage) this.show.stage.render();
+    requestAnimationFrame(() => this.frame());
+  }
+}

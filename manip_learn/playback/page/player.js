@@ -1,0 +1,263 @@
+// Time: play, pause, scrub; and the legend.
+
+const ICONS = {
+  play: "M7 4.5v15l12-7.5z", pause: "M6 4.5h4v15H6zM14 4.5h4v15h-4z", back: "M18 5v14l-9-7zM6 5h2.4v14H6z",
+  forward: "M6 5v14l9-7zM15.6 5H18v14h-2.4z",
+  loop: "M12 5V1.5L7 6l5 4.5V7a5 5 0 1 1-5 5H5a7 7 0 1 0 7-7z",
+};
+
+function icon(button, name) {
+  const image = svg("svg", { viewBox: "0 0 24 24", "aria-hidden": "true" });
+  svg("path", { d: ICONS[name] }, image);
+  button.replaceChildren(image);
+}
+
+const get = (id) => document.getElementById(id);
+
+function readable(mu) {
+  return Math.abs(mu) >= 1e-3 && Math.abs(mu) < 1e4 || mu === 0 ? mu.toPrecision(4) : mu.toExponential(2);
+}
+
+function prepare(rollout, index) {
+  return {
+    ...rollout, index, visible: true, solid: index === 0,
+    keyTimes: decode(rollout.keyTimes, Float64Array), tracks: decode(rollout.tracks, Float64Array),
+    path: decode(rollout.path, Float32Array), pathTimes: decode(rollout.pathTimes, Float32Array),
+    curve: decode(rollout.curve, Float64Array), curveTimes: decode(rollout.curveTimes, Float64Array),
+  };
+}
+
+class Show {
+  constructor(data) {
+    this.rollouts = data.rollouts.map(prepare);
+    this.duration = Math.max(...this.rollouts.map((r) => r.duration));
+    this.time = 0;
+    this.makeScene(data);
+  }
+
+  makeScene(data) {
+    try {
+      this.stage = new Stage(get("scene"), data);
+    } catch (error) {
+      console.warn("no 3D graphics:", error);
+      get("no-webgl").hidden = false;
+    }
+    const meshes = data.robot.meshes.map(meshGeometry), geometries = data.robot.shapes.map((s) => shapeGeometry(s, meshes));
+    const world = this.stage ? this.stage.world : new THREE.Group();
+    for (const rollout of this.rollouts) {
+      rollout.instance = new RobotInstance(data.robot, rollout, geometries, this.rollouts.length > 1);
+      rollout.instance.setSolid(rollout.solid);
+      world.add(rollout.instance.root);
+      const size = this.stage ? this.stage.size : 1;
+      if (rollout.path.length >= 6) rollout.trail = new TipPath(rollout, 0.0028 * size, rollout.instance.root);
+    }
+  }
+
+  // Numbers of all joints at time t; after the end, the last ones.
+  valuesAt(rollout, t) {
+    const times = rollout.keyTimes, n = times.length, w = rollout.tracks.length / n;
+    const i = indexAt(times, t), from = rollout.tracks.subarray(i * w, (i + 1) * w);
+    if (i + 1 >= n || t <= times[i]) return from;
+    const share = (t - times[i]) / (times[i + 1] - times[i]), to = rollout.tracks.subarray((i + 1) * w, (i + 2) * w);
+    return from.map((x, k) => x + share * (to[k] - x));
+  }
+
+  setTime(t) {
+    this.time = Math.min(Math.max(t, 0), this.duration);
+    for (const rollout of this.rollouts) {
+      rollout.instance.setValues(this.valuesAt(rollout, this.time));
+      if (rollout.trail) rollout.trail.setTime(this.time, rollout.instance.tipPosition());
+    }
+    if (this.stage) {
+      this.stage.sortGhosts(this.rollouts.filter((r) => !r.solid && r.visible).map((r) => r.instance));
+      this.stage.dirty();
+    }
+  }
+
+  show(rollout, visible) {
+    rollout.visible = visible;
+    rollout.instance.root.visible = visible;
+    if (this.stage) this.stage.dirty();
+  }
+
+  makeSolid(chosen) {
+    for (const rollout of this.rollouts) {
+      if (rollout.solid === (rollout === chosen)) continue;
+      rollout.solid = rollout === chosen;
+      rollout.instance.setSolid(rollout.solid);
+      if (rollout.solid) rollout.instance.setOrder(0);
+    }
+    this.show(chosen, true);
+    this.setTime(this.time);
+  }
+
+  get solid() { return this.rollouts.find((r) => r.solid); }
+}
+
+class Legend {
+  constructor(element, rollouts, { onShow, onSolid }) {
+    this.rows = rollouts.map((rollout) => {
+      const row = document.createElement("div"), eye = document.createElement("button"), pick = document.createElement("button");
+      const mark = document.createElement("i"), name = document.createElement("span"), state = document.createElement("span"), mu = document.createElement("div");
+      row.style.setProperty("--colour", rollout.colour);
+      Object.assign(eye, { type: "button", className: "eye", title: "Show or hide" });
+      eye.setAttribute("aria-label", `Show ${rollout.name}`);
+      Object.assign(pick, { type: "button", className: "pick", title: `${rollout.name} (${rollout.colourName}): draw this one solid` });
+      name.className = "name"; state.className = "state"; mu.className = "mu";
+      name.textContent = rollout.name;
+      eye.append(mark); pick.append(name, state); row.append(eye, pick, mu); element.append(row);
+      eye.addEventListener("click", () => onShow(rollout, !rollout.visible));
+      pick.addEventListener("click", () => onSolid(rollout));
+      return { rollout, row, eye, state, mu };
+    });
+    this.setTime(0);
+  }
+
+  setTime(t, sayStatus = (word) => word) {
+    for (const { rollout, row, eye, state, mu } of this.rows) {
+      row.className = `rollout${rollout.solid ? " solid" : ""}${rollout.visible ? "" : " off"}`;
+      eye.setAttribute("aria-pressed", String(rollout.visible));
+      const ended = t > rollout.duration + 1e-9, word = statusAt(rollout, t);
+      state.textContent = [rollout.colourName, word && sayStatus(word), ended && `ended at ${rollout.duration.toFixed(2)} s`].filter(Boolean).join(" · ");
+      if (rollout.curve.length) {
+        const value = document.createElement("small");
+        value.textContent = "μ";
+        mu.replaceChildren(readable(curveValue(rollout, t)), value);
+      }
+    }
+  }
+}
+
+class Player {
+  constructor(show) {
+    this.show = show;
+    this.playing = false;
+    this.speed = 1;
+    this.loop = true;
+    this.chart = new Chart(get("chart"), show.rollouts, show.duration, (t) => this.seek(t));
+    this.legend = new Legend(get("legend"), show.rollouts, {
+      onShow: (rollout, visible) => { show.show(rollout, visible); this.chart.draw(); this.update(); },
+      onSolid: (rollout) => { show.makeSolid(rollout); this.chart.draw(); this.update(); },
+    });
+    this.wireTransport();
+    this.wireKeys();
+    this.fillStatusKey();
+    const empty = show.rollouts.every((r) => !r.curve.length && !r.status.length);
+    get("panel").hidden = empty;
+    this.seek(0);
+    requestAnimationFrame((now) => this.frame(now));
+  }
+
+  fillStatusKey() {
+    for (const { colour, say } of this.chart.statusKey()) {
+      const item = document.createElement("span"), image = svg("svg", { width: 14, height: 9 });
+      svg("rect", { width: 14, height: 9, rx: 2, fill: colour }, image);
+      item.append(image, say);
+      get("status-key").append(item);
+    }
+  }
+
+  wireTransport() {
+    for (const name of ["back", "forward", "loop"]) icon(get(name), name);
+    icon(get("play"), "play");
+    get("play").addEventListener("click", () => this.toggle());
+    get("back").addEventListener("click", () => this.step(-1));
+    get("forward").addEventListener("click", () => this.step(1));
+    get("loop").addEventListener("click", () => this.setLoop(!this.loop));
+    get("log").addEventListener("click", () => this.setLogarithmic(!this.chart.logarithmic));
+    get("scrub").max = this.show.duration || 1;
+    get("scrub").addEventListener("input", (event) => this.seek(Number(event.target.value)));
+    get("speed").addEventListener("change", (event) => { this.speed = Number(event.target.value); event.target.blur(); });
+    get("duration").textContent = `/ ${this.show.duration.toFixed(2)} s`;
+    for (const button of document.querySelectorAll("[data-view]")) button.addEventListener("click", () => this.look(button.dataset.view));
+  }
+
+  look(view) {
+    if (this.show.stage) this.show.stage.look(view === "fit" ? this.show.stage.view : view);
+  }
+
+  setLoop(loop) { this.loop = loop; get("loop").setAttribute("aria-pressed", String(loop)); }
+
+  setLogarithmic(on) {
+    this.chart.logarithmic = on;
+    get("log").setAttribute("aria-pressed", String(on));
+    this.chart.draw();
+  }
+
+  changeSpeed(by) {
+    const box = get("speed");
+    box.selectedIndex = Math.min(Math.max(box.selectedIndex + by, 0), box.options.length - 1);
+    this.speed = Number(box.value);
+  }
+
+  wireKeys() {
+    const end = this.show.duration;
+    const actions = {
+      " ": () => this.toggle(), ArrowLeft: (e) => (e.shiftKey ? this.seek(this.show.time - 1) : this.step(-1)),
+      ArrowRight: (e) => (e.shiftKey ? this.seek(this.show.time + 1) : this.step(1)),
+      ArrowUp: () => this.changeSpeed(1), ArrowDown: () => this.changeSpeed(-1), Home: () => this.seek(0), End: () => this.seek(end),
+      f: () => this.look("fit"), 1: () => this.look("iso"), 2: () => this.look("front"), 3: () => this.look("side"), 4: () => this.look("top"),
+      l: () => this.setLogarithmic(!this.chart.logarithmic), r: () => this.setLoop(!this.loop),
+    };
+    document.addEventListener("keydown", (event) => {
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      const kind = event.target.tagName, action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+      const own = kind === "SELECT" || kind === "SUMMARY" || (kind === "BUTTON" && event.key === " " && event.target.id !== "play");
+      if (!action || own) return;
+      event.preventDefault();
+      action(event);
+    });
+  }
+
+  play() {
+    if (this.show.time >= this.show.duration) this.moveTo(0);
+    this.setPlaying(true);
+  }
+
+  pause() { this.setPlaying(false); }
+  toggle() { if (this.playing) this.pause(); else this.play(); }
+
+  setPlaying(playing) {
+    this.playing = playing && this.show.duration > 0;
+    this.last = undefined;
+    icon(get("play"), this.playing ? "pause" : "play");
+    get("play").setAttribute("aria-label", this.playing ? "Pause" : "Play");
+  }
+
+  seek(t) { this.pause(); this.moveTo(t); }
+
+  // To the next or the previous key frame of the solid rollout, or of the longest one after its end.
+  step(direction) {
+    const longest = this.show.rollouts.reduce((a, b) => (b.duration > a.duration ? b : a));
+    const now = this.show.time, past = now + direction * 1e-9 > this.show.solid.duration;
+    const times = (past ? longest : this.show.solid).keyTimes;
+    let i = indexAt(times, now + 1e-9);
+    if (direction > 0) i += 1;
+    else if (times[i] >= now - 1e-9) i -= 1;
+    this.seek(times[Math.min(Math.max(i, 0), times.length - 1)]);
+  }
+
+  moveTo(t) { this.show.setTime(t); this.update(); }
+
+  update() {
+    const t = this.show.time;
+    this.chart.setTime(t);
+    this.legend.setTime(t, (word) => this.chart.statusStyle(word).say);
+    get("scrub").value = t;
+    get("clock").textContent = `${t.toFixed(2)} s`;
+  }
+
+  frame(now) {
+    if (this.playing) {
+      const elapsed = this.last === undefined ? 0 : Math.min((now - this.last) / 1000, 0.25);
+      this.last = now;
+      let t = this.show.time + elapsed * this.speed;
+      if (t >= this.show.duration) {
+        if (this.loop) t = t % this.show.duration; else { t = this.show.duration; this.setPlaying(false); }
+      }
+      this.moveTo(t);
+    }
+    if (this.show.stage) this.show.stage.render();
+    requestAnimationFrame((next) => this.frame(next));
+  }
+}

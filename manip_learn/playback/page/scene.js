@@ -1,0 +1,215 @@
+// The robot in three dimensions: joints as nested groups, one instance a rollout.
+const THREE = MeshCat.THREE;
+
+function matrixFromRows(rows) {
+  return new THREE.Matrix4().set(...rows);
+}
+
+function linear(hex) {
+  return new THREE.Color(hex).convertSRGBToLinear();
+}
+
+function decode(text, Type) {
+  const raw = atob(text), bytes = new Uint8Array(raw.length);
+  for (let i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
+  return new Type(bytes.buffer);
+}
+
+// ---- geometry -------------------------------------------------------------------------------------------------------
+
+function disc(radius, length) {
+  const edge = Math.min(radius, length) * 0.14, half = length / 2;
+  const outline = [[0, -half], [radius - edge, -half], [radius, -half + edge], [radius, half - edge], [radius - edge, half], [0, half]];
+  const points = [];
+  for (const p of outline) points.push(new THREE.Vector2(...p), new THREE.Vector2(...p)); // doubled: sharp edges
+  return new THREE.LatheGeometry(points.slice(1, -1), 40);
+}
+
+function meshGeometry(mesh) {
+  const packed = decode(mesh.positions, Uint16Array), positions = new Float32Array(packed.length);
+  for (let i = 0; i < packed.length; i++) positions[i] = mesh.origin[i % 3] + packed[i] * mesh.step[i % 3];
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.BufferAttribute(positions, 3));
+  geometry.setIndex(new THREE.BufferAttribute(decode(mesh.triangles, mesh.wide ? Uint32Array : Uint16Array), 1));
+  geometry.computeVertexNormals();
+  return geometry;
+}
+
+function shapeGeometry(shape, meshes) {
+  const s = shape.size;
+  if (shape.kind === "box") return new THREE.BoxGeometry(s[0], s[1], s[2]);
+  if (shape.kind === "sphere") return new THREE.SphereGeometry(s[0], 36, 24);
+  if (shape.kind === "mesh") return meshes[shape.mesh];
+  let geometry;
+  if (shape.kind === "cone") geometry = new THREE.CylinderGeometry(s[1], s[0], s[2], 36, 1);
+  else if (shape.kind === "disc") geometry = disc(s[0], s[1]);
+  else geometry = new THREE.CylinderGeometry(s[0], s[0], s[1], 40, 1);
+  return geometry.rotateX(Math.PI / 2); // three.js cylinders stand along y, URDF's along z
+}
+
+function tubeGeometry(points, radius, sides = 8) {
+  const n = points.length / 3, positions = new Float32Array(n * sides * 3), normals = new Float32Array(n * sides * 3);
+  const at = (i) => new THREE.Vector3(points[3 * i], points[3 * i + 1], points[3 * i + 2]);
+  let side = new THREE.Vector3(0, 0, 1), along = new THREE.Vector3(1, 0, 0);
+  for (let i = 0; i < n; i++) {
+    const direction = at(Math.min(i + 1, n - 1)).sub(at(Math.max(i - 1, 0)));
+    if (direction.lengthSq() > 1e-24) along = direction.normalize();
+    side.addScaledVector(along, -side.dot(along)); // carried along without twist
+    if (side.lengthSq() < 1e-8) side.set(along.y, along.z, along.x).addScaledVector(along, -(along.x * along.y + along.y * along.z + along.z * along.x));
+    side.normalize();
+    const other = new THREE.Vector3().crossVectors(along, side);
+    for (let k = 0; k < sides; k++) {
+      const a = (2 * Math.PI * k) / sides, j = 3 * (i * sides + k), c = Math.cos(a), s = Math.sin(a);
+      for (const [m, axis] of ["x", "y", "z"].entries()) {
+        normals[j + m] = c * side[axis] + s * other[axis];
+        positions[j + m] = points[3 * i + m] + radius * normals[j + m];
+      }
+    }
+  }
+  const index = [];
+  for (let i = 0; i + 1 < n; i++)
+    for (let k = 0; k < sides; k++) {
+      const a = i * sides + k, b = i * sides + ((k + 1) % sides);
+      index.push(a, a + sides, b, b, a + sides, b + sides);
+    }
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.BufferAttribute(positions, 3));
+  geometry.setAttribute("normal", new THREE.BufferAttribute(normals, 3));
+  geometry.setIndex(index);
+  return geometry;
+}
+
+// ---- one robot ------------------------------------------------------------------------------------------------------
+
+// Dark and light parts stay dark and light, all in the rollout's colour: structure and identity at once.
+function shaded(colour, own) {
+  const light = 0.3 * own[0] + 0.59 * own[1] + 0.11 * own[2];
+  const shade = new THREE.Color(colour);
+  return light < 0.5
+    ? shade.lerp(new THREE.Color(0x101820), 0.5 * (1 - 2 * light))
+    : shade.lerp(new THREE.Color(0xffffff), 0.75 * (2 * light - 1));
+}
+
+class RobotInstance {
+  constructor(robot, rollout, geometries, tinted) {
+    this.robot = robot;
+    this.rollout = rollout;
+    this.tinted = tinted;
+    this.root = new THREE.Group();
+    this.bodies = new THREE.Group();
+    this.root.add(this.bodies);
+    this.placements = robot.joints.map((j) => matrixFromRows(j.placement));
+    this.axes = robot.joints.map((j) => new THREE.Vector3(...j.axis));
+    this.groups = robot.joints.map(() => Object.assign(new THREE.Group(), { matrixAutoUpdate: false }));
+    robot.joints.forEach((joint, i) => (i === 0 ? this.bodies : this.groups[joint.parent]).add(this.groups[i]));
+    this.linkIndex = new Map(robot.links.map((link, i) => [link.name, i]));
+    this.linkPlacements = robot.links.map((link) => matrixFromRows(link.placement));
+    this.meshes = [];
+    robot.shapes.forEach((shape, i) => this.addShape(shape, geometries[i]));
+    this.motion = new THREE.Matrix4();
+    this.setSolid(true);
+  }
+
+  addShape(shape, geometry) {
+    const pose = matrixFromRows(shape.pose);
+    const skin = new THREE.Mesh(geometry), veil = new THREE.Mesh(geometry);
+    skin.userData.shape = shape;
+    for (const mesh of [skin, veil]) {
+      mesh.matrixAutoUpdate = false;
+      mesh.matrix.copy(pose);
+      this.groups[shape.joint].add(mesh);
+    }
+    // a ghost first fills the depth buffer, so that only its front skin is blended and it stays easy to read
+    veil.material = RobotInstance.veil;
+    this.meshes.push({ skin, veil });
+  }
+
+  setSolid(solid) {
+    this.solid = solid;
+    const made = new Map();
+    for (const { skin, veil } of this.meshes) {
+      const key = skin.userData.shape.accent ? "accent" : skin.userData.shape.colour.join();
+      if (!made.has(key)) made.set(key, this.material(skin.userData.shape));
+      skin.material = made.get(key);
+      skin.castShadow = solid;
+      skin.receiveShadow = solid;
+      veil.visible = !solid;
+    }
+  }
+
+  material(shape) {
+    const own = shape.colour, hex = this.rollout.colour;
+    let colour = new THREE.Color(own[0], own[1], own[2]);
+    if (shape.accent) colour = new THREE.Color(hex);
+    else if (!this.solid) colour = shaded(hex, [0, 1, 2].map((i) => 0.4 + 0.2 * own[i]));
+    else if (this.tinted) colour = shaded(hex, own);
+    const material = new THREE.MeshStandardMaterial({ color: colour.convertSRGBToLinear(), roughness: 0.62, metalness: 0.05 });
+    material.side = shape.kind === "mesh" ? THREE.DoubleSide : THREE.FrontSide;
+    const opacity = this.solid ? own[3] : 0.42;
+    if (opacity < 1) Object.assign(material, { transparent: true, opacity, depthWrite: this.solid });
+    return material;
+  }
+
+  setOrder(order) {
+    for (const { skin, veil } of this.meshes) {
+      veil.renderOrder = this.solid ? 0 : order;
+      skin.renderOrder = this.solid ? 0 : order + 1;
+    }
+  }
+
+  // values: the numbers of all joints, one after the other, as joint_tracks in Python made them
+  setValues(values) {
+    let k = 0;
+    this.robot.joints.forEach((joint, i) => {
+      if (joint.motion === "revolute") this.motion.makeRotationAxis(this.axes[i], values[k++]);
+      else if (joint.motion === "prismatic") {
+        const x = values[k++];
+        this.motion.makeTranslation(x * joint.axis[0], x * joint.axis[1], x * joint.axis[2]);
+      } else if (joint.motion === "free") {
+        const turn = new THREE.Quaternion(values[k + 3], values[k + 4], values[k + 5], values[k + 6]).normalize();
+        this.motion.makeRotationFromQuaternion(turn).setPosition(values[k], values[k + 1], values[k + 2]);
+        k += 7;
+      } else this.motion.identity();
+      this.groups[i].matrix.multiplyMatrices(this.placements[i], this.motion);
+      this.groups[i].matrixWorldNeedsUpdate = true;
+    });
+  }
+
+  // Pose of a link in the robot's base, from the matrices that are drawn.
+  linkMatrix(name) {
+    const index = this.linkIndex.get(name);
+    if (index === undefined) throw new Error(`no link ${name}`);
+    const pose = this.linkPlacements[index].clone();
+    for (let i = this.robot.links[index].joint; i > 0; i = this.robot.joints[i].parent) pose.premultiply(this.groups[i].matrix);
+    return pose;
+  }
+
+  tipPosition() {
+    return new THREE.Vector3().setFromMatrixPosition(this.linkMatrix(this.robot.tip));
+  }
+}
+RobotInstance.veil = new THREE.MeshBasicMaterial({ colorWrite: false, side: THREE.DoubleSide });
+
+// The tip's way: faint as a whole, strong up to now, and a ball where the tip is.
+class TipPath {
+  constructor(rollout, radius, parent) {
+    const colour = linear(rollout.colour);
+    this.times = rollout.pathTimes;
+    this.group = new THREE.Group();
+    this.sides = 8;
+    const geometry = tubeGeometry(rollout.path, radius, this.sides), past = geometry.clone();
+    const faint = new THREE.MeshBasicMaterial({ color: colour, transparent: true, opacity: 0.28, depthWrite: false });
+    const strong = new THREE.MeshStandardMaterial({ color: colour, roughness: 0.6, emissive: colour, emissiveIntensity: 0.25 });
+    this.past = new THREE.Mesh(past, strong);
+    this.ball = new THREE.Mesh(new THREE.SphereGeometry(2.6 * radius, 24, 16), strong);
+    this.group.add(new THREE.Mesh(geometry, faint), this.past, this.ball);
+    parent.add(this.group);
+  }
+
+  setTime(t, tip) {
+    let low = 0, high = this.times.length; // last point not after t
+    while (high - low > 1) { const middle = (low + high) >> 1; if (this.times[middle] <= t) low = middle; else high = middle; }
+    this.past.geometry.setDrawRange(0, low * this.sides * 6);
+    this.ball.position.copy(tip);
+  }
+}

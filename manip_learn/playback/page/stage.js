@@ -1,0 +1,166 @@
+// Light, floor, camera: what surrounds the robots.
+
+const FLOOR_SHADER = {
+  vertex: "varying vec2 at; void main() { at = position.xy; gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }",
+  fragment: `
+    varying vec2 at; uniform float cell; uniform float reach; uniform vec2 middle;
+    float lines(float size) {
+      vec2 p = at / size, w = fwidth(p), d = abs(fract(p - 0.5) - 0.5) / w;
+      return (1.0 - min(min(d.x, d.y), 1.0)) * (1.0 - smoothstep(0.25, 0.6, max(w.x, w.y)));
+    }
+    void main() {
+      float fade = 1.0 - smoothstep(0.35, 1.0, length(at - middle) / reach);
+      float a = max(0.22 * lines(cell), 0.4 * lines(5.0 * cell)) * fade;
+      gl_FragColor = vec4(0.36, 0.42, 0.49, a);
+    }`,
+};
+
+// Directions from the target to the camera, in the robot's base frame (z up).
+const VIEWS = { front: [1, 0, 0.06], side: [0, -1, 0.06], top: [0, -0.0005, 1] };
+
+class Stage {
+  constructor(element, data) {
+    this.element = element;
+    this.bounds = { low: new THREE.Vector3(...data.bounds[0]), high: new THREE.Vector3(...data.bounds[1]) };
+    this.outline = data.outline.map((p) => new THREE.Vector3(...p));
+    this.directions = { ...VIEWS, iso: [Math.cos(data.azimuth), Math.sin(data.azimuth), 0.4] };
+    this.middle = this.bounds.low.clone().add(this.bounds.high).multiplyScalar(0.5);
+    this.size = Math.max(this.bounds.high.distanceTo(this.bounds.low), 1e-3);
+    this.world = new THREE.Group();
+    this.viewer = new MeshCat.Viewer(element, false);
+    const viewer = this.viewer;
+    viewer.gui.domElement.remove();
+    viewer.hide_background();
+    for (const path of [["Lights"], ["Grid"], ["Axes"]]) viewer.set_property(path, "visible", false);
+    viewer.set_3d_pane_size = () => this.resize();
+    viewer.renderer.outputEncoding = THREE.sRGBEncoding;
+    viewer.renderer.sortObjects = true;
+    viewer.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
+    viewer.scene.add(this.world);
+    this.addLights();
+    this.addFloor(data.floor);
+    this.addAxes(0.09 * this.size);
+    this.camera = viewer.camera;
+    this.camera.fov = 32;
+    this.camera.near = 0.01 * this.size;
+    this.camera.far = 40 * this.size;
+    viewer.controls.minDistance = 0.15 * this.size;
+    viewer.controls.maxDistance = 12 * this.size;
+    this.moved = false;
+    viewer.controls.addEventListener("start", () => (this.moved = true));
+    viewer.controls.addEventListener("change", () => this.dirty());
+    this.look(data.view);
+    new ResizeObserver(() => this.resize()).observe(element);
+    this.resize();
+  }
+
+  dirty() { this.viewer.needs_render = true; }
+
+  addLights() {
+    const s = this.size, sun = new THREE.DirectionalLight(0xffffff, 0.95);
+    sun.position.set(this.middle.x + 0.7 * s, this.middle.y - 0.5 * s, this.middle.z + 1.4 * s);
+    sun.target.position.copy(this.middle);
+    sun.castShadow = true;
+    sun.shadow.mapSize.set(2048, 2048);
+    const box = { left: -0.75 * s, right: 0.75 * s, top: 0.75 * s, bottom: -0.75 * s, near: 0.2 * s, far: 4 * s };
+    Object.assign(sun.shadow.camera, box);
+    sun.shadow.bias = -0.0006;
+    sun.shadow.normalBias = 0.004 * s;
+    sun.shadow.radius = 5;
+    const fill = new THREE.DirectionalLight(0xdfe9f5, 0.35);
+    fill.position.set(this.middle.x - s, this.middle.y - 0.6 * s, this.middle.z + 0.4 * s);
+    fill.target.position.copy(this.middle);
+    const sky = new THREE.HemisphereLight(0xffffff, 0xb9c2cc, 0.62);
+    sky.position.set(0, 0, 1);
+    this.world.add(sun, sun.target, fill, fill.target, sky);
+  }
+
+  addFloor(height) {
+    const reach = 1.5 * this.size, cell = Math.pow(10, Math.round(Math.log10(this.size / 12)));
+    const grid = new THREE.Mesh(
+      new THREE.PlaneGeometry(2, 2).scale(reach, reach, 1).translate(this.middle.x, this.middle.y, 0),
+      new THREE.ShaderMaterial({
+        vertexShader: FLOOR_SHADER.vertex, fragmentShader: FLOOR_SHADER.fragment, transparent: true, depthWrite: false,
+        side: THREE.DoubleSide, extensions: { derivatives: true },
+        uniforms: { cell: { value: cell }, reach: { value: reach }, middle: { value: new THREE.Vector2(this.middle.x, this.middle.y) } },
+      }),
+    );
+    const shade = new THREE.Mesh(grid.geometry, new THREE.ShadowMaterial({ opacity: 0.17, depthWrite: false }));
+    shade.receiveShadow = true;
+    grid.position.z = height;
+    shade.position.z = height;
+    grid.renderOrder = shade.renderOrder = -1;
+    this.world.add(grid, shade);
+  }
+
+  addAxes(length) {
+    const radius = 0.035 * length;
+    [[1, 0, 0, "#d55e00", "x"], [0, 1, 0, "#009e73", "y"], [0, 0, 1, "#0072b2", "z"]].forEach(([x, y, z, colour, name]) => {
+      const direction = new THREE.Vector3(x, y, z), arrow = new THREE.Group();
+      const material = new THREE.MeshBasicMaterial({ color: linear(colour) });
+      const shaft = new THREE.Mesh(new THREE.CylinderGeometry(radius, radius, length, 12).translate(0, length / 2, 0), material);
+      const head = new THREE.Mesh(new THREE.ConeGeometry(2.6 * radius, 0.22 * length, 16).translate(0, 1.1 * length, 0), material);
+      arrow.add(shaft, head);
+      arrow.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), direction);
+      const label = this.label(name, colour, 0.42 * length);
+      label.position.copy(direction).multiplyScalar(1.45 * length);
+      this.world.add(arrow, label);
+    });
+  }
+
+  label(text, colour, size) {
+    const canvas = Object.assign(document.createElement("canvas"), { width: 64, height: 64 });
+    const pen = canvas.getContext("2d");
+    Object.assign(pen, { font: "600 46px system-ui, sans-serif", fillStyle: colour, textAlign: "center", textBaseline: "middle" });
+    pen.fillText(text, 32, 32);
+    const map = new THREE.CanvasTexture(canvas);
+    map.encoding = THREE.sRGBEncoding;
+    const sprite = new THREE.Sprite(new THREE.SpriteMaterial({ map, depthWrite: false }));
+    sprite.scale.setScalar(size);
+    return sprite;
+  }
+
+  resize() {
+    const w = Math.max(this.element.clientWidth, 1), h = Math.max(this.element.clientHeight, 1);
+    this.viewer.renderer.setSize(w, h);
+    this.camera.aspect = w / h;
+    this.camera.updateProjectionMatrix();
+    if (!this.moved) this.look(this.view);
+    this.dirty();
+  }
+
+  // Put the camera where the whole motion fills the picture, beside the legend where there is room.
+  look(view) {
+    this.view = view;
+    this.moved = false;
+    const back = new THREE.Vector3(...this.directions[view]).normalize();
+    const right = new THREE.Vector3(0, 0, 1).cross(back).normalize(), up = new THREE.Vector3().crossVectors(back, right);
+    const w = Math.max(this.element.clientWidth, 1), h = Math.max(this.element.clientHeight, 1);
+    const legend = w > 760 ? Math.min(300, 0.3 * w) : 0;
+    const tanV = Math.tan((this.camera.fov * Math.PI) / 360) * 0.88, tanH = (tanV * (w - legend)) / h;
+    // the outline in the camera's axes: centre it, then step back until all of it is inside
+    const seen = this.outline.map((p) => p.clone().sub(this.middle)).map((p) => [p.dot(right), p.dot(up), p.dot(back)]);
+    const centre = [0, 1].map((k) => (Math.min(...seen.map((p) => p[k])) + Math.max(...seen.map((p) => p[k]))) / 2);
+    let distance = 0.3 * this.size;
+    for (const [x, y, z] of seen) distance = Math.max(distance, z + Math.abs(x - centre[0]) / tanH, z + Math.abs(y - centre[1]) / tanV);
+    const shift = (legend / h) * Math.tan((this.camera.fov * Math.PI) / 360) * distance;
+    const target = this.middle.clone().addScaledVector(right, centre[0] - shift).addScaledVector(up, centre[1]);
+    const eye = target.clone().addScaledVector(back, distance);
+    // the viewer's camera lives in a y-up world
+    this.viewer.controls.target.set(target.x, target.z, -target.y);
+    this.camera.position.set(eye.x, eye.z, -eye.y);
+    this.viewer.controls.update();
+    this.dirty();
+  }
+
+  // Ghosts are blended from far to near.
+  sortGhosts(instances) {
+    const eye = new THREE.Vector3(this.camera.position.x, -this.camera.position.z, this.camera.position.y);
+    const far = instances.map((instance) => [instance.tipPosition().distanceTo(eye), instance]).sort((a, b) => b[0] - a[0]);
+    far.forEach(([, instance], i) => instance.setOrder(10 + 2 * i));
+  }
+
+  render() {
+    if (this.viewer.needs_render) this.viewer.render();
+  }
+}

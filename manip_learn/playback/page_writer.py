@@ -1,0 +1,103 @@
+"""One self-contained page: meshcat's viewer, our program and the data, closed off from the network."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import importlib.resources
+import importlib.util
+import json
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+from manip_learn.errors import OutputError
+
+PROGRAM = ("scene.js", "stage.js", "chart.js", "player.js", "live.js", "main.js")
+
+
+def page(data: dict[str, Any], *, robot: str, subtitle: str, mode: Literal["replay", "live"] = "replay") -> str:
+    """HTML of a replay, or of a live view.
+
+    Names are escaped; and even a name that slipped through could not run: scripts run only if their hash is listed.
+
+    Args:
+        data: What the program reads; finite numbers and text.
+        robot: Headline.
+        subtitle: Beside it.
+        mode: A live page may listen to the server that it came from, a replay to nobody.
+
+    Raises:
+        OutputError: Meshcat's viewer is missing.
+    """
+    viewer, program = viewer_script(), _program()
+    parts = {
+        "policy": _policy((viewer, program), live=mode == "live"),
+        "title": html.escape(f"{robot}: {subtitle}" if subtitle else robot),
+        "style": _resource("style.css"),
+        "mode": mode,
+        "robot": html.escape(robot),
+        "subtitle": html.escape(subtitle),
+        "data": json_in_html(data),
+        "licences": html.escape(_licences()),
+        "viewer": viewer,
+        "program": program,
+    }
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _resource("page.html"))
+
+
+def json_in_html(data: object) -> str:
+    """JSON that can stand in a script element: no `<`, so nothing in it can close the element; no NaN."""
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def _policy(scripts: tuple[str, ...], live: bool) -> str:
+    hashes = " ".join(f"'sha256-{base64.b64encode(hashlib.sha256(s.encode()).digest()).decode()}'" for s in scripts)
+    # meshcat's viewer makes style elements, hence unsafe-inline for styles
+    rules = ["default-src 'none'", f"script-src {hashes}", "style-src 'unsafe-inline'", "img-src data: blob:"]
+    rules += ["connect-src 'self'" if live else "connect-src 'none'", "base-uri 'none'", "form-action 'none'"]
+    return "; ".join(rules)
+
+
+@cache
+def _resource(name: str) -> str:
+    text = importlib.resources.files("manip_learn.playback").joinpath("page", name).read_text(encoding="utf-8")
+    return text.replace("\r\n", "\n")
+
+
+@cache
+def _program() -> str:
+    body = "\n".join(_resource(name) for name in PROGRAM)
+    return f'"use strict";\n(() => {{\n{body}\n}})();\n'
+
+
+def _meshcat_folder() -> Path:
+    spec = importlib.util.find_spec("meshcat")  # found, not imported: importing it brings IPython
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        if (Path(folder) / "viewer" / "dist" / "main.min.js").is_file():
+            return Path(folder) / "viewer"
+    raise OutputError("meshcat's viewer script main.min.js is missing: install it with pip install 'meshcat>=0.3.2'")
+
+
+@cache
+def viewer_script() -> str:
+    """Meshcat's bundled viewer.
+
+    Raises:
+        OutputError: It is missing, or it holds what cannot stand inside a page.
+    """
+    text = (_meshcat_folder() / "dist" / "main.min.js").read_text(encoding="utf-8").replace("\r\n", "\n")
+    text = text.replace("\r", "\n").replace("\0", "")
+    if "</script" in text.lower() or "<!--" in text:
+        raise OutputError("meshcat's viewer script cannot be put into a page: install meshcat 0.3.2")
+    return text
+
+
+@cache
+def _licences() -> str:
+    folder = _meshcat_folder()
+    files = [folder / "LICENSE", folder / "dist" / "main.min.js.LICENSE.txt"]
+    return "\n\n".join(f.read_text(encoding="utf-8") for f in files if f.is_file())

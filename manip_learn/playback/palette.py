@@ -1,0 +1,35 @@
+"""Colours that colour-blind people can tell apart (after Okabe and Ito), dark enough for lines on white."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from manip_learn.errors import UnknownNameError
+
+COLOURS: dict[str, str] = {
+    "blue": "#0072b2",
+    "vermilion": "#d55e00",
+    "green": "#009e73",
+    "purple": "#b2589a",
+    "amber": "#d49000",
+    "sky": "#3fa2dc",
+    "brown": "#7a5230",
+    "grey": "#6b7580",
+}
+
+
+def rollout_colours(names: Sequence[str], chosen: Mapping[str, str]) -> list[tuple[str, str]]:
+    """(name, hexadecimal value) of the colour of each rollout; those not chosen take the free ones in order.
+
+    Raises:
+        UnknownNameError: A colour that does not exist, or one chosen for a rollout that does not exist.
+    """
+    for rollout, colour in chosen.items():
+        if rollout not in names:
+            raise UnknownNameError("rollout", rollout, names, "colours")
+        if colour not in COLOURS:
+            raise UnknownNameError("colour", colour, COLOURS)
+    free = [c for c in COLOURS if c not in chosen.values()] or list(COLOURS)
+    others = [n for n in names if n not in chosen]
+    picked = dict(chosen) | {n: free[i % len(free)] for i, n in enumerate(others)}
+    return [(picked[n], COLOURS[picked[n]]) for n in names]

@@ -1,0 +1,167 @@
+"""A rollout or a demonstration as what the page plays: key frames, the tip's way, curve and status."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.demonstrations import Trajectory
+from manip_learn.errors import RecordingError
+from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks
+from manip_learn.robot.frame import Frame
+from manip_learn.robot.robot import Robot
+from manip_learn.rollout import Rollout
+
+KEY_FRAMES_PER_SECOND = 60.0
+MAX_KEY_FRAMES = 6000
+MAX_CURVE_POINTS = 2000
+MAX_PATH_POINTS = 1500
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RecordedMotion:
+    """One motion, ready for the page. Times count from its first sample [s].
+
+    Attributes:
+        name: Name in the legend.
+        key_times: shape (K,).
+        tracks: shape (K, w), see `joint_tracks`.
+        postures: shape (K, n), the postures of the key frames.
+        path_times: shape (P,).
+        path: shape (P, 3), the tip in the base frame [m].
+        curve_times: shape (C,), empty if the manipulability is not known.
+        curve: shape (C,).
+        status: (time, word) wherever the status changes; empty if it is not known.
+        duration: [s].
+    """
+
+    name: str
+    key_times: Float[np.ndarray, " K"]
+    tracks: Float[np.ndarray, "K w"]
+    postures: Float[np.ndarray, "K n"]
+    path_times: Float[np.ndarray, " P"]
+    path: Float[np.ndarray, "P 3"]
+    curve_times: Float[np.ndarray, " C"]
+    curve: Float[np.ndarray, " C"]
+    status: tuple[tuple[float, str], ...]
+    duration: float
+
+
+def recorded_motion(
+    robot: Robot, tree: tuple[TreeJoint, ...], tip: Frame, name: str, recording: Rollout | Trajectory
+) -> RecordedMotion:
+    """Check a recording and thin it out for playback.
+
+    Raises:
+        RecordingError: No samples, shapes that do not fit, time that does not increase, NaN, joints of another robot.
+        ConfigurationError: A posture of the wrong size.
+    """
+    time = _finite(name, "time", recording.time, 1)
+    if time.size == 0:
+        raise RecordingError(f"rollout {name!r} has no samples: there is nothing to replay", code="empty")
+    if np.any(np.diff(time) <= 0.0):
+        i = int(np.argmax(np.diff(time) <= 0.0))
+        raise RecordingError(
+            f"rollout {name!r}: time must increase, sample {i + 1} is at {time[i + 1]} s after {time[i]} s",
+            code="time-order",
+        )
+    q = _columns_of(robot, name, recording, time.size)
+    time = time - time[0]
+    keys = key_frames(time)
+    path_keys = keys[np.unique(np.linspace(0, keys.size - 1, min(keys.size, MAX_PATH_POINTS)).round().astype(int))]
+    curve_times, curve = _curve(name, time, getattr(recording, "manipulability", None))
+    return RecordedMotion(
+        name=name,
+        key_times=time[keys],
+        tracks=_finite(name, "joint motion", joint_tracks(robot, tree, q[keys]), 2),
+        postures=q[keys],
+        path_times=time[path_keys],
+        path=np.array([robot.pose(x, tip)[:3, 3] for x in q[path_keys]]),
+        curve_times=curve_times,
+        curve=curve,
+        status=_status_changes(name, time, getattr(recording, "status", ())),
+        duration=float(time[-1]),
+    )
+
+
+def _finite(name: str, what: str, values: object, ndim: int) -> np.ndarray:
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"rollout {name!r}: {what} must be numbers: {error}", code="not-a-number") from error
+    if array.ndim != ndim:
+        raise RecordingError(
+            f"rollout {name!r}: {what} must have {ndim} dimension(s), got shape {array.shape}", code="shape"
+        )
+    if not np.all(np.isfinite(array)):
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise RecordingError(
+            f"rollout {name!r}: {what} of sample {where[0]} is {array[where]}, a finite number is needed: "
+            "cut the recording before it",
+            code="not-finite",
+        )
+    return array
+
+
+def _columns_of(robot: Robot, name: str, recording: Rollout | Trajectory, T: int) -> np.ndarray:
+    """Postures with their columns in the robot's order."""
+    q = _finite(name, "q", recording.q, 2)
+    if q.shape[0] != T:
+        raise RecordingError(f"rollout {name!r} has {T} times and {q.shape[0]} postures", code="shape")
+    names = tuple(recording.joint_names)
+    if set(names) != set(robot.joint_names) or len(names) != robot.nv:
+        missing = [n for n in robot.joint_names if n not in names]
+        extra = [n for n in names if n not in robot.joint_names]
+        what = "; ".join(
+            f"{label} {', '.join(some[:6])}" for label, some in (("missing", missing), ("not its own", extra)) if some
+        )
+        raise RecordingError(
+            f"rollout {name!r} was not made with robot {robot.name!r}: joints {what or 'given twice'}; "
+            "load the robot that it was made with",
+            code="joint-names",
+        )
+    if names != robot.joint_names and q.shape[1] == robot.nv:
+        q = q[:, [names.index(n) for n in robot.joint_names]]
+    return q
+
+
+def key_frames(time: Float[np.ndarray, " T"]) -> np.ndarray:
+    """Indices of the samples that are key frames: at most 60 a second, fewer in long motions, first and last kept."""
+    span = float(time[-1] - time[0])
+    gap = max(1.0 / KEY_FRAMES_PER_SECOND, span / (MAX_KEY_FRAMES - 1))
+    slots = np.floor((time - time[0]) / gap * (1.0 + 1e-12)).astype(np.int64)
+    first_of_slot = np.flatnonzero(np.diff(slots, prepend=-1) > 0)
+    return np.union1d(first_of_slot, [time.size - 1])
+
+
+def _curve(name: str, time: np.ndarray, values: object) -> tuple[np.ndarray, np.ndarray]:
+    """The manipulability, thinned out so that every dip and every peak stays."""
+    if values is None:
+        return np.zeros(0), np.zeros(0)
+    curve = _finite(name, "manipulability", values, 1)
+    if curve.size != time.size:
+        raise RecordingError(
+            f"rollout {name!r} has {time.size} times and {curve.size} values of manipulability", code="shape"
+        )
+    if curve.size <= MAX_CURVE_POINTS:
+        return time, curve
+    edges = np.linspace(0, curve.size, MAX_CURVE_POINTS // 2).astype(int)
+    keep = {0, curve.size - 1}
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        keep |= {a + int(np.argmin(curve[a:b])), a + int(np.argmax(curve[a:b]))}
+    chosen = np.array(sorted(keep))
+    return time[chosen], curve[chosen]
+
+
+def _status_changes(name: str, time: np.ndarray, words: object) -> tuple[tuple[float, str], ...]:
+    status = [str(w) for w in words] if words is not None else []  # type: ignore[attr-defined]
+    if not status:
+        return ()
+    if len(status) != time.size:
+        raise RecordingError(f"rollout {name!r} has {time.size} times and {len(status)} status words", code="shape")
+    changes = [i for i in range(len(status)) if i == 0 or status[i] != status[i - 1]]
+    return tuple((float(time[i]), status[i]) for i in changes)

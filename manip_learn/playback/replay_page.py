@@ -1,0 +1,110 @@
+"""Rollouts -> one page that plays them."""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+import webbrowser
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import final
+
+from manip_learn.atomic_write import write_atomically
+from manip_learn.demonstrations import Trajectory
+from manip_learn.errors import RecordingError
+from manip_learn.playback.appearance import appearance
+from manip_learn.playback.kinematic_tree import kinematic_tree
+from manip_learn.playback.page_writer import page
+from manip_learn.playback.palette import rollout_colours
+from manip_learn.playback.recorded_motion import recorded_motion
+from manip_learn.playback.scene_data import scene_data
+from manip_learn.playback.tip_frame import tip_frame
+from manip_learn.robot.robot import Robot
+from manip_learn.rollout import Rollout
+
+Recording = Rollout | Trajectory
+
+
+@final
+@dataclass(frozen=True)
+class ReplayResult:
+    """What `replay` wrote.
+
+    Attributes:
+        html: The page.
+        bytes: Its size.
+        notes: What could not be shown as it is, in sentences; they also stand in the page.
+    """
+
+    html: Path
+    bytes: int
+    notes: tuple[str, ...]
+
+
+def replay(
+    robot: Robot,
+    rollouts: Mapping[str, Recording] | Recording,
+    html: str | os.PathLike[str] | None = None,
+    *,
+    tip: str | None = None,
+    title: str = "",
+    colours: Mapping[str, str] | None = None,
+    open_browser: bool | None = None,
+) -> ReplayResult:
+    """Write one HTML file that plays rollouts of a robot, without a server and without a network.
+
+    The first rollout is drawn solid, the others as ghosts; all start at time zero, and the shorter ones hold their last
+    posture. The page has the manipulability curves with a cursor, the controller's status, and the tip's way.
+
+    Args:
+        robot: The robot that the rollouts were made with.
+        rollouts: Name -> rollout or demonstration (which has no manipulability curve); or a single one.
+        html: File to write; None for a temporary file.
+        tip: Frame whose way is drawn; None for the last frame of the arm.
+        title: Stands beside the robot's name.
+        colours: Rollout name -> a name in `palette.COLOURS`, for those whose colour matters.
+        open_browser: Show the page now; None: only if it is a temporary file.
+
+    Raises:
+        RecordingError: Nothing to replay, or a rollout with NaN, with joints of another robot or with bad times.
+        ConfigurationError: A posture of the wrong size.
+        UnknownNameError: No such tip frame or colour.
+        OutputError: The file cannot be written.
+    """
+    named = _named(rollouts)
+    tip_name = tip_frame(robot, tip)
+    chosen_colours = rollout_colours(list(named), colours or {})
+    tree = kinematic_tree(robot)
+    motions = [recorded_motion(robot, tree, robot.frame(tip_name), name, r) for name, r in named.items()]
+    looks = appearance(robot, tree)
+    data = scene_data(robot, tree, looks, tip_name, motions, chosen_colours, looks.notes)
+    content = page(data, robot=robot.name or "robot", subtitle=title).encode("utf-8")
+    path = write_atomically(_temporary_file(robot.name) if html is None else html, content)
+    if open_browser or (open_browser is None and html is None):
+        webbrowser.open(path.as_uri())
+    return ReplayResult(path, len(content), looks.notes)
+
+
+def _named(rollouts: Mapping[str, Recording] | Recording) -> dict[str, Recording]:
+    if isinstance(rollouts, Rollout | Trajectory):
+        rollouts = {rollouts.name if isinstance(rollouts, Trajectory) else "rollout": rollouts}
+    if not isinstance(rollouts, Mapping):
+        raise RecordingError(
+            f"rollouts must be a dictionary from names to rollouts, got {type(rollouts).__name__}", code="type"
+        )
+    if not rollouts:
+        raise RecordingError("there is nothing to replay: give at least one rollout", code="empty")
+    for name, rollout in rollouts.items():
+        if not isinstance(name, str) or not isinstance(rollout, Rollout | Trajectory):
+            raise RecordingError(
+                f"rollout {name!r} must be a Rollout or a Trajectory under a name, got {type(rollout).__name__}",
+                code="type",
+            )
+    return dict(rollouts)
+
+
+def _temporary_file(robot_name: str) -> Path:
+    safe = re.sub(r"[^A-Za-z0-9_-]+", "_", robot_name)[:40] or "robot"
+    return Path(tempfile.mkdtemp(prefix="manip_learn_")) / f"{safe}_replay.html"

@@ -1,0 +1,175 @@
+"""Everything the page's program reads, as one dictionary of finite numbers and text."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from manip_learn.playback.kinematic_tree import TreeJoint
+from manip_learn.playback.recorded_motion import RecordedMotion
+from manip_learn.playback.shape import Appearance, TriangleMesh
+from manip_learn.robot.robot import Robot
+
+MAX_POSTURES_FOR_BOUNDS = 120
+OUTLINE_DIRECTIONS = 240
+
+
+def scene_data(
+    robot: Robot,
+    tree: tuple[TreeJoint, ...],
+    looks: Appearance,
+    tip: str,
+    motions: Sequence[RecordedMotion],
+    colours: Sequence[tuple[str, str]],
+    notes: Sequence[str],
+) -> dict[str, Any]:
+    """The data of a page; arrays are little-endian and in base64."""
+    cloud = _drawn_points(robot, looks, motions)
+    low, high = cloud.min(axis=0), cloud.max(axis=0)
+    return {
+        "robot": _robot(robot, tree, looks, tip),
+        "bounds": [low.tolist(), high.tolist()],
+        "outline": _outermost(cloud).round(5).tolist(),
+        "azimuth": _azimuth(motions),
+        "floor": float(min(low[2], 0.0)),
+        "view": "top" if _is_seen_from_above(tree) else "iso",
+        "rollouts": [_rollout(m, c) for m, c in zip(motions, colours, strict=True)],
+        "notes": list(notes),
+    }
+
+
+def _packed(array: np.ndarray, dtype: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(array, dtype=dtype).tobytes()).decode("ascii")
+
+
+def _rows(pose: Float[np.ndarray, "4 4"]) -> list[float]:
+    return [float(x) for x in pose.ravel()]
+
+
+def _robot(robot: Robot, tree: tuple[TreeJoint, ...], looks: Appearance, tip: str) -> dict[str, Any]:
+    frames = robot.pinocchio_model.frames
+    links = [(name, robot.frame(name)) for name in robot.frame_names]
+    return {
+        "tip": tip,
+        "joints": [
+            {
+                "name": j.name,
+                "parent": j.parent,
+                "placement": _rows(j.placement),
+                "motion": j.motion,
+                "axis": j.axis.tolist(),
+            }
+            for j in tree
+        ],
+        "links": [
+            {"name": name, "joint": f.parent_joint, "placement": _rows(frames[f.index].placement.homogeneous)}
+            for name, f in links
+            if frames[f.index].type == pin.FrameType.BODY or name == tip
+        ],
+        "shapes": [
+            {
+                "joint": s.joint,
+                "kind": s.kind,
+                "size": list(s.size),
+                "pose": _rows(s.pose),
+                "colour": list(s.colour),
+                "accent": s.accent,
+                "mesh": s.mesh,
+            }
+            for s in looks.shapes
+        ],
+        "meshes": [_mesh(m) for m in looks.meshes],
+    }
+
+
+def _mesh(mesh: TriangleMesh) -> dict[str, Any]:
+    """Vertices as 16-bit steps within their box: 8 micrometres in half a metre."""
+    origin = mesh.vertices.min(axis=0)
+    step = np.maximum((mesh.vertices.max(axis=0) - origin) / 65535.0, 1e-12)
+    wide = len(mesh.vertices) > 65536
+    return {
+        "origin": origin.tolist(),
+        "step": step.tolist(),
+        "positions": _packed(np.rint((mesh.vertices - origin) / step), "<u2"),
+        "triangles": _packed(mesh.triangles, "<u4" if wide else "<u2"),
+        "wide": wide,
+    }
+
+
+def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
+    return {
+        "name": motion.name,
+        "colourName": colour[0],
+        "colour": colour[1],
+        "duration": motion.duration,
+        # float64: an angle of many turns must still be right to a nanoradian
+        "keyTimes": _packed(motion.key_times, "<f8"),
+        "tracks": _packed(motion.tracks, "<f8"),
+        "pathTimes": _packed(motion.path_times, "<f4"),
+        "path": _packed(motion.path, "<f4"),
+        "curveTimes": _packed(motion.curve_times, "<f8"),
+        "curve": _packed(motion.curve, "<f8"),
+        "status": [list(change) for change in motion.status],
+    }
+
+
+def _drawn_points(robot: Robot, looks: Appearance, motions: Sequence[RecordedMotion]) -> Float[np.ndarray, "C 3"]:
+    """Points that enclose everything that is ever drawn, in the base frame [m]."""
+    model = robot.pinocchio_model
+    data = model.createData()
+    corners = [_corners(looks, i) for i in range(model.njoints)]
+    points = [m.path for m in motions] + [np.zeros((1, 3))]
+    for motion in motions:
+        every = max(1, len(motion.postures) * len(motions) // MAX_POSTURES_FOR_BOUNDS)
+        for q in motion.postures[::every]:
+            pin.forwardKinematics(model, data, robot.pinocchio_configuration(q))
+            for i, local in enumerate(corners):
+                pose = data.oMi[i].homogeneous
+                points.append(local @ pose[:3, :3].T + pose[:3, 3])
+    return np.concatenate([p for p in points if len(p)])
+
+
+def _outermost(cloud: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "D 3"]:
+    """The points that stick out farthest in directions all over the sphere: what the camera must frame."""
+    k = np.arange(OUTLINE_DIRECTIONS) + 0.5
+    height, turn = 1.0 - 2.0 * k / OUTLINE_DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * k
+    ring = np.sqrt(1.0 - height**2)
+    directions = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height])
+    return cloud[np.unique(np.argmax(cloud @ directions.T, axis=0))]
+
+
+def _azimuth(motions: Sequence[RecordedMotion]) -> float:
+    """Where the camera stands [rad], so that the arm is seen from its side and a little from its front."""
+    x, y, _ = np.concatenate([m.path for m in motions]).mean(axis=0)
+    return float(np.arctan2(y, x) - np.deg2rad(62.0)) if np.hypot(x, y) > 1e-6 else float(np.deg2rad(-50.0))
+
+
+def _corners(looks: Appearance, joint: int) -> Float[np.ndarray, "C 3"]:
+    """Corners of the boxes around a joint's shapes, and the joint's origin, in the joint's frame [m]."""
+    points = [np.zeros((1, 3))]
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+    for shape in (s for s in looks.shapes if s.joint == joint):
+        if shape.mesh is None:
+            middle, half = np.zeros(3), shape.half_extent()
+        else:
+            vertices = looks.meshes[shape.mesh].vertices
+            middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
+            half = vertices.max(axis=0) - middle
+        points.append((middle + signs * half) @ shape.pose[:3, :3].T + shape.pose[:3, 3])
+    return np.concatenate(points)
+
+
+def _is_seen_from_above(tree: tuple[TreeJoint, ...]) -> bool:
+    """True if everything moves in the horizontal plane: turns about the vertical, slides along the floor."""
+    rotation = [np.eye(3)]
+    for joint in tree[1:]:
+        rotation.append(rotation[joint.parent] @ joint.placement[:3, :3])
+        upright = abs(float((rotation[-1] @ joint.axis)[2]))
+        if joint.motion == "free" or abs(upright - (joint.motion == "revolute")) > 1e-6:
+            return False
+    return len(tree) > 1
