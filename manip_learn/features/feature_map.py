@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,9 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.errors import FeatureError, TargetError
+
+CHUNK = 512  # configurations whose dPhi/dq are held at a time
+Weigh = Callable[[Float[np.ndarray, "p nv m"], slice], Float[np.ndarray, "p nv m"]]
 
 
 class FeatureMap(ABC):
@@ -57,6 +61,21 @@ class FeatureMap(ABC):
         for i, row in enumerate(rows):
             Phi[i], dPhi[i] = self.value_and_derivative(row)
         return Phi, dPhi
+
+    def batch_contraction(self, q: ArrayLike, weigh: Weigh) -> Float[np.ndarray, "n nv"]:
+        """sum_ij weights_ij dPhi_ij / dq_k at n configurations, with weights made from Phi, in bounded memory.
+
+        Args:
+            q: Configurations, one a row.
+            weigh: (Phi, which rows of q) -> weights, both (p, nv, m) with the m configurations last.
+        """
+        rows = np.asarray(q, dtype=np.float64)
+        out = np.zeros((len(rows), self.nv))
+        for start in range(0, len(rows), CHUNK):
+            part = slice(start, min(start + CHUNK, len(rows)))
+            Phi, dPhi = self.batch_with_derivative(rows[part])
+            out[part] = np.einsum("ijn,nijk->nk", weigh(Phi.transpose(1, 2, 0), part), dPhi)
+        return out
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Task coordinates r(q) whose rate is Phi(q) u.

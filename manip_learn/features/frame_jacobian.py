@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from manip_learn.errors import FeatureError, TargetError
-from manip_learn.features.feature_map import FeatureMap
+from manip_learn.features.feature_map import FeatureMap, Weigh
 from manip_learn.robot.batch import batch_kinematics
 from manip_learn.robot.robot import Reference, Robot
 
@@ -114,6 +114,10 @@ class FrameJacobian(FeatureMap):
         """Phi and dPhi/dq at n postures, in bulk; arguments and errors as for `batch`."""
         kinematics = batch_kinematics(self.robot, self.frame)
         return kinematics.jacobian_and_derivative(q, self.reference, self._row_numbers, compiled=compiled)
+
+    def batch_contraction(self, q: ArrayLike, weigh: Weigh) -> Float[np.ndarray, "n nv"]:
+        """sum_ij weights_ij dPhi_ij / dq_k at n postures without forming dPhi/dq (see `FeatureMap`)."""
+        return batch_kinematics(self.robot, self.frame).contraction(q, weigh, self.reference, self._row_numbers)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Position of the frame's origin in the base frame [m] and its rotation vector [rad], the chosen rows."""
