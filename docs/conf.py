@@ -1,0 +1,43 @@
+"""Sphinx: `make docs` builds with warnings as errors."""
+
+import importlib.metadata
+import re
+
+project = "manip_learn"
+author = "manip_learn developers"
+project_copyright = "2026, manip_learn developers"
+release = importlib.metadata.version("manip-learn")
+version = release
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx.ext.viewcode"]
+source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+exclude_patterns = ["_build"]
+myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
+myst_heading_anchors = 3
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_default_options = {"members": True, "show-inheritance": True}
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+napoleon_use_rtype = False
+# docstrings use single backticks for code, as Markdown does
+default_role = "code"
+
+html_theme = "furo"
+html_title = f"manip_learn {release}"
+html_show_sphinx = False
+
+
+def escape_formulas(app, what, name, obj, options, lines):
+    """Docstrings write |A u| and constraint_ as a reader of the source expects; to Sphinx those are markup."""
+    for i, line in enumerate(lines):
+        parts = line.split("`")
+        parts[::2] = [re.sub(r"\||(?<=\w)_(?!\w)", lambda m: "\\" + m[0], part) for part in parts[::2]]
+        lines[i] = "`".join(parts)
+
+
+def setup(app):
+    """Before Napoleon, which reads the sections."""
+    app.connect("autodoc-process-docstring", escape_formulas, priority=400)

@@ -1,0 +1,52 @@
+"""The library's own source, parsed: what the tests of its structure read."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parents[1] / "manip_learn"
+
+
+@dataclass(frozen=True)
+class Source:
+    """One file: its dotted name without the package's, e.g. `robot.loading`, and its syntax tree."""
+
+    path: Path
+    name: str
+    text: str
+    tree: ast.Module
+
+    @property
+    def top(self) -> str:
+        """First part of the name: `robot` for `robot.loading`; empty for the package itself."""
+        return self.name.split(".")[0]
+
+    @property
+    def relative(self) -> str:
+        """Path below the package, e.g. `robot/loading.py`."""
+        return self.path.relative_to(PACKAGE).as_posix()
+
+    def imports(self) -> Iterator[tuple[str, int]]:
+        """Every module or name that is imported anywhere in the file, and its line; typing-only imports too."""
+        for node in ast.walk(self.tree):
+            if isinstance(node, ast.Import):
+                yield from ((alias.name, node.lineno) for alias in node.names)
+            elif isinstance(node, ast.ImportFrom):
+                assert node.level == 0, f"{self.relative}:{node.lineno}: imports are absolute in this project"
+                yield from ((f"{node.module}.{alias.name}", node.lineno) for alias in node.names)
+
+
+@cache
+def library() -> tuple[Source, ...]:
+    """All files of the library, in the order of their names."""
+    sources = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        sources.append(Source(path, name, text, ast.parse(text, str(path))))
+    return tuple(sources)

@@ -1,0 +1,156 @@
+"""The structure of the library: imports only go down, third parties stay in their rooms, files stay small."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from graphlib import TopologicalSorter
+
+import pytest
+from library_source import Source, library
+
+# Floors of the library; "4" and "4'" never import each other: they meet in constraint.py.
+FLOORS = {
+    "errors": "0",
+    "linalg": "0",
+    "atomic_write": "0",
+    "robot": "1",
+    "demonstrations": "1",
+    "features": "2",
+    "velocities": "2",
+    "preparation": "2",
+    "constraint": "3",
+    "learning": "4",
+    "manipulability_measure": "4'",
+    "tasks": "4'",
+    "policies": "4'",
+    "controller": "4'",
+    "batch_manipulability": "4'",
+    "rollout": "5",
+    "metrics": "5",
+    "io": "6",
+    "playback": "6",
+    "experiments": "6",
+    "demo": "6",
+    "cli": "6",
+    "__main__": "6",
+}
+# Who may import what from outside, at any depth. What is not named here may be imported everywhere.
+ROOMS = {
+    "pinocchio": {"robot", "playback"},
+    "coal": {"robot", "playback"},
+    "meshcat": {"playback"},
+    "trimesh": {"robot", "playback"},
+    "yourdfpy": {"robot", "playback", "cli"},
+    "defusedxml": {"robot", "playback"},
+    "xacrodoc": {"robot"},
+    "numba": {"robot"},
+    "rosbags": {"io"},
+    "pyarrow": {"io"},
+    "h5py": {"io"},
+    "typer": {"cli"},
+    "rich": {"cli", "experiments"},
+    "matplotlib": {"experiments"},
+    "joblib": {"experiments", "learning"},
+    "mujoco": {"experiments", "robot"},
+    "dask": {"experiments", "learning"},
+    "distributed": {"experiments", "learning"},
+    "pickle": set(),
+}
+MAX_LINES, MAX_FUNCTION_LINES = 300, 50
+# Each with the size that it may not outgrow. Robot has one state, Pinocchio's, that all of its methods share.
+LONG_FILES = {"robot/robot.py": 540}
+
+SOURCES = library()
+by_file = pytest.mark.parametrize("source", SOURCES, ids=lambda s: s.relative)
+
+
+def own_imports(source: Source) -> Iterator[tuple[str, int]]:
+    """Files of the library that a file imports, by their name in `library()`."""
+    names = {s.name for s in SOURCES}
+    for target, line in source.imports():
+        if target.split(".")[0] != "manip_learn":
+            continue
+        inner = target.removeprefix("manip_learn").lstrip(".")
+        while inner and inner not in names:
+            inner = inner.rpartition(".")[0]
+        yield inner, line
+
+
+@by_file
+def test_every_file_has_a_floor(source):
+    """A new module is given its floor in the table above before it is used."""
+    assert source.top in FLOORS or source.name == ""
+
+
+@by_file
+def test_imports_only_go_down(source):
+    """No file imports from a higher floor; 4 and 4' do not import each other; nothing imports the package's front."""
+    if source.name == "":  # the front door re-exports, lazily
+        return
+    here = FLOORS[source.top]
+    for target, line in own_imports(source):
+        where = f"{source.relative}:{line} imports {target or 'the package itself'}"
+        assert target, f"{where}: import from the module where the name lives"
+        there = FLOORS[target.split(".")[0]]
+        assert there[0] <= here[0], f"{where}, which is on floor {there}, from floor {here}"
+        assert {here, there} != {"4", "4'"}, f"{where}: learning and control meet in constraint.py only"
+
+
+def test_no_import_cycles():
+    """Files can be put in an order in which each imports only from those before it."""
+    graph = {s.name: {t for t, _ in own_imports(s) if t != s.name} for s in SOURCES if s.name}
+    # a package's front re-exports its members; that members import each other past it is no cycle
+    order = list(TopologicalSorter(graph).static_order())
+    assert len(order) >= len(graph)
+
+
+@by_file
+def test_third_parties_stay_in_their_rooms(source):
+    """Pinocchio in robot/ and playback/ only, each file format in io/, the command line's tools in cli, and so on."""
+    for target, line in source.imports():
+        allowed = ROOMS.get(target.split(".")[0])
+        assert allowed is None or source.top in allowed, f"{source.relative}:{line} imports {target}"
+
+
+@by_file
+def test_names_say_what_is_inside(source):
+    """No utils, misc, common or helpers: a function with no home is asking for a noun."""
+    assert not {"utils", "util", "misc", "common", "helpers", "tools", "core", "base"} & set(source.name.split("."))
+
+
+@by_file
+def test_files_are_small(source):
+    """One noun or verb a file, within 300 lines."""
+    lines = source.text.count("\n")
+    assert lines <= LONG_FILES.get(source.relative, MAX_LINES), f"{source.relative} has {lines} lines: split it"
+
+
+@by_file
+def test_functions_are_small(source):
+    """Functions stay within 50 lines, not counting their docstrings."""
+    for node in ast.walk(source.tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            lines = (node.end_lineno or node.lineno) - node.lineno + 1
+            if ast.get_docstring(node) is not None:
+                lines -= (node.body[0].end_lineno or 0) - node.body[0].lineno + 1
+            assert lines <= MAX_FUNCTION_LINES, f"{source.relative}: {node.name} has {lines} lines: split it"
+
+
+@by_file
+def test_no_blanket_handlers_and_no_asserts(source):
+    """Handlers name what they handle; bad input raises an error of ours, never an assertion that -O removes."""
+    for node in ast.walk(source.tree):
+        where = f"{source.relative}:{getattr(node, 'lineno', '')}"
+        assert not isinstance(node, ast.Assert), f"{where}: no assert in the library"
+        if isinstance(node, ast.ExceptHandler):
+            caught = ast.unparse(node.type) if node.type else ""
+            assert caught not in ("", "Exception", "BaseException"), f"{where}: which error is meant?"
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in ("hasattr", "eval", "exec", "np.random.seed"):
+            pytest.fail(f"{where}: {ast.unparse(node.func)} is not used in this project")
+
+
+def test_the_tables_are_up_to_date():
+    """No file keeps a place on the list of long ones that it no longer needs."""
+    sizes = {s.relative: s.text.count("\n") for s in SOURCES}
+    assert all(sizes.get(name, 0) > MAX_LINES for name in LONG_FILES)

@@ -1,0 +1,89 @@
+"""The public names: they exist, are documented, and cost nothing until they are used."""
+
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+
+import pytest
+
+import manip_learn as ml
+
+HEAVY = (
+    "meshcat IPython matplotlib dask distributed rosbags pyarrow h5py mujoco yourdfpy trimesh numba typer "
+    "scipy pinocchio xacrodoc joblib"
+).split()
+OPTIONAL = "example_robot_data mujoco rosbags pyarrow h5py dask distributed numba xacrodoc matplotlib joblib".split()
+
+
+def run(code: str) -> subprocess.CompletedProcess[str]:
+    """A fresh interpreter: what this one has imported already proves nothing."""
+    return subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, timeout=100)
+
+
+@pytest.mark.parametrize("name", ml.__all__)
+def test_names_exist_and_are_documented(name):
+    """Each name in __all__ can be reached and has a docstring of its own."""
+    thing = getattr(ml, name)
+    if inspect.ismodule(thing):
+        pytest.fail(f"{name} is a module: it hides the function or class of that name")
+    assert inspect.getdoc(thing)
+
+
+def test_all_is_sorted_and_complete():
+    """__all__ is in order, without repeats, has nothing private, and dir() shows it."""
+    assert list(ml.__all__) == sorted(set(ml.__all__))
+    assert not [n for n in ml.__all__ if n.startswith("_")]
+    assert set(ml.__all__) <= set(dir(ml))
+
+
+def test_contract():
+    """The names that the documentation promises are there."""
+    promised = (
+        "load_robot FrameJacobian CentreOfMass Stacked CustomFeatures load_demonstrations Demonstrations Trajectory "
+        "ConstraintLearner Constraint manipulability manipulability_gradient ResolvedRateController PointAttractor "
+        "ManipulabilityAscent JointAttractor ZeroPolicy simulate replay Rollout ManipLearnError"
+    )
+    assert set(promised.split()) <= set(ml.__all__)
+
+
+def test_unknown_names_are_attribute_errors():
+    """A misspelt name fails as Python users expect."""
+    with pytest.raises(AttributeError, match="simulat"):
+        _ = ml.simulat
+    with pytest.raises(ImportError):
+        from manip_learn import simulat  # type: ignore[attr-defined]  # noqa: F401
+
+
+def test_import_is_light():
+    """`import manip_learn` loads none of the heavy libraries, the optional ones least of all."""
+    result = run(f"import sys, manip_learn; print(*[m for m in {HEAVY!r} if m in sys.modules])")
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.split() == []
+
+
+def test_names_work_without_the_extras():
+    """Every public name can be imported where no extra is installed."""
+    code = (
+        f"import sys\nfor m in {OPTIONAL!r}: sys.modules[m] = None\n"
+        "import manip_learn as ml\nfor n in ml.__all__: getattr(ml, n)\n"
+        "ml.FrameJacobian(ml.load_robot('planar3'), 'tip')([0.1, 0.2, 0.3])\nprint('fine')"
+    )
+    result = run(code)
+    assert result.stdout == "fine\n", result.stderr
+
+
+def test_names_are_the_same_object_every_time():
+    """Two ways to a name lead to one object."""
+    from manip_learn.constraint import Constraint
+
+    assert ml.Constraint is Constraint
+    assert ml.Constraint is ml.Constraint
+
+
+def test_version():
+    """The version is the one in the package's metadata."""
+    import importlib.metadata
+
+    assert ml.__version__ == importlib.metadata.version("manip-learn")
