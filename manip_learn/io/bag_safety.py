@@ -7,9 +7,12 @@ import struct
 from pathlib import Path
 from typing import Protocol, final
 
-import lz4.frame
+from manip_learn.errors import MissingExtraError, RecordingError
 
-from manip_learn.errors import RecordingError
+try:
+    import lz4.frame
+except ImportError as error:
+    raise MissingExtraError("reading ROS bags", "ros") from error
 
 ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200  # bytes, and how much smaller packed
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -70,7 +73,7 @@ def check_mcap(path: Path) -> None:
                 compression = head[32 : 32 + name_length]
                 if compression in (b"lz4", b"zstd"):
                     file.seek(start + 40 + name_length)
-                    _check_claim(path, compression, file.read(min(length, size)), unpacked)
+                    _check_claim(path, compression, file.read(max(length - 40 - name_length, 0)), unpacked)
             file.seek(start + length)
 
 

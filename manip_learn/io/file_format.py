@@ -75,7 +75,7 @@ REFUSED_MAGIC: tuple[tuple[bytes, str, str], ...] = (
     (b"PK\x05\x06", "empty", "an empty archive"),
     (b"Rar!", "compressed", "a RAR archive: unpack it first"),
     (b"#ROSBAG V1", "old-bag", "a ROS bag of version 1: convert it with `rosbag fix`"),
-    (b"MATLAB 5.0", "matlab", "a MATLAB file: export the table as CSV"),
+    (b"MATLAB ", "matlab", "a MATLAB file: export the table as CSV"),
     (b"version https://git-lfs", "git-lfs", "a Git LFS pointer, not the recording itself: run `git lfs pull`"),
     (b"%PDF", "not-a-recording", "a PDF document"),
     (b"\x7fELF", "not-a-recording", "a program"),

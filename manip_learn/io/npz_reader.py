@@ -82,7 +82,7 @@ def _read_arrays(path: Path, archive: zipfile.ZipFile, request: ReadRequest) -> 
             raise _refusal(
                 path,
                 "missing-array",
-                f"there is no array {key!r}, only {', '.join(map(repr, [*members, *ignored]))}{hint}",
+                f"there is no array {key!r}; there is {', '.join(map(repr, [*members, *ignored]))}{hint}",
             )
     headers = {key: _header(path, archive, key, info) for key, info in members.items()}
     _check_sizes(path, headers, members)
@@ -115,7 +115,7 @@ def _header(path: Path, archive: zipfile.ZipFile, key: str, info: zipfile.ZipInf
         raise _refusal(
             path,
             "damaged",
-            f"the array {key!r} asks for {need:,} bytes (shape {header.shape}), the archive has {data_bytes:,}: save it again",
+            f"the array {key!r} asks for {need:,} bytes (shape {header.shape}), it has {data_bytes:,}: save it again",
         )
     return header
 
@@ -138,7 +138,7 @@ def _check_sizes(path: Path, headers: dict[str, ArrayHeader], members: dict[str,
             raise _refusal(
                 path,
                 "bomb",
-                f"the array {key!r} has {info.file_size:,} bytes, {info.compress_size:,} in the archive: no recorded motion "
+                f"the array {key!r} has {info.file_size:,} bytes, {info.compress_size:,} packed: no recorded motion "
                 "packs so well; if it is real, save it with np.savez (not compressed)",
             )
     time, q = headers["time"].shape, headers["q"].shape

@@ -128,8 +128,8 @@ def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) 
         i = int(np.argmax(back < -SET_BACK))
         raise MergeError(
             "time-order",
-            f"the clock of {topic} goes back by {-back[i] * 1e-9:.3g} s at message {i + 1}: it was reset, or several runs "
-            "are in one bag; cut the bag there",
+            f"the clock of {topic} goes back by {-back[i] * 1e-9:.3g} s at message {i + 1}: it was reset, or several "
+            "runs are in one bag; cut the bag there",
         )
     order = by_arrival[np.argsort(arrived, kind="stable")]
     if np.any(back < 0):
