@@ -88,13 +88,13 @@ class Chart {
     const w = this.element.clientWidth, h = this.element.clientHeight;
     if (w < 50 || h < 40) return;
     const curves = this.rollouts.filter((r) => r.visible && r.curve.length), strips = this.rollouts.filter((r) => r.visible && r.status.length);
-    const stripsHeight = strips.length ? 4 + 10 * Math.min(strips.length, 6) : 0;
+    const row = strips.length > 5 ? 7 : 10, stripsHeight = strips.length ? 4 + row * strips.length : 0;
     Object.assign(this, { left: 58, right: w - 14, top: 8, bottom: h - 24 - stripsHeight });
     this.range = this.findRange(curves);
     const root = svg("svg", { width: w, height: h, "aria-hidden": "true" });
     this.drawAxes(root, h, stripsHeight);
     curves.forEach((r) => this.drawCurve(root, r));
-    strips.slice(0, 6).forEach((r, i) => this.drawStrip(root, r, this.bottom + 5 + 10 * i));
+    strips.forEach((r, i) => this.drawStrip(root, r, this.bottom + 5 + row * i, row - 3));
     this.cursor = svg("line", { y1: this.top, y2: this.bottom + stripsHeight + 2, stroke: "#17212b", "stroke-width": 1.5 }, root);
     this.knob = svg("path", { d: "M-6 0h12l-6 8z", fill: "#17212b" }, root);
     this.dots = curves.map((r) => [r, svg("circle", { r: 5, fill: r.colour, stroke: "#fff", "stroke-width": 2 }, root)]);
@@ -126,12 +126,12 @@ class Chart {
     svg("polyline", { points: points.join(" "), ...style, "stroke-dasharray": DASHES[rollout.index % DASHES.length] }, root);
   }
 
-  drawStrip(root, rollout, y) {
-    svg("rect", { x: this.left - 14, y: y, width: 8, height: 7, rx: 2, fill: rollout.colour }, root);
+  drawStrip(root, rollout, y, height) {
+    svg("rect", { x: this.left - 14, y, width: 8, height, rx: 2, fill: rollout.colour }, root);
     rollout.status.forEach(([t, word], i) => {
       const next = i + 1 < rollout.status.length ? rollout.status[i + 1][0] : rollout.duration;
       const x = this.x(t), width = Math.max(this.x(next) - x, 1.2);
-      const bar = svg("rect", { x, y, width, height: 7, fill: this.statusStyle(word).colour }, root);
+      const bar = svg("rect", { x, y, width, height, fill: this.statusStyle(word).colour }, root);
       svg("title", {}, bar).textContent = `${rollout.name}: ${this.statusStyle(word).say}`;
     });
   }

@@ -11,7 +11,6 @@ function fillNotes(notes) {
   }
 }
 
-// Camera changes move the ghosts' order, too.
 function start() {
   const data = JSON.parse(get("data").textContent), show = new Show(data);
   fillNotes(data.notes);

@@ -15,7 +15,8 @@ function icon(button, name) {
 const get = (id) => document.getElementById(id);
 
 function readable(mu) {
-  return Math.abs(mu) >= 1e-3 && Math.abs(mu) < 1e4 || mu === 0 ? mu.toPrecision(4) : mu.toExponential(2);
+  if (mu === 0) return "0";
+  return Math.abs(mu) >= 1e-3 && Math.abs(mu) < 1e4 ? mu.toPrecision(3) : mu.toExponential(1);
 }
 
 function prepare(rollout, index) {

@@ -90,6 +90,11 @@ function shaded(colour, own) {
     : shade.lerp(new THREE.Color(0xffffff), 0.75 * (2 * light - 1));
 }
 
+// Where robots coincide, as at a common start, the solid one is seen and nothing flickers.
+function behind(index) {
+  return { polygonOffset: true, polygonOffsetFactor: 1 + index, polygonOffsetUnits: 4 * (1 + index) };
+}
+
 class RobotInstance {
   constructor(robot, rollout, geometries, tinted) {
     this.robot = robot;
@@ -105,6 +110,8 @@ class RobotInstance {
     this.linkIndex = new Map(robot.links.map((link, i) => [link.name, i]));
     this.linkPlacements = robot.links.map((link) => matrixFromRows(link.placement));
     this.meshes = [];
+    // a ghost first fills the depth buffer, so that only its front skin is blended and it stays easy to read
+    this.veil = new THREE.MeshBasicMaterial({ colorWrite: false, side: THREE.DoubleSide, ...behind(rollout.index) });
     robot.shapes.forEach((shape, i) => this.addShape(shape, geometries[i]));
     this.motion = new THREE.Matrix4();
     this.setSolid(true);
@@ -112,15 +119,13 @@ class RobotInstance {
 
   addShape(shape, geometry) {
     const pose = matrixFromRows(shape.pose);
-    const skin = new THREE.Mesh(geometry), veil = new THREE.Mesh(geometry);
+    const skin = new THREE.Mesh(geometry), veil = new THREE.Mesh(geometry, this.veil);
     skin.userData.shape = shape;
     for (const mesh of [skin, veil]) {
       mesh.matrixAutoUpdate = false;
       mesh.matrix.copy(pose);
       this.groups[shape.joint].add(mesh);
     }
-    // a ghost first fills the depth buffer, so that only its front skin is blended and it stays easy to read
-    veil.material = RobotInstance.veil;
     this.meshes.push({ skin, veil });
   }
 
@@ -128,12 +133,13 @@ class RobotInstance {
     this.solid = solid;
     const made = new Map();
     for (const { skin, veil } of this.meshes) {
-      const key = skin.userData.shape.accent ? "accent" : skin.userData.shape.colour.join();
-      if (!made.has(key)) made.set(key, this.material(skin.userData.shape));
+      const shape = skin.userData.shape, key = shape.accent ? "accent" : [shape.joint > 0, shape.kind === "mesh", ...shape.colour].join();
+      if (!made.has(key)) made.set(key, this.material(shape));
       skin.material = made.get(key);
       skin.castShadow = solid;
       skin.receiveShadow = solid;
-      veil.visible = !solid;
+      veil.visible = !solid && skin.userData.shape.joint > 0;
+      skin.visible = solid || skin.userData.shape.joint > 0; // what never moves is drawn once
     }
   }
 
@@ -142,11 +148,12 @@ class RobotInstance {
     let colour = new THREE.Color(own[0], own[1], own[2]);
     if (shape.accent) colour = new THREE.Color(hex);
     else if (!this.solid) colour = shaded(hex, [0, 1, 2].map((i) => 0.4 + 0.2 * own[i]));
-    else if (this.tinted) colour = shaded(hex, own);
+    else if (this.tinted && shape.joint > 0) colour = shaded(hex, own);
     const material = new THREE.MeshStandardMaterial({ color: colour.convertSRGBToLinear(), roughness: 0.62, metalness: 0.05 });
     material.side = shape.kind === "mesh" ? THREE.DoubleSide : THREE.FrontSide;
     const opacity = this.solid ? own[3] : 0.42;
     if (opacity < 1) Object.assign(material, { transparent: true, opacity, depthWrite: this.solid });
+    if (!this.solid) Object.assign(material, behind(this.rollout.index));
     return material;
   }
 
@@ -188,7 +195,6 @@ class RobotInstance {
     return new THREE.Vector3().setFromMatrixPosition(this.linkMatrix(this.robot.tip));
   }
 }
-RobotInstance.veil = new THREE.MeshBasicMaterial({ colorWrite: false, side: THREE.DoubleSide });
 
 // The tip's way: faint as a whole, strong up to now, and a ball where the tip is.
 class TipPath {
@@ -198,8 +204,8 @@ class TipPath {
     this.group = new THREE.Group();
     this.sides = 8;
     const geometry = tubeGeometry(rollout.path, radius, this.sides), past = geometry.clone();
-    const faint = new THREE.MeshBasicMaterial({ color: colour, transparent: true, opacity: 0.28, depthWrite: false });
-    const strong = new THREE.MeshStandardMaterial({ color: colour, roughness: 0.6, emissive: colour, emissiveIntensity: 0.25 });
+    const faint = new THREE.MeshBasicMaterial({ color: colour, transparent: true, opacity: 0.28, depthWrite: false, ...behind(rollout.index) });
+    const strong = new THREE.MeshStandardMaterial({ color: colour, roughness: 0.6, emissive: colour, emissiveIntensity: 0.25, ...behind(rollout.index) });
     this.past = new THREE.Mesh(past, strong);
     this.ball = new THREE.Mesh(new THREE.SphereGeometry(2.6 * radius, 24, 16), strong);
     this.group.add(new THREE.Mesh(geometry, faint), this.past, this.ball);
