@@ -62,13 +62,13 @@ docs: $(VENV)/dev
 	@echo "docs/_build/html/index.html"
 
 bench: $(VENV)/dev
-	$(PYTEST) benchmarks -m bench $(ARGS)
+	CHECK_SHAPES=0 $(PYTEST) benchmarks -m bench $(ARGS)
 
 fuzz: $(VENV)/dev
 	HYPOTHESIS_PROFILE=fuzz $(PYTEST) -n 2 --benchmark-disable -m fuzz --timeout 1800 $(ARGS)
 
 proofs: $(VENV)/dev
-	$(PYTEST) -n 2 --dist worksteal --benchmark-disable -m slow --timeout 3600 $(ARGS)
+	CHECK_SHAPES=0 $(PYTEST) -n 2 --dist worksteal --benchmark-disable -m slow --timeout 3600 $(ARGS)
 
 clean:
 	rm -rf build dist out demo_out docs/_build .pytest_cache .ruff_cache .hypothesis .benchmarks

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +13,6 @@ from manip_learn.errors import RobotError
 from manip_learn.robot.planar_arm import TURN_LIMIT, main, planar_arm_urdf
 
 SHIPPED = Path(__file__).resolve().parents[1] / "robots" / "planar3.urdf"
-
-wrong_type = pytest.mark.skipif("CHECK_SHAPES" in os.environ, reason="the run-time type check refuses it first")
 
 
 def tip_by_textbook(lengths: list[float], q: np.ndarray) -> np.ndarray:
@@ -100,8 +97,8 @@ def test_an_awkward_name_is_escaped() -> None:
         [1.0, 0.0],
         [np.nan],
         [np.inf],
-        pytest.param(["long"], marks=wrong_type),
-        pytest.param(3.0, marks=wrong_type),
+        ["long"],
+        3.0,
     ],
 )
 def test_lengths_that_make_no_arm_are_refused(lengths: object) -> None:
@@ -111,7 +108,7 @@ def test_lengths_that_make_no_arm_are_refused(lengths: object) -> None:
     assert error.value.code == "lengths"
 
 
-@pytest.mark.parametrize("types", [["revolute"], pytest.param(["revolute", "helical"], marks=wrong_type)])
+@pytest.mark.parametrize("types", [["revolute"], ["revolute", "helical"]])
 def test_joint_types_that_do_not_fit_are_refused(types: list[str]) -> None:
     """As many joint types as links, of the two known kinds."""
     with pytest.raises(RobotError) as error:
