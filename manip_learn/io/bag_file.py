@@ -13,6 +13,7 @@ from typing import Any, final
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.io.bag_safety import BoundedDecompressor, check_mcap, check_zstd
 from manip_learn.io.joint_state_layout import JointStateLayout, cdr_layout, ros1_layout
+from manip_learn.io.reason import reason
 
 try:
     import apsw
@@ -113,9 +114,8 @@ def open_bag(path: Path) -> Iterator[BagFile]:
     except RecordingError:
         raise
     except (*DAMAGE, _zstd_error()) as error:
-        reason = str(error) or type(error).__name__
         raise RecordingError(
-            f"{path.name}: the bag cannot be read ({reason}): repair it (`rosbag reindex`, `ros2 bag reindex`, "
+            f"{path.name}: the bag cannot be read ({reason(error)}): repair it (`rosbag reindex`, `ros2 bag reindex`, "
             "`mcap recover`) or record it again",
             code="damaged",
             path=path,

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import IO, final
 
 from manip_learn.errors import RecordingError
+from manip_learn.io.reason import reason
 
 LONGEST_LINE = 1_000_000
 COMMENT_MARKS = ("#", "%")
@@ -127,5 +128,7 @@ def line_too_long(path: Path, line: int) -> RecordingError:
 def not_text(path: Path, error: UnicodeError) -> RecordingError:
     """The refusal of bytes that are no text."""
     return RecordingError(
-        f"{path.name}: this is not UTF-8 text ({error}): save the table as plain UTF-8 text", code="encoding", path=path
+        f"{path.name}: this is not UTF-8 text ({reason(error)}): save the table as plain UTF-8 text",
+        code="encoding",
+        path=path,
     )

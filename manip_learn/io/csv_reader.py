@@ -22,6 +22,7 @@ from manip_learn.io.csv_dialect import (
     sniff_dialect,
 )
 from manip_learn.io.read_request import ReadRequest
+from manip_learn.io.reason import reason
 from manip_learn.io.recording import Recording
 
 VELOCITY_SUFFIX = "_velocity"
@@ -72,6 +73,16 @@ def _base_name(name: str, suffixes: tuple[str, ...], own_names: tuple[str, ...])
 def _column_names(path: Path, dialect: CsvDialect, request: ReadRequest) -> list[str | None]:
     """Wanted name of every column; None where it is to be ignored."""
     names: list[str | None] = [request.wanted_name(n) for n in dialect.columns]
+    if "time" not in names:
+        near = closest_names("time", [n for n in names if n]) or [n for n in ("t", "stamp", "secs") if n in names]
+        hint = f"; if {near[0]!r} is meant, pass rename={{{near[0]!r}: 'time'}} or rename it" if near else ""
+        shown = ", ".join(map(repr, dialect.columns[:8])) + (" ..." if len(dialect.columns) > 8 else "")
+        raise _header_error(
+            path,
+            dialect,
+            "no-time",
+            f"there is no column 'time'; the {DELIMITER_WORDS[dialect.delimiter]}-separated header has {shown}{hint}",
+        )
     seen: set[str] = set()
     for i, (raw, name) in enumerate(zip(dialect.columns, names, strict=True)):
         if raw in request.ignore_columns or name in request.ignore_columns:
@@ -82,16 +93,6 @@ def _column_names(path: Path, dialect: CsvDialect, request: ReadRequest) -> list
         if name in seen:
             raise _header_error(path, dialect, "duplicate-column", f"two columns are called {name!r}: keep one")
         seen.add(name)
-    if "time" not in seen:
-        near = closest_names("time", [n for n in seen if n]) or [n for n in ("t", "stamp", "secs") if n in seen]
-        hint = f"; if {near[0]!r} is meant, pass rename={{{near[0]!r}: 'time'}} or rename it" if near else ""
-        shown = ", ".join(map(repr, dialect.columns[:8])) + (" ..." if len(dialect.columns) > 8 else "")
-        raise _header_error(
-            path,
-            dialect,
-            "no-time",
-            f"there is no column 'time'; the {DELIMITER_WORDS[dialect.delimiter]}-separated header has {shown}{hint}",
-        )
     return names
 
 
@@ -197,7 +198,9 @@ def _explain(path: Path, dialect: CsvDialect, used: list[int], cause: ValueError
                         line=number,
                         column=dialect.columns[i],
                     ) from cause
-    raise RecordingError(f"{path.name}: the numbers cannot be read: {cause}", code="not-a-number", path=path) from cause
+    raise RecordingError(
+        f"{path.name}: the numbers cannot be read: {reason(cause)}", code="not-a-number", path=path
+    ) from cause
 
 
 def _line_of(path: Path, dialect: CsvDialect, sample: int) -> int:

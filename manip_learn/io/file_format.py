@@ -14,6 +14,7 @@ from typing import final
 from manip_learn.errors import RecordingError
 from manip_learn.io.csv_dialect import CsvDialect, sniff_dialect
 from manip_learn.io.read_request import ReadRequest
+from manip_learn.io.reason import reason
 from manip_learn.io.recording import Recording
 
 Read = Callable[[Path, ReadRequest], Iterator[Recording]]
@@ -105,7 +106,7 @@ def check_regular(path: Path) -> None:
             f"{path}: there is no such file: check the path", code="missing-file", path=path
         ) from error
     except (OSError, ValueError) as error:
-        raise RecordingError(f"{path}: cannot be opened: {error}", code="unreadable", path=path) from error
+        raise RecordingError(f"{path}: cannot be opened: {reason(error)}", code="unreadable", path=path) from error
 
 
 def recognise(path: Path) -> FileFormat:
@@ -136,7 +137,7 @@ def _archive(path: Path) -> FileFormat:
             names = archive.namelist()
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
         raise RecordingError(
-            f"{path.name}: the archive is damaged ({error}): copy or save it again", code="damaged", path=path
+            f"{path.name}: the archive is damaged ({reason(error)}): copy or save it again", code="damaged", path=path
         ) from error
     if any(n.endswith(".npy") for n in names):
         return NPZ
@@ -203,4 +204,4 @@ def read_json(path: Path, most_bytes: int = 10_000_000) -> object:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{path}: not valid JSON: {error}", code="damaged", path=path) from error
+        raise RecordingError(f"{path}: not valid JSON: {reason(error)}", code="damaged", path=path) from error

@@ -15,6 +15,7 @@ import numpy as np
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.io.lerobot_dataset import STATE, VELOCITY, LeRobotDataset, open_dataset
 from manip_learn.io.read_request import ReadRequest
+from manip_learn.io.reason import reason
 from manip_learn.io.recording import Recording
 
 try:
@@ -183,7 +184,7 @@ def _parts(file: Path, dataset: LeRobotDataset, request: ReadRequest) -> Iterato
         raise
     except DAMAGE as error:
         raise _refusal(
-            file, "damaged", f"the Parquet file cannot be read ({error}): download or write it again"
+            file, "damaged", f"the Parquet file cannot be read ({reason(error)}): download or write it again"
         ) from error
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from manip_learn.errors import RecordingError, closest_names
 from manip_learn.io.read_request import ReadRequest
+from manip_learn.io.reason import reason
 from manip_learn.io.recording import Recording
 
 WANTED = ("time", "q", "u", "joint_names", "format")
@@ -47,7 +48,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         with zipfile.ZipFile(path) as archive:
             arrays, notes = _read_arrays(path, archive, request)
     except DAMAGE as error:
-        raise _refusal(path, "damaged", f"the archive is damaged ({error}): copy or save it again") from error
+        raise _refusal(path, "damaged", f"the archive is damaged ({reason(error)}): copy or save it again") from error
     names = _joint_names(path, arrays, request)
     is_rollout = "format" in arrays and str(arrays["format"]) == ROLLOUT
     yield Recording(

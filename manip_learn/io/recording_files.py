@@ -11,6 +11,7 @@ from typing import final
 
 from manip_learn.errors import RecordingError
 from manip_learn.io.file_format import CSV, FileFormat, folder_format, looks_like_table, recognise
+from manip_learn.io.reason import reason
 
 
 @final
@@ -78,9 +79,9 @@ def _in_folder(folder: Path, notes: list[str]) -> Iterator[RecordingFile]:
     found, ignored, damaged = _members(folder)
     kinds = list(dict.fromkeys(f.format.title for f in found))
     if not found:
-        reason = f"; {damaged[0]}" if damaged else ""
+        why = f"; {damaged[0]}" if damaged else ""
         raise RecordingError(
-            f"{folder}: there is no recording in this folder{reason}; name the recordings, or a folder that holds them",
+            f"{folder}: there is no recording in this folder{why}; name the recordings, or a folder that holds them",
             code="no-recordings",
             path=folder,
         )
@@ -105,7 +106,7 @@ def _members(folder: Path) -> tuple[list[RecordingFile], list[str], list[str]]:
     try:
         names = sorted((p.name for p in folder.iterdir()), key=natural_order)
     except OSError as error:
-        raise RecordingError(f"{folder}: cannot be listed: {error}", code="unreadable", path=folder) from error
+        raise RecordingError(f"{folder}: cannot be listed: {reason(error)}", code="unreadable", path=folder) from error
     for name in names:
         path = folder / name
         if name.startswith("."):

@@ -15,6 +15,7 @@ import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.io.read_request import ReadRequest
+from manip_learn.io.reason import reason
 from manip_learn.io.recording import Recording
 from manip_learn.io.recording_files import natural_order
 
@@ -50,7 +51,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         raise
     except DAMAGE as error:
         raise _refusal(
-            path, "damaged", f"the HDF5 file cannot be read ({error}): download or write it again"
+            path, "damaged", f"the HDF5 file cannot be read ({reason(error)}): download or write it again"
         ) from error
 
 
@@ -103,8 +104,8 @@ def _member(path: Path, group: Any, name: str, kind: type) -> Any:
         raise _refusal(
             path,
             "link",
-            f"{group.name.rstrip('/')}/{name} is a link to {target!r}; links are not followed, for they can point at any "
-            "file: copy the data into the file (h5repack, or h5py's copy with expand_external)",
+            f"{group.name.rstrip('/')}/{name} is a link to {target!r}; links are not followed (they can point at any "
+            "file): copy the data into the file, with h5py's copy(expand_external=True)",
         )
     member = group[name]
     if not isinstance(member, kind):

@@ -1,0 +1,47 @@
+"""Every bad or odd recording of the corpus gets its frozen verdict: no traceback, no hang, no silence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from recording_corpus import CASES, Case
+
+from manip_learn.errors import ManipLearnError, RecordingError
+from manip_learn.io import load_demonstrations
+from manip_learn.robot import Robot, load_robot
+
+
+@pytest.fixture(scope="module")
+def planar3() -> Robot:
+    return load_robot("planar3")
+
+
+def verdict_of(path: Path, robot: Robot, options: dict) -> tuple[str, str]:
+    """What the reader decides, and what it says."""
+    try:
+        demos = load_demonstrations(path, robot, **options)
+    except RecordingError as error:
+        return error.code, str(error)
+    except ManipLearnError as error:
+        return type(error).__name__, str(error)
+    return ("note" if demos.notes else "accept"), "\n".join(demos.notes)
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("case", CASES, ids=lambda c: c.name)
+def test_verdict(case: Case, planar3: Robot, tmp_path: Path) -> None:
+    """Accepted, accepted with a note, or refused for the right reason, in a sentence that names the file."""
+    path = tmp_path / case.name
+    case.write(path)
+    verdict, said = verdict_of(path, planar3, case.options)
+    assert verdict == case.verdict, said
+    if verdict not in ("accept", "note"):
+        assert len(said) < 700 and "\n" not in said
+        assert case.name in said or path.is_dir(), said
+
+
+def test_the_corpus_is_large_enough() -> None:
+    """At least 60 files that must be refused, no name twice."""
+    assert sum(c.verdict not in ("accept", "note") for c in CASES) >= 60
+    assert len({c.name for c in CASES}) == len(CASES)
