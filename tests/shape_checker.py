@@ -21,8 +21,9 @@ def checked_modules() -> list[str]:
 
 
 def check_shapes(function: Callable) -> Callable:
-    """Check the arrays of a signature, and nothing else: other types are the business of pyright, which does not have to
-    believe what Pinocchio's compiled classes say about their own inheritance.
+    """Check the arrays of a signature, and nothing else: other types are the business of pyright.
+
+    (Pinocchio's compiled classes do not tell the truth about their own inheritance.)
     """
     if function.__name__ == "__init__":  # constructors take what can be made into an array, and check it themselves
         return function
