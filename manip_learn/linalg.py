@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg.lapack import dgesdd
 
 Inverse = Literal["exact", "truncated", "damped"]
 EPS = float(np.finfo(np.float64).eps)
@@ -62,6 +63,18 @@ def inverse_singular_values(
 def matlab_tolerance(sigma: Float[np.ndarray, " k"], shape: tuple[int, ...]) -> float:
     """Matlab's pinv tolerance max(size(A)) * eps(norm(A))."""
     return float(max(shape) * np.spacing(np.max(sigma, initial=0.0)))
+
+
+def svd(
+    A: Float[np.ndarray, "s n"],
+) -> tuple[Float[np.ndarray, "s s"], Float[np.ndarray, " k"], Float[np.ndarray, "n n"]]:
+    """U, the singular values, and V^T, all square: LAPACK's dgesdd without NumPy's wrapping, which takes longer than
+    the decomposition of a matrix as small as a constraint's.
+    """
+    U, sigma, Vt, failed = dgesdd(A)
+    if failed:
+        return np.linalg.svd(A, full_matrices=True)
+    return U, sigma, Vt
 
 
 def null_basis(A: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "n k"]:

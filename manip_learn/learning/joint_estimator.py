@@ -1,0 +1,184 @@
+"""The estimator for self-imposed demonstrations: Lambda and pi together from raw (q, u), b unknown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.errors import NotIdentifiableError
+from manip_learn.learning.conditional_pca import conditional_pca
+from manip_learn.learning.estimate import Estimate
+from manip_learn.learning.joint import JointFit, fit_joint, held_out_cost, scores
+from manip_learn.learning.policy_model import PolicyModel, PolynomialModel, RadialModel
+from manip_learn.learning.rank import GapTable, gaps_of_residuals
+from manip_learn.learning.samples import Samples
+
+N_FOLDS = 5
+N_CENTRES = 32
+RANDOM_STARTS = 2
+# a richer model must lower the held-out cost by this factor to be worth its parameters
+WORTH = 0.8
+ROUNDING = 1e-24
+# models are compared on at most this many samples, and fitted with at most this many columns unless asked for
+COMPARE_LIMIT = 3_000
+MAX_COLUMNS = 120
+# enough steps to compare
+COMPARE: dict[str, Any] = {"max_iterations": 8, "gain": 1e-4}
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A fit with its cross-validated cost."""
+
+    fit: JointFit
+    held_out: float  # mean |Z^T (u - pi)|^2 on left-out trajectories
+
+
+def estimate_joint(
+    samples: Samples, n_constraints: int | None, rng: np.random.Generator, policy_model: str = "auto"
+) -> Estimate:
+    """Number of rows and policy model by cross-validation over trajectories, then variable projection on all data.
+
+    Args:
+        samples: What was recorded.
+        n_constraints: Number of rows; found from the data by default.
+        rng: For k-means and the random starts.
+        policy_model: `"auto"`, `"constant"`, `"affine"`, `"quadratic"`, `"cubic"` or `"rbf"`.
+
+    Raises:
+        NotIdentifiableError: One trajectory only, or too few samples for even the smallest model.
+    """
+    if samples.n_groups < 2:
+        raise NotIdentifiableError(
+            "one trajectory does not identify a constraint whose task velocity is unknown: give several, from different "
+            "starts to different targets",
+            code="one-trajectory",
+        )
+    few = _few(samples)
+    models = _models(few, rng, policy_model)
+    scan = {s: _best(few, s, models[:2]) for s in _counts(samples)}
+    usable = {s: c for s, c in scan.items() if c is not None}
+    if n_constraints is None and len(usable) < 2 or (n_constraints is not None and n_constraints not in usable):
+        raise NotIdentifiableError(
+            f"{len(samples)} samples are too few for the joint estimator on {samples.n_rows} rows and {samples.nv} "
+            "joints: record more trajectories, or name fewer axes",
+            code="too-few-samples",
+        )
+    table = _table(few, usable)
+    s = n_constraints or table.best
+    chosen, residuals = _chosen(few, s, models, usable[s])
+    fit = _from_random_starts(samples, chosen.fit, rng)
+    gradients, hessians = scores(samples, fit)
+    return Estimate(
+        "joint",
+        fit.selection,
+        table,
+        fit.cost / fit.energy,
+        chosen.held_out / chosen.fit.energy,
+        gradients,
+        hessians,
+        fit.model.name,
+        residuals,
+    )
+
+
+def _few(samples: Samples) -> Samples:
+    """Every k-th sample of all trajectories, for the comparisons."""
+    if len(samples) <= COMPARE_LIMIT:
+        return samples
+    step = -(-len(samples) // COMPARE_LIMIT)
+    return samples.subset(np.arange(len(samples)) % step == 0)
+
+
+def _models(samples: Samples, rng: np.random.Generator, name: str) -> list[PolicyModel]:
+    """Models in the order of their size; quadratic stands in for the others in the search for the number of rows."""
+    m = samples.q.shape[1]
+    if name == "rbf":
+        return [_radial(samples, rng)]
+    if name != "auto":
+        if name not in PolynomialModel.NAMES:
+            raise NotIdentifiableError(
+                f"unknown policy model {name!r}: use 'auto', 'rbf' or one of {', '.join(PolynomialModel.NAMES)}",
+                code="policy-model",
+            )
+        return [PolynomialModel(PolynomialModel.NAMES.index(name), m)]
+    models = [PolynomialModel(1, m), PolynomialModel(2, m), PolynomialModel(3, m), _radial(samples, rng)]
+    return [models[0]] + [model for model in models[1:] if model.n_terms * samples.nv <= MAX_COLUMNS]
+
+
+def _radial(samples: Samples, rng: np.random.Generator) -> RadialModel:
+    return RadialModel(np.concatenate([b.x for b in samples.blocks()]), N_CENTRES, rng)
+
+
+def _counts(samples: Samples) -> range:
+    return range(min(samples.n_rows, samples.nv - 1) + 1)
+
+
+def _best(samples: Samples, s: int, models: list[PolicyModel]) -> Candidate | None:
+    """Best of the models for s rows; a richer one only if it is worth its parameters."""
+    best: Candidate | None = None
+    for model in models:
+        candidate = _candidate(samples, s, model)
+        if candidate is not None and (best is None or candidate.held_out < WORTH * best.held_out):
+            best = candidate
+    return best
+
+
+def _candidate(samples: Samples, s: int, model: PolicyModel, start: np.ndarray | None = None) -> Candidate | None:
+    if len(samples) * (samples.nv - s) * (1.0 - 1.0 / N_FOLDS) < 2.0 * model.n_terms * samples.nv:
+        return None
+    if start is None:
+        _, directions = conditional_pca(samples, PolynomialModel(_start_degree(samples), samples.q.shape[1]))
+        start = directions[:s]
+    fit = fit_joint(samples, start, model, **COMPARE)
+    folds = min(N_FOLDS, samples.n_groups)
+    return Candidate(fit, held_out_cost(samples, fit.selection, model, folds))
+
+
+def _start_degree(samples: Samples) -> int:
+    m = samples.q.shape[1]
+    return 2 if len(samples) > 4 * (m + 1) * (m + 2) // 2 else 1 if len(samples) > 4 * (m + 1) else 0
+
+
+def _table(samples: Samples, scan: dict[int, Candidate]) -> GapTable:
+    residuals = {s: float(np.sqrt(c.held_out / (samples.nv - s))) for s, c in scan.items()}
+    floor = 1e-15 * float(np.sqrt(samples.energy))
+    present = {s: r for s, r in residuals.items() if s == 0 or s - 1 in residuals}
+    return gaps_of_residuals(present, floor)
+
+
+def _chosen(
+    samples: Samples, s: int, models: list[PolicyModel], first: Candidate
+) -> tuple[Candidate, dict[str, float]]:
+    """Climb to richer models as long as they are worth it; held-out share of every model that was tried."""
+    best, residuals = first, {first.fit.model.name: first.held_out / first.fit.energy}
+    for model in models:
+        if model.name in residuals or best.held_out <= ROUNDING * best.fit.energy:
+            continue
+        candidate = _candidate(samples, s, model, best.fit.selection)
+        if candidate is None:
+            continue
+        residuals[model.name] = candidate.held_out / candidate.fit.energy
+        if candidate.held_out < WORTH * best.held_out:
+            best = candidate
+    return best, residuals
+
+
+def _from_random_starts(samples: Samples, chosen: JointFit, rng: np.random.Generator) -> JointFit:
+    """The chosen fit on all samples, and a look from random starts whether there is a better one."""
+    best = fit_joint(samples, chosen.selection, chosen.model)
+    s, r = best.selection.shape
+    if s == r or best.cost <= ROUNDING * best.energy:
+        return best
+    few = _few(samples)
+    reference = fit_joint(few, best.selection, chosen.model, **COMPARE).cost
+    for _ in range(RANDOM_STARTS):
+        start: Float[np.ndarray, "s r"] = rng.standard_normal((s, r))
+        other = fit_joint(few, start, chosen.model, **COMPARE)
+        if other.cost < 0.9 * reference:
+            best, reference = fit_joint(samples, other.selection, chosen.model), other.cost
+    return best

@@ -1,0 +1,140 @@
+"""Lambda from null-space motion: the recorded motion obeys A(q) u = 0."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.learning.samples import Block, Samples
+from manip_learn.linalg import batch_row_spaces, complement_rows, orthonormal_rows
+
+MAX_ITERATIONS = 50
+# a velocity to be explained, block by block: u itself, or the null-space part that a separation found
+Velocity = Callable[[Block], np.ndarray]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class NullSpaceFit:
+    """Result of the null-space estimator.
+
+    Attributes:
+        selection: Lambda in whitened coordinates, orthonormal rows, shape (s, p').
+        cost: Mean of w^T A^+ A w, equation (10).
+        energy: Mean of |w|^2; cost / energy is the share of the motion that breaks the constraint.
+        iterations: Gauss-Newton steps.
+        scores: shape (groups, s, p'-s), gradient of each trajectory: sum (A^{+T} w)(Lambda_perp Phi N w)^T.
+        curvatures: shape (groups, m, m), Gauss-Newton Hessian of each trajectory, m = s (p'-s).
+    """
+
+    selection: Float[np.ndarray, "s r"]
+    cost: float
+    energy: float
+    iterations: int
+    scores: Float[np.ndarray, "g s k"]
+    curvatures: Float[np.ndarray, "g m m"]
+
+
+def levels(samples: Samples) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r r"]]:
+    """How much the motion uses each whitened direction, least first, and the directions as rows.
+
+    A level is the root mean square of the motion's velocity along a direction, relative to a motion that is equally
+    strong in all joints: about 1 along a free direction, about the noise along a constrained one. In whitened
+    coordinates this is the generalised eigenproblem sum Phi w w^T Phi^T x = e sum Phi Phi^T x.
+    """
+    M = np.zeros((samples.n_rows, samples.n_rows))
+    for block in samples.blocks():
+        r = np.einsum("npv,nv->np", block.Phi, block.u, optimize=True)
+        M += r.T @ r
+    eigenvalues, vectors = np.linalg.eigh(M / len(samples))
+    scale = samples.nv / max(samples.energy, np.finfo(np.float64).tiny)
+    return np.sqrt(np.maximum(eigenvalues, 0.0) * scale), vectors.T
+
+
+def group_moments(samples: Samples) -> Float[np.ndarray, "g r r"]:
+    """sum Phi u u^T Phi^T of each trajectory: enough for the closed-form start on any choice of trajectories."""
+    moments = np.zeros((samples.n_groups, samples.n_rows, samples.n_rows))
+    for block in samples.blocks():
+        r = np.einsum("npv,nv->np", block.Phi, block.u, optimize=True)
+        np.add.at(moments, block.group, r[:, :, None] * r[:, None, :])
+    return moments
+
+
+def fit_null_space(
+    samples: Samples, start: Float[np.ndarray, "s r"], velocity: Velocity | None = None, tolerance: float = 1e-14
+) -> NullSpaceFit:
+    """Gauss-Newton on the Grassmann manifold for equation (10), E = sum w^T A^+ A w, from a start.
+
+    With dLambda = B Lambda_perp the gradient is 2 sum (A^{+T} w)(Lambda_perp Phi N w)^T; each step solves for B and
+    retracts by orthonormalising Lambda + B Lambda_perp. Steps that do not lower the cost are shortened
+    (Levenberg-Marquardt).
+
+    Args:
+        samples: What was recorded.
+        start: Lambda in whitened coordinates.
+        velocity: The null-space part w of a block; the recorded u by default.
+        tolerance: Step length at which to stop.
+    """
+    Lambda = orthonormal_rows(start)
+    s, r = Lambda.shape
+    state = _moments(samples, Lambda, velocity)
+    damping, iterations = 0.0, 0
+    while iterations < MAX_ITERATIONS and s < r:
+        iterations += 1
+        gradient, H = state.scores.sum(axis=0), state.curvatures.sum(axis=0)
+        scale = max(float(np.trace(H)) / H.shape[0], np.finfo(np.float64).tiny)
+        B = -np.linalg.lstsq(H + damping * scale * np.eye(H.shape[0]), gradient.reshape(-1), rcond=1e-14)[0]
+        B = B.reshape(s, r - s)
+        moved = orthonormal_rows(Lambda + B @ complement_rows(Lambda))
+        trial = _moments(samples, moved, velocity)
+        if trial.cost <= state.cost:
+            small = float(np.linalg.norm(B)) < tolerance
+            no_gain = trial.cost >= state.cost * (1.0 - 1e-12)
+            Lambda, state, damping = moved, trial, damping * 0.1 if damping > 1e-9 else 0.0
+            if small or no_gain:
+                break
+        elif float(np.linalg.norm(B)) < 1e-12 or damping > 1e6:
+            break  # rounding is all that is left
+        else:
+            damping = max(1e-3, damping * 10.0)
+    return NullSpaceFit(Lambda, state.cost, state.energy, iterations, state.scores, state.curvatures)
+
+
+def _moments(samples: Samples, Lambda: np.ndarray, velocity: Velocity | None) -> NullSpaceFit:
+    s, r = Lambda.shape
+    perp, k = complement_rows(Lambda), r - s
+    scores = np.zeros((samples.n_groups, s, k))
+    curvatures = np.zeros((samples.n_groups, s * k, s * k))
+    cost = energy = 0.0
+    for block in samples.blocks():
+        w = block.u if velocity is None else velocity(block)
+        A = np.einsum("sr,nrv->nsv", Lambda, block.Phi, optimize=True)
+        Q, R = batch_row_spaces(A)
+        along = np.einsum("nvs,nv->ns", Q[:, :, :s], w, optimize=True)
+        null = w - np.einsum("nvs,ns->nv", Q[:, :, :s], along, optimize=True)
+        cost += float(np.sum(along**2))
+        energy += float(np.sum(w**2))
+        if k == 0:
+            continue
+        R_inverse = inverse_triangles(R)
+        a = np.einsum("nij,nj->ni", R_inverse, along, optimize=True)  # A^{+T} w
+        g = np.einsum("kr,nrv,nv->nk", perp, block.Phi, null, optimize=True)
+        np.add.at(scores, block.group, a[:, :, None] * g[:, None, :])
+        inverse_gram = R_inverse @ R_inverse.transpose(0, 2, 1)  # (A A^T)^-1
+        H = np.einsum("nij,nk,nl->nikjl", inverse_gram, g, g, optimize=True)
+        np.add.at(curvatures, block.group, H.reshape(len(w), s * k, s * k))
+    n = len(samples)
+    return NullSpaceFit(Lambda, cost / n, energy / n, 0, scores, curvatures)
+
+
+def inverse_triangles(R: Float[np.ndarray, "n s s"]) -> Float[np.ndarray, "n s s"]:
+    """Inverses of stacked upper triangles; zero where a sample's constraint loses rank, so that it has no say."""
+    s = R.shape[1]
+    diagonal = np.abs(np.einsum("nii->ni", R))
+    usable = np.min(diagonal, axis=1) > 1e-9 * np.max(diagonal, axis=1)
+    safe = np.where(usable[:, None, None], R, np.eye(s))
+    return np.where(usable[:, None, None], np.linalg.inv(safe), 0.0)

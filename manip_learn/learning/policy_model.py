@@ -1,0 +1,77 @@
+"""Models of the null-space policy that are linear in their parameters: pi(q) = Theta^T beta(q)."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from itertools import combinations_with_replacement
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+from scipy.cluster.vq import kmeans2
+
+
+class PolicyModel(ABC):
+    """Regressors beta(x) of shifted and scaled postures x.
+
+    Attributes:
+        name: For reports.
+        n_terms: Number of regressors k.
+    """
+
+    name: str
+    n_terms: int
+
+    @abstractmethod
+    def __call__(self, x: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n k"]:
+        """beta(x), one row a posture."""
+
+
+@final
+class PolynomialModel(PolicyModel):
+    """All monomials up to a degree: 0 constant, 1 affine, 2 quadratic, 3 cubic."""
+
+    NAMES = ("constant", "affine", "quadratic", "cubic")
+
+    def __init__(self, degree: int, m: int):
+        self.degree = degree
+        self.name = self.NAMES[degree] if degree < len(self.NAMES) else f"degree {degree}"
+        self._terms = [c for d in range(1, degree + 1) for c in combinations_with_replacement(range(m), d)]
+        self.n_terms = 1 + len(self._terms)
+
+    def __call__(self, x: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n k"]:
+        """1, x_i, x_i x_j, ..."""
+        out = np.empty((x.shape[0], self.n_terms))
+        out[:, 0] = 1.0
+        for column, term in enumerate(self._terms, start=1):
+            out[:, column] = np.prod(x[:, term], axis=1)
+        return out
+
+
+@final
+class RadialModel(PolicyModel):
+    """Normalised Gaussian radial basis functions with one shared width.
+
+    Args:
+        x: Postures among which k-means puts the centres.
+        n_centres: Number of centres.
+        rng: For k-means.
+        width: Width in units of the mean distance between neighbouring centres.
+    """
+
+    def __init__(self, x: Float[np.ndarray, "n m"], n_centres: int, rng: np.random.Generator, width: float = 2.0):
+        self.name = f"rbf{n_centres}"
+        few = x if len(x) <= 4000 else x[rng.choice(len(x), 4000, replace=False)]
+        self.centres, _ = kmeans2(few, min(n_centres, len(np.unique(few, axis=0))), minit="++", seed=rng)
+        gaps = np.linalg.norm(self.centres[:, None] - self.centres[None], axis=2)
+        np.fill_diagonal(gaps, np.inf)
+        nearest = float(np.mean(np.min(gaps, axis=1))) if len(self.centres) > 1 else 1.0
+        self.width = width * max(nearest, 1e-6)
+        self.n_terms = int(self.centres.shape[0])
+
+    def __call__(self, x: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n k"]:
+        """Shares of the centres, each row summing to 1."""
+        d2 = np.sum((x[:, None, :] - self.centres[None]) ** 2, axis=2) / (2.0 * self.width**2)
+        d2 -= d2.min(axis=1, keepdims=True)  # the nearest centre always counts: no 0 / 0 far away
+        phi = np.exp(-d2)
+        return phi / phi.sum(axis=1, keepdims=True)

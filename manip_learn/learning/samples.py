@@ -1,0 +1,160 @@
+"""What the estimators see: postures, velocities and whitened features, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from manip_learn.demonstrations import Demonstrations
+from manip_learn.errors import NotIdentifiableError, RecordingError
+from manip_learn.features.feature_map import FeatureMap
+
+BLOCK = 4096
+# rows of Phi below this share of the largest (after scaling each to its own size) are linear copies or identically zero
+PRUNE_RATIO = 1e-6
+# Phi of more samples than this is computed anew at each pass instead of kept [numbers]
+KEEP_LIMIT = 3e7
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Some samples.
+
+    Attributes:
+        Phi: Whitened features, shape (n, p', nv).
+        u: Velocities, shape (n, nv).
+        x: Postures shifted and scaled to about [-1, 1], shape (n, m): the regressors of policy models.
+        group: Trajectory of each sample, shape (n,).
+    """
+
+    Phi: Float[np.ndarray, "n p nv"]
+    u: Float[np.ndarray, "n nv"]
+    x: Float[np.ndarray, "n m"]
+    group: Int[np.ndarray, " n"]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """All samples of some demonstrations, with the features whitened: sum Phi' Phi'^T / n = I.
+
+    Whitening makes every estimator indifferent to the units of the rows (m beside rad), and noise on u equally strong
+    in every row. Combinations of rows that are (numerically) always zero are taken out here.
+
+    Attributes:
+        features: Phi.
+        q: Postures, shape (n, nq).
+        u: Velocities, shape (n, nv).
+        group: Trajectory of each sample, counted from 0, shape (n,).
+        whitening: W, shape (p', p), with Phi' = W Phi.
+        centre, spread: x = (q - centre) / spread.
+    """
+
+    features: FeatureMap
+    q: Float[np.ndarray, "n nq"]
+    u: Float[np.ndarray, "n nv"]
+    group: Int[np.ndarray, " n"]
+    whitening: Float[np.ndarray, "r p"]
+    centre: Float[np.ndarray, " nq"]
+    spread: Float[np.ndarray, " nq"]
+    _kept: list[np.ndarray] = field(default_factory=list, repr=False)
+
+    @staticmethod
+    def collect(features: FeatureMap, demonstrations: Demonstrations) -> Samples:
+        """Samples of demonstrations with velocities.
+
+        Raises:
+            RecordingError: A trajectory lacks velocities, or acts on another number of joints.
+            NotIdentifiableError: Every feature row is zero throughout.
+        """
+        for t in demonstrations:
+            if t.u is None:
+                raise RecordingError(f"{t.name} has no velocities: derive them first", code="no-velocities")
+            if t.u.shape[1] != features.nv:
+                raise RecordingError(
+                    f"{t.name} has {t.u.shape[1]} joint velocities, the features act on {features.nv}", code="shape"
+                )
+        q = np.concatenate([t.q for t in demonstrations])
+        u = np.concatenate([t.u for t in demonstrations])  # type: ignore[misc]
+        group = np.repeat(np.arange(len(demonstrations)), [len(t) for t in demonstrations])
+        centre = 0.5 * (q.max(axis=0) + q.min(axis=0))
+        spread = np.maximum(0.5 * (q.max(axis=0) - q.min(axis=0)), 1e-9)
+        raw = Samples(features, q, u, group, np.eye(features.n_rows), centre, spread)
+        S = np.zeros((features.n_rows, features.n_rows))
+        for block in raw.blocks():
+            S += np.einsum("niv,njv->ij", block.Phi, block.Phi, optimize=True)
+        whitening = _whitening(S / len(q), features)
+        return Samples(features, q, u, group, whitening, centre, spread, raw._kept)
+
+    def __len__(self) -> int:
+        return int(self.u.shape[0])
+
+    @property
+    def nv(self) -> int:
+        """Number of velocities."""
+        return int(self.u.shape[1])
+
+    @property
+    def n_rows(self) -> int:
+        """Number of whitened rows p'."""
+        return int(self.whitening.shape[0])
+
+    @property
+    def n_groups(self) -> int:
+        """Number of trajectories."""
+        return int(self.group[-1]) + 1 if len(self) else 0
+
+    def blocks(self) -> Iterator[Block]:
+        """The samples in order, at most BLOCK at a time."""
+        keep = len(self) * self.features.n_rows * self.nv <= KEEP_LIMIT
+        for i, start in enumerate(range(0, len(self), BLOCK)):
+            part = slice(start, start + BLOCK)
+            if i < len(self._kept):
+                raw = self._kept[i]
+            else:
+                raw = self.features.batch(self.q[part])
+                if keep:
+                    self._kept.append(raw)
+            x = (self.q[part] - self.centre) / self.spread
+            n, p, nv = raw.shape
+            Phi = (self.whitening @ raw.transpose(1, 0, 2).reshape(p, n * nv)).reshape(-1, n, nv).transpose(1, 0, 2)
+            yield Block(Phi, self.u[part], x, self.group[part])
+
+    def subset(self, keep: np.ndarray) -> Samples:
+        """The samples where the mask is true, in the same whitened coordinates."""
+        _, group = np.unique(self.group[keep], return_inverse=True)
+        return Samples(
+            self.features, self.q[keep], self.u[keep], group, self.whitening, self.centre, self.spread
+        )
+
+    def selection(self, whitened: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "s p"]:
+        """Lambda in the features' own units, with orthonormal rows, from a Lambda in whitened coordinates."""
+        _, _, Vt = np.linalg.svd(whitened @ self.whitening, full_matrices=False)
+        return Vt
+
+    @property
+    def energy(self) -> float:
+        """Mean of |u|^2."""
+        return float(np.mean(np.einsum("ni,ni->n", self.u, self.u)))
+
+
+def _whitening(S: np.ndarray, features: FeatureMap) -> Float[np.ndarray, "r p"]:
+    size = np.sqrt(np.diag(S))
+    if not np.any(size > 0.0):
+        raise NotIdentifiableError(
+            f"all rows of {features!r} are zero on these demonstrations: choose axes in which the frame can move",
+            code="zero-features",
+        )
+    # rows that are zero but for rounding, beside rows of the same unit
+    for unit in set(features.row_units):
+        same = [i for i, other in enumerate(features.row_units) if other == unit]
+        size[same] = np.where(size[same] > PRUNE_RATIO * np.max(size[same]), size[same], 0.0)
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
+    eigenvalues, vectors = np.linalg.eigh(scale[:, None] * S * scale)
+    kept = eigenvalues > PRUNE_RATIO**2 * eigenvalues[-1] + 1e-15 * len(size)
+    return (vectors[:, kept] / np.sqrt(eigenvalues[kept])).T * scale
