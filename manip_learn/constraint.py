@@ -15,7 +15,7 @@ from manip_learn.atomic_write import write_atomically
 from manip_learn.demonstrations import Trajectory
 from manip_learn.errors import ConstraintError, ConstraintMismatchError, ManipLearnError
 from manip_learn.features.centre_of_mass import CentreOfMass
-from manip_learn.features.feature_map import FeatureMap
+from manip_learn.features.feature_map import Contraction, FeatureMap
 from manip_learn.features.frame_jacobian import FrameJacobian
 from manip_learn.features.stacked import Stacked
 from manip_learn.linalg import orthonormal_rows
@@ -74,6 +74,12 @@ class Constraint:
         Phi, dPhi = self.features.value_and_derivative(q)
         dA = self.selection @ dPhi.reshape(dPhi.shape[0], -1)
         return self.selection @ Phi, dA.reshape(-1, *dPhi.shape[1:])
+
+    def value_and_contraction(self, q: ArrayLike) -> tuple[Float[np.ndarray, "s nv"], Contraction]:
+        """A(q), and the function weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, shape (nv,); no dA/dq is formed."""
+        Phi, contract = self.features.value_and_contraction(q)
+        selection = self.selection
+        return selection.dot(Phi), lambda weights: contract(selection.T.dot(weights))
 
     def residual(self, demonstrations: Iterable[Trajectory]) -> float:
         """Fraction of the motion that breaks A(q) u = 0: sqrt(sum |A^+ A u|^2 / sum |u|^2), 0 to 1.

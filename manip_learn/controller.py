@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple, final
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint import Constraint
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
-from manip_learn.linalg import Inverse, inverse_singular_values, matlab_tolerance
+from manip_learn.linalg import Inverse, inverse_singular_values, matlab_tolerance, svd
 from manip_learn.manipulability_measure import SINGULAR_RATIO
 from manip_learn.policies.manipulability_ascent import ManipulabilityAscent
 from manip_learn.policies.policy import NullSpacePolicy
@@ -18,9 +19,12 @@ from manip_learn.policies.zero_policy import ZeroPolicy
 from manip_learn.robot.robot import Robot
 from manip_learn.tasks.hold import Hold
 from manip_learn.tasks.task import Task
+from manip_learn.velocity_room import VelocityRoom
 
 # worst first: a command has one status, the gravest thing that was done to it
 STATUSES = ("singular", "position-limited", "velocity-limited", "damped", "null-scaled", "ok")
+# a smallest singular value above this share of the largest is above every rank tolerance: no need to compute that
+FULL_RANK = 1e-9
 
 
 @final
@@ -102,6 +106,7 @@ class ResolvedRateController:
         self.limits = bool(limits)
         self.dt = float(dt)
         self.robot: Robot | None = robot or getattr(constraint.features, "robot", None)
+        self._room = VelocityRoom(self.robot) if self.limits and self.robot is not None else None
         self._shares_constraint = (
             isinstance(self.null_policy, ManipulabilityAscent) and self.null_policy.constraint is constraint
         )
@@ -119,17 +124,31 @@ class ResolvedRateController:
             TargetError: The task's target does not fit the constraint.
         """
         q = self._checked_posture(q)
-        A, pi = self._matrix_and_policy(q, t)
-        b = self._checked(self.task.velocity(self.constraint, q, t), A.shape[0], "the task's velocity b")
-        U, sigma, Vt = np.linalg.svd(A, full_matrices=True)
-        gains = inverse_singular_values(sigma, A.shape, self.inverse, self.threshold, self.damping)
-        k = sigma.shape[0]
-        task_part = Vt[:k].T @ (gains * (U[:, :k].T @ b))
-        rank = int(np.count_nonzero(sigma > matlab_tolerance(sigma, A.shape)))
+        constraint = self.constraint
+        if self._shares_constraint:  # one Hessian and one decomposition serve both
+            A, contract = constraint.value_and_contraction(q)
+            U, sigma, Vt = svd(A)
+            pi = self.null_policy.from_decomposition(A.shape, (U, sigma, Vt), contract)  # type: ignore[attr-defined]
+        else:
+            A = constraint(q)
+            U, sigma, Vt = svd(A)
+            pi = self._checked(self.null_policy(q, t), A.shape[1], "the null-space policy's velocity")
+        b = self._checked(self.task.velocity(constraint, q, t), A.shape[0], "the task's velocity b")
+        values = sigma.tolist()
+        k = len(values)
+        gains, rank = self._gains_and_rank(sigma, values, A.shape)
+        task_part = (gains * b.dot(U[:, :k])).dot(Vt[:k])
         Z = Vt[rank:]
-        null_part = Z.T @ (Z @ pi)
-        mu = float(np.prod(sigma)) if A.shape[0] <= A.shape[1] else 0.0
-        return self._limited(q, dt or self.dt, b, task_part, null_part, mu, sigma)
+        null_part = Z.dot(pi).dot(Z)
+        mu = math.prod(values) if A.shape[0] <= A.shape[1] else 0.0
+        return self._limited(q, dt or self.dt, b, task_part, null_part, mu, values)
+
+    def _gains_and_rank(self, sigma: np.ndarray, values: list[float], shape: tuple[int, ...]) -> tuple[np.ndarray, int]:
+        full = FULL_RANK * values[0]
+        if values[-1] > full and (self.inverse != "damped" or values[-1] >= self.threshold):
+            return 1.0 / sigma, len(values)  # nothing to damp or to drop: the case of nearly every step
+        gains = inverse_singular_values(sigma, shape, self.inverse, self.threshold, self.damping)
+        return gains, int(np.count_nonzero(sigma > matlab_tolerance(sigma, shape)))
 
     def _checked_posture(self, q: ArrayLike) -> np.ndarray:
         if self.robot is not None:
@@ -139,17 +158,10 @@ class ResolvedRateController:
             raise ConfigurationError(f"the posture is not finite: {vector.tolist()}")
         return vector
 
-    def _matrix_and_policy(self, q: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
-        if self._shares_constraint:  # one Hessian serves both
-            A, dA = self.constraint.value_and_derivative(q)
-            return A, self.null_policy.from_constraint_matrix(A, dA)  # type: ignore[attr-defined]
-        A = self.constraint(q)
-        return A, self._checked(self.null_policy(q, t), A.shape[1], "the null-space policy's velocity")
-
     @staticmethod
     def _checked(vector: ArrayLike, size: int, what: str) -> np.ndarray:
         array = np.asarray(vector, dtype=np.float64)
-        if array.shape != (size,) or not np.all(np.isfinite(array)):
+        if array.shape != (size,) or not all(map(math.isfinite, array.tolist())):
             raise TargetError(f"{what} must be {size} finite numbers, got {array.tolist()}")
         return array
 
@@ -161,19 +173,18 @@ class ResolvedRateController:
         task_part: np.ndarray,
         null_part: np.ndarray,
         mu: float,
-        sigma: np.ndarray,
+        sigma: list[float],
     ) -> Command:
         task_scale = null_scale = 1.0
         position_bound = False
-        if self.limits and self.robot is not None:
-            lower, upper, at_position = self._velocity_bounds(self.robot, q, dt)
-            task_scale, joint = _largest_share(task_part, lower, upper)
-            position_bound = joint >= 0 and bool(at_position[joint])
-            task_part = task_scale * task_part
-            null_scale, _ = _largest_share(null_part, lower - task_part, upper - task_part)
-            null_part = null_scale * null_part
+        if self._room is not None:
+            task_scale, null_scale, position_bound = self._room.shares(q, dt, task_part, null_part)
+            if task_scale < 1.0:
+                task_part = task_scale * task_part
+            if null_scale < 1.0:
+                null_part = null_scale * null_part
         velocity = task_part + null_part
-        if not np.all(np.isfinite(velocity)):
+        if not all(map(math.isfinite, velocity.tolist())):
             raise ConfigurationError(
                 f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {sigma[-1]:.1e}): "
                 "use inverse='damped'"
@@ -186,37 +197,10 @@ class ResolvedRateController:
             status = "damped"
         else:
             status = "null-scaled" if null_scale < 1.0 else "ok"
-        return Command(
-            velocity, status, mu, b, task_part, null_part, task_scale, null_scale, float(sigma[-1])
-        )
-
-    @staticmethod
-    def _velocity_bounds(robot: Robot, q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        positions = robot.positions(q)
-        # standing still is always allowed, also outside the limits
-        to_lower = np.minimum((robot.position_lower - positions) / dt, 0.0)
-        to_upper = np.maximum((robot.position_upper - positions) / dt, 0.0)
-        limit = robot.velocity_limit
-        return (
-            np.maximum(-limit, to_lower),
-            np.minimum(limit, to_upper),
-            (to_lower > -limit) | (to_upper < limit),
-        )
+        return Command(velocity, status, mu, b, task_part, null_part, task_scale, null_scale, sigma[-1])
 
     def __repr__(self) -> str:
         return (
             f"ResolvedRateController({self.constraint!r}, task={self.task!r}, null_policy={self.null_policy!r}, "
             f"inverse={self.inverse!r})"
         )
-
-
-def _largest_share(v: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[float, int]:
-    """Largest share in [0, 1] of v that stays within the bounds, and the joint that binds (-1: none)."""
-    bound = np.where(v > 0.0, upper, lower)
-    ratio = np.full(v.shape, np.inf)
-    np.divide(bound, v, out=ratio, where=v != 0.0)
-    ratio = np.maximum(ratio, 0.0)
-    joint = int(np.argmin(ratio)) if ratio.size else -1
-    if joint < 0 or ratio[joint] >= 1.0:
-        return 1.0, -1
-    return float(ratio[joint]), joint

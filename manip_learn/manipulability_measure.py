@@ -6,12 +6,15 @@ grad mu, equation (13), without a division.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint import Constraint
-from manip_learn.linalg import EPS
+from manip_learn.features.feature_map import Contraction
+from manip_learn.linalg import EPS, svd
 
 # below this ratio to the largest singular value the left singular vectors of zero and non-zero are mixed by rounding
 SINGULAR_RATIO = 64.0 * EPS
@@ -46,8 +49,8 @@ def manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.nd
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
     """
-    A, dA = constraint.value_and_derivative(q)
-    return gradient_of(A, dA)[1]
+    A, contract = constraint.value_and_contraction(q)
+    return gradient_from(A.shape, svd(A), contract)[1]
 
 
 def log_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " nv"]:
@@ -59,36 +62,44 @@ def log_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[n
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
     """
-    A, dA = constraint.value_and_derivative(q)
-    mu, gradient, floor = gradient_of(A, dA)
+    A, contract = constraint.value_and_contraction(q)
+    mu, gradient, floor = gradient_from(A.shape, svd(A), contract)
     return gradient / max(mu, floor, np.finfo(np.float64).tiny)
 
 
 def gradient_of(
     A: Float[np.ndarray, "s nv"], dA: Float[np.ndarray, "s nv nv"]
 ) -> tuple[float, Float[np.ndarray, " nv"], float]:
-    """mu, its gradient, and the mu below which a singularity cannot be told from rounding, from A and dA/dq.
+    """mu, its gradient, and the mu below which a singularity cannot be told from rounding, from A and dA/dq."""
+    flat = dA.reshape(-1, A.shape[1])
+    return gradient_from(A.shape, svd(A), lambda weights: weights.reshape(-1).dot(flat))
+
+
+def gradient_from(
+    shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], contract: Contraction
+) -> tuple[float, Float[np.ndarray, " nv"], float]:
+    """The same from the shape of A, its singular value decomposition, and weights -> sum_ij weights_ij dA_ij / dq_k.
 
     d mu / d q_k = sum_i (prod_{j != i} sigma_j) u_i^T (dA / dq_k) v_i.
     """
-    s, nv = A.shape
+    s, nv = shape
     if s > nv:
         return 0.0, np.zeros(nv), 0.0
-    U, sigma, Vt = np.linalg.svd(A, full_matrices=True)
-    others = products_of_others(sigma)
-    mu = float(others[0] * sigma[0])
-    floor = float(SINGULAR_RATIO * sigma[0] * others[-1])
-    if sigma[-1] <= SINGULAR_RATIO * sigma[0]:
-        return mu, _cone_ascent(U[:, -1], Vt[s - 1 :], float(others[-1]), dA), floor
-    # W_ij = sum_i others_i u_i v_i^T, so that the gradient is one contraction
-    W = (U * others) @ Vt[:s]
-    return mu, W.reshape(-1) @ dA.reshape(s * nv, nv), floor
+    U, sigma, Vt = decomposition
+    values = sigma.tolist()
+    others = products_of_others(values)
+    mu = others[0] * values[0]
+    floor = SINGULAR_RATIO * values[0] * others[-1]
+    if values[-1] <= SINGULAR_RATIO * values[0]:
+        return mu, _cone_ascent(U[:, -1], Vt[s - 1 :], others[-1], contract), floor
+    # W = sum_i others_i u_i v_i^T, so that the gradient is one contraction
+    return mu, contract((U * others).dot(Vt[:s])), floor
 
 
-def products_of_others(sigma: Float[np.ndarray, " s"]) -> Float[np.ndarray, " s"]:
+def products_of_others(sigma: Sequence[float]) -> list[float]:
     """prod_{j != i} sigma_j for each i, without a division."""
-    s = sigma.shape[0]
-    out = np.ones(s)
+    s = len(sigma)
+    out = [1.0] * s
     for i in range(1, s):
         out[i] = out[i - 1] * sigma[i - 1]
     behind = 1.0
@@ -99,10 +110,10 @@ def products_of_others(sigma: Float[np.ndarray, " s"]) -> Float[np.ndarray, " s"
 
 
 def _cone_ascent(
-    u_min: Float[np.ndarray, " s"], V_null: Float[np.ndarray, "k nv"], scale: float, dA: Float[np.ndarray, "s nv nv"]
+    u_min: Float[np.ndarray, " s"], V_null: Float[np.ndarray, "k nv"], scale: float, contract: Contraction
 ) -> Float[np.ndarray, " nv"]:
     """Steepest ascent of |M step| with M[r, k] = scale * u_min^T (dA / dq_k) v_r, v_r spanning the null space of A."""
-    M = scale * (V_null @ np.tensordot(u_min, dA, axes=1))
+    M = scale * np.stack([contract(np.outer(u_min, v)) for v in V_null])
     _, rate, Wt = np.linalg.svd(M, full_matrices=False)
     direction = Wt[0]
     if direction[np.argmax(np.abs(direction))] < 0.0:

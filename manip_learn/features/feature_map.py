@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from manip_learn.errors import FeatureError, TargetError
 
 CHUNK = 512  # configurations whose dPhi/dq are held at a time
+Contraction = Callable[[Float[np.ndarray, "p nv"]], Float[np.ndarray, " nv"]]
 Weigh = Callable[[Float[np.ndarray, "p nv m"], slice], Float[np.ndarray, "p nv m"]]
 
 
@@ -45,6 +46,15 @@ class FeatureMap(ABC):
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
         """Phi(q) and dPhi/dq together, cheaper than one by one where a child shares work."""
         return self(q), self.derivative(q)
+
+    def value_and_contraction(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Contraction]:
+        """Phi(q), and the function weights (p, nv) -> sum_ij weights_ij dPhi_ij / dq_k, shape (nv,).
+
+        All that the gradient of a scalar function of Phi needs, without dPhi/dq where a child knows a shorter way.
+        """
+        Phi, dPhi = self.value_and_derivative(q)
+        flat = dPhi.reshape(-1, self.nv)
+        return Phi, lambda weights: weights.reshape(-1).dot(flat)
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
         """Phi at n configurations, the rows of q."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, final
 
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from manip_learn.errors import FeatureError, TargetError
-from manip_learn.features.feature_map import FeatureMap, Weigh
+from manip_learn.features.feature_map import Contraction, FeatureMap, Weigh
 from manip_learn.robot.batch import batch_kinematics
 from manip_learn.robot.robot import Reference, Robot
 
@@ -69,6 +70,7 @@ class FrameJacobian(FeatureMap):
         self.nv = robot.nv
         rows = [AXES.index(n) for n in self.row_names]
         self._row_numbers = tuple(rows)
+        self._only_linear = reference == "world" and max(rows) < 3
         # a slice makes views where fancy indexing would copy
         contiguous = rows == list(range(rows[0], rows[0] + len(rows)))
         self._rows: Any = slice(rows[0], rows[0] + len(rows)) if contiguous else np.array(rows)
@@ -93,6 +95,18 @@ class FrameJacobian(FeatureMap):
         """Phi(q) and dPhi/dq at the cost of one Hessian."""
         J, H = self.robot.jacobian_and_derivative(q, self.frame, self.reference)
         return J[self._rows], H[self._rows]
+
+    def value_and_contraction(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Contraction]:
+        """Phi(q) and weights -> sum_ij weights_ij dPhi_ij / dq_k (see `FeatureMap`)."""
+        J, contract = self.robot.jacobian_and_contraction(q, self.frame, self.reference)
+        rows, nv = self._rows, self.nv
+
+        def contract_rows(weights: np.ndarray) -> np.ndarray:
+            every_row = np.zeros((nv, 6))
+            every_row[:, rows] = weights.T
+            return contract(every_row)
+
+        return J[rows], contract_rows
 
     def batch(self, q: ArrayLike, *, compiled: bool | None = None) -> Float[np.ndarray, "n p nv"]:
         """Phi at n postures, the rows of q, in bulk.
@@ -136,6 +150,11 @@ class FrameJacobian(FeatureMap):
             TargetError: Wrong size, not finite, or a local map that needs all of x y z (or rx ry rz) or a pose.
         """
         goal = np.asarray(target, dtype=np.float64)
+        if self._only_linear and goal.shape == (self.n_rows,):
+            # the usual reaching task, many times a second: no orientation is needed
+            displacement = goal - self.robot.pose(q, self.frame)[self._rows, 3]
+            if math.isfinite(displacement.dot(displacement)):
+                return displacement
         pose = self.robot.pose(q, self.frame)
         p, R = pose[:3, 3], pose[:3, :3]
         if goal.shape == (4, 4):

@@ -9,7 +9,9 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint import Constraint
-from manip_learn.manipulability_measure import gradient_of
+from manip_learn.features.feature_map import Contraction
+from manip_learn.linalg import svd
+from manip_learn.manipulability_measure import gradient_from
 from manip_learn.policies.policy import NullSpacePolicy
 
 
@@ -37,13 +39,14 @@ class ManipulabilityAscent(NullSpacePolicy):
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
-        return self.from_constraint_matrix(*self.constraint.value_and_derivative(q))
+        A, contract = self.constraint.value_and_contraction(q)
+        return self.from_decomposition(A.shape, svd(A), contract)
 
-    def from_constraint_matrix(
-        self, A: Float[np.ndarray, "s nv"], dA: Float[np.ndarray, "s nv nv"]
+    def from_decomposition(
+        self, shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], contract: Contraction
     ) -> Float[np.ndarray, " nv"]:
-        """The same from A(q) and dA/dq, where the controller has them already."""
-        mu, gradient, floor = gradient_of(A, dA)
+        """The same from what the controller has already, see `gradient_from`."""
+        mu, gradient, floor = gradient_from(shape, decomposition, contract)
         if self.logarithmic:
             return gradient * (self.gain / max(mu, floor, 1e-300))
         return gradient * self.gain

@@ -41,6 +41,27 @@ def closed_form(
     return np.concatenate([dv, dw], axis=2).transpose(2, 0, 1)
 
 
+def centre_of_mass_derivative(
+    model: pin.Model,
+    Jc: Float[np.ndarray, "3 nv"],
+    w: Float[np.ndarray, "nv 3"],
+    joint_of_column: Int[np.ndarray, " nv"],
+) -> Float[np.ndarray, "3 nv nv"]:
+    """dJc_i/dq_k of the centre of mass's Jacobian Jc, with the joints' angular columns w along the base axes.
+
+    For joint k at or above joint i: d Jc_i / d q_k = w_k x Jc_i; for k below i: w_i x Jc_k; else 0.
+    """
+    owner, c = joint_of_column, Jc.T
+    is_above = np.zeros((model.njoints, model.njoints), dtype=bool)
+    for j in range(model.njoints):
+        is_above[list(model.supports[j]), j] = True
+    k_above_i = is_above[owner[None, :], owner[:, None]]
+    i_above_k = is_above[owner[:, None], owner[None, :]] & ~k_above_i
+    H = np.where(k_above_i[..., None], np.cross(w[None, :], c[:, None]), 0.0)
+    H += np.where(i_above_k[..., None], np.cross(w[:, None], c[None, :]), 0.0)
+    return H.transpose(2, 0, 1)
+
+
 def reordered(H: np.ndarray, nv: int) -> Float[np.ndarray, "6 nv nv"]:
     """Entries [i, j, k] = d J_ij / d q_k out of Pinocchio's mislabelled buffer."""
     return H.reshape(nv, nv, 6).transpose(2, 1, 0)

@@ -20,6 +20,7 @@ from manip_learn.robot.frame import Frame
 from manip_learn.robot.joint_block import JointBlock, joint_kind
 from manip_learn.robot.kinematic_hessian import (
     REFERENCES,
+    centre_of_mass_derivative,
     closed_form,
     columns_to_joints,
     pinocchio_order_is_known,
@@ -420,8 +421,8 @@ class Robot:
             ConfigurationError: Wrong size or not finite.
         """
         data = self._data
-        pin.framesForwardKinematics(self._model, data, self._pin_q(q))
-        return data.oMf[frame.index].homogeneous.copy()
+        pin.forwardKinematics(self._model, data, self._pin_q(q))
+        return pin.updateFramePlacement(self._model, data, frame.index).homogeneous.copy()
 
     def pose_batch(self, q: ArrayLike, frame: Frame) -> Float[np.ndarray, "n 4 4"]:
         """`pose` at n postures, the rows of q.
@@ -468,6 +469,28 @@ class Robot:
             return J @ lift, np.einsum("iab,aj,bk->ijk", H, lift, lift, optimize=True)
         return J, H
 
+    def jacobian_and_contraction(
+        self, q: ArrayLike, frame: Frame, reference: Reference = "world"
+    ) -> tuple[Float[np.ndarray, "6 nv"], Callable[[Float[np.ndarray, "nv 6"]], Float[np.ndarray, " nv"]]]:
+        """Frame Jacobian J, and the function that takes weights (nv, 6), one a column and row of J, to
+        sum_ij weights_ji dJ_ij / dq_k: a gradient of J costs one product of a matrix and a vector.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        nv = self._model.nv
+        if not self._fast_hessian or self._coupling is not None:
+            J, H = self.jacobian_and_derivative(q, frame, reference)
+            by_column = H.transpose(1, 0, 2).reshape(6 * self.nv, self.nv)
+            return J, lambda weights: weights.reshape(-1).dot(by_column)
+        model, data, ref = self._model, self._data, REFERENCES[reference]
+        pin.computeJointKinematicHessians(model, data, self._pin_q(q))
+        pin.updateFramePlacement(model, data, frame.index)
+        J = pin.getFrameJacobian(model, data, frame.index, ref).reshape(6, nv)
+        # Pinocchio's buffer as it lies in memory is [k, j, i] (see `reordered`)
+        by_joint = pin.getFrameKinematicHessian(model, data, frame.index, ref).reshape(nv, 6 * nv)
+        return J, lambda weights: by_joint.dot(weights.reshape(-1))
+
     @property
     def mass(self) -> float:
         """Total mass of the moving and fixed links [kg]."""
@@ -480,22 +503,11 @@ class Robot:
     def centre_of_mass_jacobian_and_derivative(
         self, q: ArrayLike
     ) -> tuple[Float[np.ndarray, "3 nv"], Float[np.ndarray, "3 nv nv"]]:
-        """Jacobian of the centre of mass [m/s a joint velocity] and its exact derivative along tangent coordinates.
-
-        For joint k at or above joint i: d Jc_i / d q_k = w_k x Jc_i; for k below i: w_i x Jc_k; else 0.
-        """
+        """Jacobian of the centre of mass [m/s a joint velocity] and its exact derivative along tangent coordinates."""
         model, data = self._model, self._data
         Jc = np.array(pin.jacobianCenterOfMass(model, data, self._pin_q(q))).reshape(3, model.nv)
         w = np.array(data.J).reshape(6, model.nv)[3:].T
-        owner, c = self._columns_to_joints, Jc.T
-        is_above = np.zeros((model.njoints, model.njoints), dtype=bool)
-        for j in range(model.njoints):
-            is_above[list(model.supports[j]), j] = True
-        k_above_i = is_above[owner[None, :], owner[:, None]]
-        i_above_k = is_above[owner[:, None], owner[None, :]] & ~k_above_i
-        H = np.where(k_above_i[..., None], np.cross(w[None, :], c[:, None]), 0.0)
-        H += np.where(i_above_k[..., None], np.cross(w[:, None], c[None, :]), 0.0)
-        H = H.transpose(2, 0, 1)
+        H = centre_of_mass_derivative(model, Jc, w, self._columns_to_joints)
         if self._coupling is not None:
             lift = self._coupling.lift
             return Jc @ lift, np.einsum("iab,aj,bk->ijk", H, lift, lift, optimize=True)

@@ -1,0 +1,71 @@
+"""How much of a joint velocity fits between the limits."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.robot.robot import Robot
+
+
+@final
+class Shares(NamedTuple):
+    """Shares of the two parts of a command that fit, 0 to 1.
+
+    Attributes:
+        task: Of the task part.
+        null: Of the null-space part, in the room that the task part leaves.
+        position_bound: True if a position limit is what shortens the task part, not a velocity limit.
+    """
+
+    task: float
+    null: float
+    position_bound: bool
+
+
+@final
+class VelocityRoom:
+    """Velocity limits of a robot, and the position limits seen as velocities that reach them within dt.
+
+    Whole vectors are shortened, never single joints: that would bend the direction of the task. Plain numbers, as an
+    arm has too few joints for NumPy to pay.
+
+    Args:
+        robot: The robot.
+    """
+
+    def __init__(self, robot: Robot):
+        self._robot = robot
+        bounds = (robot.velocity_limit, robot.position_lower, robot.position_upper)
+        self._limits: list[tuple[float, float, float]] = list(zip(*(b.tolist() for b in bounds), strict=True))
+
+    def shares(
+        self,
+        q: Float[np.ndarray, " n"],
+        dt: float,
+        task_part: Float[np.ndarray, " nv"],
+        null_part: Float[np.ndarray, " nv"],
+    ) -> Shares:
+        """Largest shares that keep every joint within its bounds for the next dt.
+
+        Standing still is always allowed, also outside the limits.
+        """
+        task, position_bound = 1.0, False
+        room: list[tuple[float, float, float]] = []
+        positions = self._robot.positions(q).tolist()
+        for x, v, (limit, lower, upper) in zip(positions, task_part.tolist(), self._limits, strict=True):
+            low, high = (lower - x) / dt, (upper - x) / dt
+            low = -limit if low < -limit else min(low, 0.0)
+            high = limit if high > limit else max(high, 0.0)
+            room.append((low, high, v))
+            bound = high if v > 0.0 else low
+            if abs(bound) < abs(v) * task:
+                task, position_bound = bound / v, abs(bound) < limit
+        null = 1.0
+        for w, (low, high, v) in zip(null_part.tolist(), room, strict=True):
+            left = high - task * v if w > 0.0 else task * v - low
+            if left < abs(w) * null:
+                null = max(left, 0.0) / abs(w)
+        return Shares(task, null, position_bound)
