@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import json
-import os
 import re
-import stat
 import struct
 from pathlib import Path
 
 from manip_learn.errors import RobotError
+from manip_learn.robot.regular_file import read_regular_file
 
 MAX_MESH_BYTES = 50_000_000
 HEAD = 4_096
@@ -34,16 +34,10 @@ def checked_mesh(path: Path) -> bytes:
 
 def _read(path: Path) -> bytes:
     try:
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    except OSError as error:
-        raise _refusal(path, "mesh-missing", str(error.strerror)) from error
-    with os.fdopen(descriptor, "rb") as file:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            raise _refusal(path, "mesh-kind", "it is not a regular file")
-        if status.st_size > MAX_MESH_BYTES:
-            raise _refusal(path, "mesh-size", f"it has {status.st_size} bytes, at most {MAX_MESH_BYTES} are read")
-        content = file.read(MAX_MESH_BYTES + 1)
+        content = read_regular_file(path, MAX_MESH_BYTES)
+    except (OSError, ValueError) as error:
+        code = {errno.EFBIG: "mesh-size", errno.ENXIO: "mesh-kind"}.get(getattr(error, "errno", 0), "mesh-missing")
+        raise _refusal(path, code, str(error)) from error
     if not content:
         raise _refusal(path, "mesh-content", "it is empty")
     return content

@@ -32,6 +32,7 @@ KNOWN_ATTRIBUTES = {
 }
 JOINT_CHILDREN = {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"}
 LINK_CHILDREN = {"inertial", "visual", "collision", "contact", "self_collision_checking", "sensor", "verbose"}
+INERTIAL_CHILDREN = {"origin", "mass", "inertia"}
 MAX_NAME = 200  # [characters]
 RESERVED = ("universe",)
 FARTHEST = 1e6  # [m]
@@ -181,6 +182,7 @@ def _mimic(node: XmlNode, where: str, log: GateLog) -> UrdfMimic:
 
 
 def _inertial(node: XmlNode, where: str, log: GateLog) -> UrdfInertial:
+    _warn_unknown_children(node, INERTIAL_CHILDREN, where, log)
     mass_node, inertia_node = _only(node, "mass", where, log), _only(node, "inertia", where, log)
     mass = number(mass_node, "value", where, log) if mass_node is not None else None
     if mass is None:

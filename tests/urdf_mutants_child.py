@@ -1,0 +1,70 @@
+"""Loads mutants in a process of its own until the time or the seeds are used up.
+
+`python tests/urdf_mutants_child.py FIRST LAST SECONDS` prints one JSON object at the end. Before each mutant its seed
+is written to stdout as a bare number, so that the last number names the mutant that killed the process.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import signal
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from urdf_mutants import mutant
+
+from manip_learn.errors import ManipLearnError, RobotError
+from manip_learn.robot.urdf_robot import robot_from_urdf
+from manip_learn.robot.visuals import visual_shapes
+
+SECONDS_EACH = 5
+
+
+def outcome(content: bytes, rng: np.random.Generator) -> str:
+    """`accept`, `warn` or the code of the refusal."""
+    try:
+        robot = robot_from_urdf(content, Path("mutant.urdf"))
+    except RobotError as error:
+        return error.code
+    q = robot.random_configuration(rng)
+    frame = robot.frame(robot.frame_names[-1])
+    numbers = [robot.pose(q, frame), robot.jacobian(q, frame), *robot.jacobian_and_derivative(q, frame)]
+    if not all(np.isfinite(x).all() for x in numbers):
+        raise ArithmeticError("a loaded robot gives numbers that are not finite")
+    visual_shapes(robot, meshes=False)
+    return "warn" if robot.warnings else "accept"
+
+
+def main() -> None:
+    """Run the seeds."""
+    first, last, seconds = int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    rng, end = np.random.default_rng(first), time.monotonic() + seconds
+    seen: Counter[str] = Counter()
+    faults: list[str] = []
+    slowest = 0.0
+    for seed in range(first, last):
+        if time.monotonic() > end:
+            break
+        sys.stdout.write(f"{seed}\n")
+        sys.stdout.flush()
+        signal.alarm(SECONDS_EACH)
+        start = time.perf_counter()
+        try:
+            seen[outcome(mutant(seed), rng)] += 1
+        except ManipLearnError as error:
+            faults.append(f"{seed}: {type(error).__name__} after loading: {error}")
+        except (ArithmeticError, ValueError, TypeError, KeyError, IndexError, AttributeError, RuntimeError) as error:
+            faults.append(f"{seed}: {type(error).__name__}: {error}")
+        slowest = max(slowest, time.perf_counter() - start)
+        signal.alarm(0)
+    megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+    print(json.dumps({"seen": seen, "faults": faults, "slowest": slowest, "megabytes": megabytes}))
+
+
+if __name__ == "__main__":
+    main()
