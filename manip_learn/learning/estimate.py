@@ -25,6 +25,7 @@ class Estimate:
         gradients, hessians: Of each trajectory at the optimum, for the bootstrap.
         policy_model: Name of the policy model, if there is one.
         policy_residuals: Policy model -> held-out share of unexplained energy.
+        noise: Held-out residual energy a degree of freedom [(rad/s)^2]; 0 where there is no such thing.
         warnings: Doubts.
     """
 
@@ -37,4 +38,5 @@ class Estimate:
     hessians: Float[np.ndarray, "g m m"]
     policy_model: str | None = None
     policy_residuals: dict[str, float] = field(default_factory=dict)
+    noise: float = 0.0
     warnings: tuple[str, ...] = ()

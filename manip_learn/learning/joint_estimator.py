@@ -83,6 +83,7 @@ def estimate_joint(
         hessians,
         fit.model.name,
         residuals,
+        noise=chosen.held_out / (samples.nv - s),
     )
 
 
@@ -148,7 +149,7 @@ def _table(samples: Samples, scan: dict[int, Candidate]) -> GapTable:
     residuals = {s: float(np.sqrt(c.held_out / (samples.nv - s))) for s, c in scan.items()}
     floor = 1e-15 * float(np.sqrt(samples.energy))
     present = {s: r for s, r in residuals.items() if s == 0 or s - 1 in residuals}
-    return gaps_of_residuals(present, floor)
+    return gaps_of_residuals(present, floor, len(samples))
 
 
 def _chosen(

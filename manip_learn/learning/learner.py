@@ -30,7 +30,7 @@ ESTIMATORS = ("auto", "joint", "null-space", "separate")
 HELD_FRACTION = 1e-2
 # a policy model explains the motion if it predicts this much of trajectories that it has not seen
 EXPLAINED = 0.3
-# how far above the noise that the joint estimator sees a held direction may lie
+# how far above the noise that the joint estimator sees a held direction may lie (root mean square)
 NOISE_MARGIN = 1.3
 
 
@@ -154,8 +154,7 @@ class ConstraintLearner:
         if joint.held_out > EXPLAINED:
             return held  # no policy model predicts this motion: what is left is how little some directions are used
         # both explain the motion: it is held if the held directions show no more than the noise
-        noise = joint.held_out / (samples.nv - joint.selection.shape[0])
-        return held if held.unexplained / s <= NOISE_MARGIN**2 * noise else joint
+        return held if held.unexplained * samples.energy / s <= NOISE_MARGIN**2 * joint.noise else joint
 
     def _doubts(self, samples: Samples, estimate: Estimate) -> list[str]:
         """Warnings about the answer.

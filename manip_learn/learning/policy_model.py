@@ -56,10 +56,10 @@ class RadialModel(PolicyModel):
         x: Postures among which k-means puts the centres.
         n_centres: Number of centres.
         rng: For k-means.
-        width: Width in units of the mean distance between neighbouring centres.
+        width: Width in units of the mean distance between neighbouring centres; wide ones fit smooth policies best.
     """
 
-    def __init__(self, x: Float[np.ndarray, "n m"], n_centres: int, rng: np.random.Generator, width: float = 2.0):
+    def __init__(self, x: Float[np.ndarray, "n m"], n_centres: int, rng: np.random.Generator, width: float = 8.0):
         self.name = f"rbf{n_centres}"
         few = x if len(x) <= 4000 else x[rng.choice(len(x), 4000, replace=False)]
         self.centres, _ = kmeans2(few, min(n_centres, len(np.unique(few, axis=0))), minit="++", seed=rng)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 CLEAR_GAP = 10.0
 WEAK_GAP = 3.0
 # the joint estimator compares residuals of whole fits: noise enters both, so that less of a ratio says as much
-WEAK_RESIDUAL_GAP = 1.5
+WEAK_RESIDUAL_GAP = 1.3
 
 Verdict = Literal["clear", "weak", "none"]
 
@@ -24,18 +24,15 @@ class GapTable:
 
     Attributes:
         counts: Candidate numbers of rows s.
-        gaps: Ratio that speaks for each; the largest wins.
+        gaps: Ratio that speaks for each.
         weak_from: Gap from which a weak answer is given.
+        best: The number of rows that the gaps speak for.
     """
 
     counts: tuple[int, ...]
     gaps: tuple[float, ...]
     weak_from: float
-
-    @property
-    def best(self) -> int:
-        """The number of rows with the largest gap."""
-        return self.counts[int(np.argmax(self.gaps))]
+    best: int
 
     def gap(self, count: int) -> float:
         """Gap of a number of rows; 0 if it is no candidate."""
@@ -57,14 +54,21 @@ def gaps_of_levels(levels: Float[np.ndarray, " r"], nv: int) -> GapTable:
     floor = 1e-16 * max(float(levels[-1]), 1.0)
     padded = np.maximum(np.append(levels, 1.0), floor)
     counts = [s for s in range(1, r + 1) if s < nv]
-    return GapTable(tuple(counts), tuple(float(padded[s] / padded[s - 1]) for s in counts), WEAK_GAP)
+    gaps = tuple(float(padded[s] / padded[s - 1]) for s in counts)
+    return GapTable(tuple(counts), gaps, WEAK_GAP, counts[int(np.argmax(gaps))])
 
 
-def gaps_of_residuals(residuals: dict[int, float], floor: float) -> GapTable:
+def gaps_of_residuals(residuals: dict[int, float], floor: float, n_samples: int) -> GapTable:
     """Gaps between the held-out residuals [root mean square a degree of freedom] of fits with s - 1 and with s rows.
 
-    With too few rows the task's own motion is left over; with enough rows only noise is.
+    With too few rows the task's own motion is left over; with enough rows only noise is, and more rows change nothing.
+    So the last row that still helps is the answer, not the one that helps most: a task that moves much more along one
+    of its rows than along the other has its largest gap too early. What counts as help grows with the largest gap,
+    for imperfect policy models leave small differences, and with the chance of few samples.
     """
     counts = [s for s in sorted(residuals) if s > 0]
-    gaps = [max(residuals[s - 1], floor) / max(residuals[s], floor) for s in counts]
-    return GapTable(tuple(counts), tuple(gaps), WEAK_RESIDUAL_GAP)
+    gaps = tuple(max(residuals[s - 1], floor) / max(residuals[s], floor) for s in counts)
+    weak_from = max(WEAK_RESIDUAL_GAP, float(np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / n_samples))))
+    needed = max(weak_from, max(gaps) ** 0.25)
+    helping = [s for s, gap in zip(counts, gaps, strict=True) if gap >= needed]
+    return GapTable(tuple(counts), gaps, weak_from, helping[-1] if helping else counts[int(np.argmax(gaps))])
