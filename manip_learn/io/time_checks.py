@@ -51,7 +51,9 @@ def doubt_slow_time(
     step = float(np.median(np.diff(time)))
     if step < LONG_STEP:
         return
-    speed = float(np.max(np.percentile(np.abs(np.diff(q, axis=0)) / np.diff(time)[:, None], 99, axis=0), initial=0.0))
+    with np.errstate(over="ignore"):  # some stamps may differ by next to nothing
+        speeds = np.abs(np.diff(q, axis=0)) / np.diff(time)[:, None]
+    speed = float(np.max(np.percentile(speeds, 99, axis=0), initial=0.0))
     if 0.0 < speed < SLOW:
         unit = "ms" if step <= 1e3 else "us" if step <= 1e6 else "ns"
         raise unit_refusal(
