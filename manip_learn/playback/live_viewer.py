@@ -53,9 +53,9 @@ class LiveViewer:
     def __init__(self, robot: Robot, *, title: str = "", open_browser: bool = True, timeout: float = 10.0):
         self._robot = robot
         self._tree = kinematic_tree(robot)
-        self._start = clock.monotonic()
         name = title or robot.name or "robot"
         self._process = LiveProcess(lambda token: _live_page(robot, self._tree, name, token), timeout)
+        self._start = clock.monotonic()
         self._finalizer = weakref.finalize(self, self._process.close)
         if open_browser:
             webbrowser.open(self.url)

@@ -1,0 +1,217 @@
+"""The replay page: what goes in, what is refused, and what the file holds."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+import subprocess
+import sys
+import webbrowser
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from manip_learn.demonstrations import Trajectory
+from manip_learn.errors import ConfigurationError, OutputError, RecordingError, UnknownNameError
+from manip_learn.playback import replay
+from manip_learn.playback.page_writer import json_in_html
+from manip_learn.playback.palette import COLOURS, rollout_colours
+from manip_learn.playback.tip_frame import tip_frame
+from manip_learn.rollout import Rollout
+
+EVIL = '</script><script>window.hacked=1</script><img src=x onerror="window.hacked=2">'
+
+
+def waving(robot, duration=2.0, dt=0.01, phase=0.0):
+    """A rollout that waves around the robot's rest posture."""
+    time = np.arange(round(duration / dt) + 1) * dt
+    middle = robot.positions(robot.neutral())
+    swing = np.sin(np.outer(time, 1.0 + 0.3 * np.arange(robot.nv)) + phase)
+    mu = np.abs(np.cos(time + phase))
+    status = tuple("damped" if m < 0.3 else "ok" for m in mu)
+    q = middle + 0.4 * swing
+    return Rollout(time, q, np.gradient(q, dt, axis=0), mu, status, robot.joint_names, 0.0 * time)
+
+
+def data_in(path):
+    """What the page's program reads."""
+    text = path.read_text(encoding="utf-8")
+    return json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)[1])
+
+
+def unpacked(text, dtype="<f8"):
+    """An array as the page's program decodes it."""
+    return np.frombuffer(base64.b64decode(text), dtype)
+
+
+def test_sawyer_replay_is_small_and_whole(robot_of, tmp_path):
+    """Three rollouts of ten seconds fit into 3 MB, viewer included, in one file and nothing else."""
+    robot = robot_of("sawyer")
+    path = tmp_path / "new" / "replay.html"
+    result = replay(robot, {name: waving(robot, 10.0) for name in ("learnt", "zero", "attractor")}, path)
+    assert result.html == path.resolve()
+    assert result.bytes == path.stat().st_size < 3_000_000
+    assert result.notes == ()
+    assert [p.name for p in path.parent.iterdir()] == ["replay.html"]
+    assert [r["name"] for r in data_in(path)["rollouts"]] == ["learnt", "zero", "attractor"]
+
+
+def test_page_is_closed_off(robot_of, tmp_path):
+    """The policy allows the page's two scripts by their hashes and no connection; nothing is loaded from outside."""
+    robot = robot_of("planar3")
+    text = replay(robot, waving(robot), tmp_path / "a.html").html.read_text(encoding="utf-8")
+    policy = re.search(r'http-equiv="Content-Security-Policy" content="(.*?)"', text)[1]
+    scripts = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    assert len(scripts) == 2
+    for script in scripts:
+        digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+        assert f"'sha256-{digest}'" in policy
+    assert "default-src 'none'" in policy
+    assert "connect-src 'none'" in policy
+    assert "unsafe-eval" not in policy
+    assert "script-src 'unsafe-inline'" not in policy
+    outside = re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
+    assert not re.search(r"(src|href)\s*=", outside)
+
+
+def test_names_are_escaped(robot_of, tmp_path):
+    """Markup in the names of robots, rollouts, titles and status words stays text."""
+    robot = robot_of("planar3")
+    rollout = waving(robot)
+    evil = replace(rollout, status=(EVIL,) * len(rollout))
+    text = replay(robot, {EVIL: evil}, tmp_path / "a.html", title=EVIL).html.read_text(encoding="utf-8")
+    assert text.count("<script") == text.count("</script>") == 4
+    assert "<img" not in text.split("<script>")[0]
+    assert "window.hacked=1</script>" not in text
+    data = data_in(tmp_path / "a.html")
+    assert data["rollouts"][0]["name"] == EVIL
+    assert data["rollouts"][0]["status"] == [[0.0, EVIL]]
+
+
+def test_json_in_html_is_inert():
+    """JSON for a script element has no angle brackets, reads back unchanged, and never holds NaN."""
+    value = {"a": "<!--<script>&amp;\u2028", "b": [1e-300, -0.1]}
+    text = json_in_html(value)
+    assert not set("<>&") & set(text)
+    assert json.loads(text) == value
+    with pytest.raises(ValueError, match="Out of range"):
+        json_in_html([float("nan")])
+
+
+def broken(rollout, **changes):
+    """A rollout with some fields changed, past all checks."""
+    copy = replace(rollout)
+    for name, value in changes.items():
+        object.__setattr__(copy, name, value)
+    return copy
+
+
+def test_bad_rollouts_are_refused(robot_of, tmp_path):
+    """NaN anywhere, bad times, missing rows, other robots and nothing at all are errors, and no file is written."""
+    robot = robot_of("planar3")
+    good = waving(robot)
+    nan = np.where(np.arange(good.q.size).reshape(good.q.shape) == 7, np.nan, good.q)
+    cases = [
+        (broken(good, q=nan), "q of sample 2 is nan"),
+        (broken(good, manipulability=good.manipulability * np.inf), "manipulability of sample 0"),
+        (broken(good, time=good.time * 0.0), "time must increase"),
+        (broken(good, time=np.where(good.time == 0.5, np.nan, good.time)), "time of sample 50 is nan"),
+        (broken(good, q=good.q[:-1]), "201 times and 200 postures"),
+        (broken(good, manipulability=good.manipulability[:-1]), "200 values of manipulability"),
+        (broken(good, status=good.status[:-1]), "200 status words"),
+        (broken(good, time=good.time[:0], q=good.q[:0]), "no samples"),
+        (broken(good, joint_names=("joint1", "joint2", "elbow")), "missing joint3; not its own elbow"),
+        (waving(robot_of("sawyer")), "not made with robot 'planar3'"),
+        ("rollout.npz", "must be a Rollout or a Trajectory"),
+    ]
+    path = tmp_path / "a.html"
+    for rollout, reason in cases:
+        with pytest.raises(RecordingError, match=reason):
+            replay(robot, {"one": good, "bad": rollout}, path)
+    with pytest.raises(ConfigurationError, match="has 3 numbers"):
+        replay(robot, broken(good, q=np.hstack([good.q, good.q])), path)
+    for nothing in ({}, [good], None):
+        with pytest.raises(RecordingError):
+            replay(robot, nothing, path)
+    assert not path.exists()
+
+
+def test_bad_choices_are_refused(robot_of, tmp_path):
+    """An unknown tip, colour or rollout names what there is; an unwritable place is one sentence."""
+    robot = robot_of("planar3")
+    rollout = waving(robot)
+    with pytest.raises(UnknownNameError, match="unknown frame 'tipp'.*'tip'"):
+        replay(robot, rollout, tmp_path / "a.html", tip="tipp")
+    with pytest.raises(UnknownNameError, match="unknown colour 'gren'.*'green'"):
+        replay(robot, {"a": rollout}, tmp_path / "a.html", colours={"a": "gren"})
+    with pytest.raises(UnknownNameError, match="unknown rollout 'b'"):
+        replay(robot, {"a": rollout}, tmp_path / "a.html", colours={"b": "green"})
+    with pytest.raises(OutputError, match="is a folder"):
+        replay(robot, rollout, tmp_path)
+
+
+def test_demonstrations_have_no_curve(robot_of, tmp_path):
+    """A trajectory plays without a manipulability curve, under its own name, columns matched by joint name."""
+    robot = robot_of("planar3")
+    rollout = waving(robot)
+    shuffled = Trajectory(rollout.time + 5.0, rollout.q[:, ::-1], None, robot.joint_names[::-1], "demo_01")
+    replay(robot, shuffled, tmp_path / "a.html")
+    replay(robot, rollout, tmp_path / "b.html")
+    one, other = (data_in(tmp_path / f"{n}.html")["rollouts"][0] for n in "ab")
+    assert one["name"] == "demo_01"
+    assert one["curve"] == "" and one["status"] == []
+    assert one["tracks"] == other["tracks"]
+    assert unpacked(one["keyTimes"])[0] == 0.0
+
+
+def test_colours_differ():
+    """Rollouts have colours of their own; chosen ones are kept and not given away twice."""
+    names = list("abcdefgh")
+    assert [n for n, _ in rollout_colours(names, {})] == list(COLOURS)
+    given = dict(zip(names, rollout_colours(names, {"c": "blue"}), strict=True))
+    assert given["c"] == ("blue", COLOURS["blue"])
+    assert len(set(given.values())) == len(names)
+    assert len(set(rollout_colours([str(i) for i in range(20)], {}))) == len(COLOURS)
+
+
+@pytest.mark.parametrize(
+    ("robot_name", "tip"),
+    [("planar3", "tip"), ("panda", "panda_hand_tcp"), ("ur5", "tool0"), ("one", "tip"), ("tree", "tip")],
+)
+def test_tip_is_found(robot_of, robot_name, tip):
+    """The tip of an arm is its last link, not a finger."""
+    assert tip_frame(robot_of(robot_name)) == tip
+
+
+def test_without_a_file_the_browser_opens(robot_of, tmp_path, monkeypatch):
+    """Without a file name a temporary page is written and shown; with one, only on request."""
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    robot = robot_of("planar3")
+    result = replay(robot, waving(robot))
+    assert result.html.is_file()
+    assert opened == [result.html.as_uri()]
+    replay(robot, waving(robot), tmp_path / "a.html")
+    replay(robot, waving(robot), open_browser=False)
+    assert len(opened) == 1
+    replay(robot, waving(robot), tmp_path / "a.html", open_browser=True)
+    assert len(opened) == 2
+
+
+def test_meshcat_is_never_imported(tmp_path):
+    """Writing a replay takes meshcat's script from its folder; importing meshcat would bring IPython."""
+    code = (
+        "import sys, numpy as np, manip_learn as ml\n"
+        "robot = ml.load_robot('planar3')\n"
+        "t = np.arange(3.0)\n"
+        "demo = ml.Trajectory(t, np.zeros((3, 3)), None, robot.joint_names)\n"
+        f"ml.replay(robot, demo, {str(tmp_path / 'a.html')!r})\n"
+        "print([m for m in ('meshcat', 'IPython', 'tornado', 'zmq', 'trimesh') if m in sys.modules])\n"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert out.stdout.strip() == "[]"

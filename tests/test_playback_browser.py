@@ -1,0 +1,276 @@
+"""The replay page in headless Chromium: poses, controls, escaping, no network."""
+
+from __future__ import annotations
+
+import shutil
+import time
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from test_playback import EVIL, waving
+
+from manip_learn.playback import LiveViewer, replay
+from manip_learn.playback.recorded_motion import key_frames
+
+pytestmark = pytest.mark.browser
+
+FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+POSES = 1e-9  # wanted is 1e-6; the page computes in double precision
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    """One browser for all tests of this file."""
+    found = next((path for name in NAMES if (path := shutil.which(name))), None)
+    if found is None:
+        pytest.skip(f"NO CHROMIUM ({', '.join(NAMES)}): THE REPLAY PAGE IS NOT TESTED IN A BROWSER")
+    playwright = pytest.importorskip("playwright.sync_api", reason="NO PLAYWRIGHT: THE REPLAY PAGE IS NOT TESTED")
+    with playwright.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=found, args=[*FLAGS, "--enable-unsafe-swiftshader"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def opened(chromium):
+    """Open a page of ours; whatever goes wrong in it, or wants the network, fails the test in the end."""
+    context = chromium.new_context(viewport={"width": 1000, "height": 700})
+    trouble: list[str] = []
+
+    def open_page(address, width=1000, height=700):
+        page = context.new_page()
+        page.set_viewport_size({"width": width, "height": height})
+        page.on("pageerror", lambda error: trouble.append(str(error)))
+        page.on("console", lambda m: trouble.append(m.text) if m.type == "error" else None)
+        page.on(
+            "request", lambda r: trouble.append(r.url) if not r.url.startswith((address, "data:", "blob:")) else None
+        )
+        page.goto(address)
+        wait_until(page, "window.manipLearnReady === true")
+        return page
+
+    yield open_page
+    context.close()
+    assert trouble == []
+
+
+def wait_until(page, expression, seconds=60.0):
+    """Wait until an expression is true; Playwright's own way to wait needs eval, which the page's policy forbids."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(expression):
+        assert time.monotonic() < end, f"{expression} is still false"
+        page.wait_for_timeout(20)
+
+
+def link_pose(page, rollout, link):
+    """Pose of a link as the page draws it now."""
+    rows = page.evaluate("([rollout, link]) => manipLearn.linkPose(rollout, link)", [rollout, link])
+    return np.array(rows).reshape(4, 4)
+
+
+def links_of(robot):
+    """Names of all links."""
+    frames = robot.pinocchio_model.frames
+    return [n for n in robot.frame_names if frames[robot.frame(n).index].type == pin.FrameType.BODY]
+
+
+@pytest.mark.parametrize("robot_name", ["planar3", "sawyer", "wrist", "humanoid", "rover", "mimic", "panda"])
+def test_links_are_where_kinematics_puts_them(robot_of, tmp_path, opened, robot_name):
+    """At key frames every link of every rollout is drawn within 1e-9 of forward kinematics (1e-6 is wanted)."""
+    robot = robot_of(robot_name)
+    rollouts = {"one": waving(robot), "two": waving(robot, phase=1.0)}
+    page = opened(replay(robot, rollouts, tmp_path / "a.html").html.as_uri())
+    assert page.evaluate("manipLearn.drawing"), "the page has no 3D graphics"
+    keys = key_frames(rollouts["one"].time)
+    for i in keys[:: keys.size // 5]:
+        page.evaluate("t => manipLearn.seek(t)", float(rollouts["one"].time[i]))
+        for name, rollout in rollouts.items():
+            for link in links_of(robot):
+                error = np.abs(link_pose(page, name, link) - robot.pose(rollout.q[i], robot.frame(link))).max()
+                assert error <= POSES, f"{name}, {link}, t = {rollout.time[i]}: {error:.1e}"
+
+
+def test_huge_angles_are_right(robot_of, tmp_path, opened):
+    """A joint that was thrown a thousand million turns away is still drawn as kinematics says."""
+    robot = robot_of("planar3")
+    rollout = waving(robot)
+    q = np.array(rollout.q)
+    q[100:] += [6.1e9, 0.0, -2.7e8]
+    far = type(rollout)(
+        rollout.time, q, rollout.u, rollout.manipulability, rollout.status, rollout.joint_names, q[:, 0]
+    )
+    page = opened(replay(robot, {"far": far}, tmp_path / "a.html").html.as_uri())
+    page.evaluate("manipLearn.seek(manipLearn.duration)")
+    error = np.abs(link_pose(page, "far", "tip") - robot.pose(q[-1], robot.frame("tip"))).max()
+    assert error <= 1e-6
+
+
+def test_shorter_rollouts_hold_their_last_pose(robot_of, tmp_path, opened):
+    """After its end a rollout stays where it ended, and the legend says so."""
+    robot = robot_of("sawyer")
+    rollouts = {"long": waving(robot, 3.0), "short": waving(robot, 1.0, phase=0.5)}
+    page = opened(replay(robot, rollouts, tmp_path / "a.html").html.as_uri())
+    assert page.evaluate("manipLearn.duration") == pytest.approx(3.0)
+    page.evaluate("manipLearn.seek(2.5)")
+    expected = robot.pose(rollouts["short"].q[-1], robot.frame("right_hand"))
+    np.testing.assert_allclose(link_pose(page, "short", "right_hand"), expected, atol=POSES)
+    states = page.locator("#legend .state").all_inner_texts()
+    assert "ended at 1.00 s" in states[1] and "ended" not in states[0]
+
+
+def test_play_pause_and_keys(robot_of, tmp_path, opened):
+    """Playing takes time on and pausing holds it; space, arrows, home and end, speed and the scrub bar work."""
+    robot = robot_of("planar3")
+    rollout = waving(robot, 20.0)
+    page = opened(replay(robot, {"a": rollout}, tmp_path / "a.html").html.as_uri())
+    now = lambda: page.evaluate("manipLearn.time")  # noqa: E731
+    page.evaluate("manipLearn.play()")
+    wait_until(page, "manipLearn.time > 0.1")
+    page.evaluate("manipLearn.pause()")
+    held = now()
+    page.wait_for_timeout(150)
+    assert now() == held > 0.0
+    keys = rollout.time[key_frames(rollout.time)]
+    page.keyboard.press("Home")
+    for i in (1, 2, 3):
+        page.keyboard.press("ArrowRight")
+        assert now() == keys[i]
+    page.keyboard.press("ArrowLeft")
+    assert now() == keys[2]
+    page.keyboard.press("Shift+ArrowRight")
+    assert now() == pytest.approx(keys[2] + 1.0)
+    page.keyboard.press("End")
+    assert now() == pytest.approx(20.0)
+    page.keyboard.press("ArrowLeft")
+    assert now() == keys[-2]
+    page.keyboard.press("Space")
+    assert page.evaluate("manipLearn.playing")
+    page.keyboard.press("Space")
+    assert not page.evaluate("manipLearn.playing")
+    page.keyboard.press("ArrowUp")
+    assert page.locator("#speed").input_value() == "2"
+    assert page.locator("#speed option").all_inner_texts() == ["0.1×", "0.25×", "0.5×", "1×", "2×", "4×"]
+    page.locator("#scrub").fill("7.5")
+    assert now() == pytest.approx(7.5, abs=0.05)
+
+
+def test_speed_changes_the_pace(robot_of, tmp_path, opened):
+    """At 4x the replay covers far more time than at 0.1x in the same span."""
+    robot = robot_of("planar3")
+    page = opened(replay(robot, {"a": waving(robot, 60.0)}, tmp_path / "a.html").html.as_uri())
+    covered = {}
+    for speed in ("0.1", "4"):
+        page.evaluate("manipLearn.seek(0)")
+        page.locator("#speed").select_option(speed)
+        page.evaluate("manipLearn.play()")
+        page.wait_for_timeout(700)
+        covered[speed] = page.evaluate("manipLearn.time")
+        page.evaluate("manipLearn.pause()")
+    assert covered["4"] > 8.0 * covered["0.1"] > 0.0
+
+
+def test_curve_scrubs(robot_of, tmp_path, opened):
+    """A click or a drag on the curve moves the replay there; the cursor and the readouts follow."""
+    robot = robot_of("planar3")
+    rollout = waving(robot, 4.0)
+    page = opened(replay(robot, {"a": rollout}, tmp_path / "a.html").html.as_uri())
+    box = page.locator("#chart").bounding_box()
+    left, right, y = box["x"] + 58, box["x"] + box["width"] - 14, box["y"] + 40
+    page.mouse.move(left + 0.25 * (right - left), y)
+    page.mouse.down()
+    assert page.evaluate("manipLearn.time") == pytest.approx(1.0, abs=0.02)
+    page.mouse.move(left + 0.75 * (right - left), y)
+    page.mouse.up()
+    t = page.evaluate("manipLearn.time")
+    assert t == pytest.approx(3.0, abs=0.02)
+    expected = float(np.interp(t, rollout.time, rollout.manipulability))
+    assert float(page.locator("#legend .mu").inner_text().split()[0]) == pytest.approx(expected, rel=1e-2)
+    assert page.locator("#clock").inner_text() == f"{t:.2f} s"
+    cursor = page.locator("#chart line[stroke-width='1.5']").get_attribute("x1")
+    assert float(cursor) + box["x"] == pytest.approx(left + 0.75 * (right - left), abs=3.0)
+
+
+def test_legend_hides_and_picks(robot_of, tmp_path, opened):
+    """The legend's switches change the picture and the curves, and bring them back; a click on a name makes solid."""
+    robot = robot_of("planar3")
+    rollouts = {"a": waving(robot), "b": waving(robot, phase=2.0)}
+    page = opened(replay(robot, rollouts, tmp_path / "a.html").html.as_uri())
+
+    def picture():
+        page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        return page.locator("#scene canvas").screenshot(style="#legend, #notes { visibility: hidden }")
+
+    page.evaluate("manipLearn.seek(1.3)")
+    both = picture()
+    assert page.locator("#chart polyline").count() == 2
+    page.locator("#legend .eye").nth(1).click()
+    assert picture() != both
+    assert page.locator("#chart polyline").count() == 1
+    page.locator("#legend .eye").nth(1).click()
+    assert picture() == both
+    page.locator("#legend .pick").nth(1).click()
+    assert picture() != both
+    page.locator("#legend .pick").nth(0).click()
+    assert picture() == both
+    page.evaluate("manipLearn.seek(0.2)")
+    assert picture() != both
+
+
+def test_hostile_names_do_nothing(robot_of, tmp_path, opened):
+    """Markup in names shows as text; no script of it runs."""
+    robot = robot_of("planar3")
+    rollout = waving(robot)
+    evil = type(rollout)(
+        rollout.time,
+        rollout.q,
+        rollout.u,
+        rollout.manipulability,
+        (EVIL,) * len(rollout),
+        rollout.joint_names,
+        rollout.time,
+    )
+    page = opened(replay(robot, {EVIL: evil}, tmp_path / "a.html", title=EVIL).html.as_uri())
+    assert page.evaluate("window.hacked") is None
+    assert page.locator("#legend .name").inner_text() == EVIL
+    assert page.locator("#subtitle").inner_text() == EVIL
+    assert EVIL in page.locator("#status-key").inner_text()
+    assert page.locator("img").count() == 0
+
+
+@pytest.mark.parametrize(("width", "height"), [(800, 600), (1280, 800), (1920, 1080)])
+def test_page_fits_the_window(robot_of, tmp_path, opened, width, height):
+    """From 800 pixels on, nothing sticks out of the window and every control is inside."""
+    robot = robot_of("planar3")
+    rollouts = {f"a rather long name of a rollout, number {i}": waving(robot, phase=i) for i in range(4)}
+    page = opened(replay(robot, rollouts, tmp_path / "a.html", title="a title " * 20).html.as_uri(), width, height)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.evaluate("document.documentElement.scrollHeight") <= height
+    for selector in ("#views", "#legend", "#chart", "#play", "#scrub", "#speed", "#loop", "#log", "#keys summary"):
+        box = page.locator(selector).bounding_box()
+        assert box["x"] >= 0 and box["x"] + box["width"] <= width, selector
+        assert box["y"] >= 0 and box["y"] + box["height"] <= height, selector
+
+
+def test_curves_can_be_absent(robot_of, tmp_path, opened):
+    """A demonstration plays without a panel for curves that it does not have."""
+    robot = robot_of("sawyer")
+    demo = waving(robot).trajectory("demo")
+    page = opened(replay(robot, demo, tmp_path / "a.html").html.as_uri())
+    assert not page.locator("#panel").is_visible()
+    assert page.locator("#scene canvas").is_visible()
+
+
+def test_live_view_follows(robot_of, opened):
+    """The browser shows the posture that was given last."""
+    robot = robot_of("wrist")
+    tip = robot.frame("tip")
+    with LiveViewer(robot, open_browser=False) as viewer:
+        page = opened(viewer.url)
+        for angle in (0.3, -1.1):
+            q = np.full(robot.nv, angle)
+            viewer.show(q, manipulability=abs(angle), time=10.0 + angle)
+            wait_until(page, f"Math.abs(manipLearn.time - {10.0 + angle}) < 1e-9")
+            np.testing.assert_allclose(link_pose(page, robot.name, "tip"), robot.pose(q, tip), atol=POSES)
+        assert page.evaluate("manipLearn.drawing")

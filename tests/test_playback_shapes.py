@@ -1,0 +1,119 @@
+"""What is drawn: own shapes, simplified meshes, and plain figures where there is nothing better."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import URDFS
+from test_playback import unpacked, waving
+
+from manip_learn.playback.appearance import appearance
+from manip_learn.playback.kinematic_tree import kinematic_tree
+from manip_learn.playback.mesh_budget import within_budget
+from manip_learn.playback.plain_figure import z_to
+from manip_learn.playback.recorded_motion import recorded_motion
+from manip_learn.playback.scene_data import scene_data
+from manip_learn.playback.shape import TriangleMesh
+from manip_learn.robot.loading import load_robot
+
+
+def ball(steps=60, radius=0.1):
+    """A sphere as a triangle soup: every corner a vertex of its own, as in an STL file."""
+    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 2 * steps + 1), np.linspace(0, np.pi, steps + 1))
+    grid = radius * np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], axis=-1)
+    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
+    soup = np.concatenate([np.stack([a, b, c], axis=2).reshape(-1, 3), np.stack([a, c, d], axis=2).reshape(-1, 3)])
+    return TriangleMesh(soup, np.arange(len(soup)).reshape(-1, 3))
+
+
+def cube():
+    """A cube of 12 triangles on 8 vertices, counter-clockwise from outside."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float64)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return TriangleMesh(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
+
+
+def volume(mesh):
+    """Enclosed volume [m^3]; positive if triangles are counter-clockwise from outside."""
+    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def test_budget_is_kept_and_shape_too():
+    """Large meshes are simplified until all fit, small ones stay; size, volume and orientation hardly change."""
+    large, small = ball(), cube()
+    (ball_out, cube_out), before, after = within_budget([large, small], 3000)
+    assert before > 10_000
+    assert 1500 < after <= 3000
+    assert len(cube_out.triangles) == 12
+    assert volume(ball_out) == pytest.approx(volume(large), rel=0.05)
+    np.testing.assert_allclose(np.ptp(ball_out.vertices, axis=0), 0.2, rtol=0.06)
+    assert within_budget([large], 10**6)[1:] == (before - 12, before - 12)
+
+
+def test_edges_stay_sharp_and_round_things_smooth():
+    """A cube's corners are split into three vertices, a smooth sphere's vertices are shared."""
+    (cube_out, ball_out), _, _ = within_budget([cube(), ball()], 10**6)
+    assert len(cube_out.vertices) == 24
+    assert len(ball_out.vertices) < 0.51 * len(ball_out.triangles) + 10
+    assert volume(cube_out) == pytest.approx(1.0)
+
+
+def test_rotation_to_a_direction(rng):
+    """z_to is a rotation that takes z to the direction, also for directions along an axis."""
+    directions = [*np.eye(3), *-np.eye(3), *(v / np.linalg.norm(v) for v in rng.normal(size=(20, 3)))]
+    for direction in directions:
+        R = z_to(direction)
+        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(R) == pytest.approx(1.0)
+        np.testing.assert_allclose(R[:, 2], direction, atol=1e-12)
+
+
+@pytest.mark.parametrize("robot_name", ["one", "gantry", "wrist", "tree", "humanoid", "rover"])
+def test_robots_without_shapes_get_a_figure(robot_of, robot_name):
+    """A robot without visuals has a body at every joint, and something that reaches to its tip."""
+    robot = robot_of(robot_name)
+    tree = kinematic_tree(robot)
+    looks = appearance(robot, tree)
+    assert {s.joint for s in looks.shapes} == set(range(len(tree)))
+    assert any(s.kind == "cone" for s in looks.shapes)
+    assert all(np.isfinite(s.pose).all() and min(s.size) > 0.0 for s in looks.shapes)
+    assert not looks.meshes
+
+
+def test_own_shapes_are_used(robot_of):
+    """The Sawyer-like arm and the planar arm are drawn as their URDF says, without notes."""
+    for name in ("sawyer", "planar3"):
+        robot = robot_of(name)
+        looks = appearance(robot, kinematic_tree(robot))
+        assert looks.notes == ()
+        assert {s.kind for s in looks.shapes} <= {"box", "sphere", "cylinder"}
+        assert len(looks.shapes) >= 7
+
+
+def test_meshes_are_packed(robot_of):
+    """Panda's meshes stay within the budget, say so, and come back from 16 bits to within 10 micrometres."""
+    robot = robot_of("panda")
+    looks = appearance(robot, kinematic_tree(robot), max_triangles=5000)
+    assert sum(len(m.triangles) for m in looks.meshes) <= 5000
+    assert any("simplified from" in note for note in looks.notes)
+    tree = kinematic_tree(robot)
+    motion = recorded_motion(robot, tree, robot.frame("panda_hand"), "a", waving(robot))
+    data = scene_data(robot, tree, looks, "panda_hand", [motion], [("blue", "#000000")], looks.notes)
+    for packed, mesh in zip(data["robot"]["meshes"], looks.meshes, strict=True):
+        steps = unpacked(packed["positions"], "<u2").reshape(-1, 3)
+        np.testing.assert_allclose(packed["origin"] + steps * packed["step"], mesh.vertices, atol=1e-5)
+        triangles = unpacked(packed["triangles"], "<u4" if packed["wide"] else "<u2").reshape(-1, 3)
+        np.testing.assert_array_equal(triangles, mesh.triangles)
+
+
+def test_missing_meshes_are_told(tmp_path, robot_of):
+    """A link whose mesh is missing gets plain shapes, and a note that names the link and the file."""
+    visual = '<visual><geometry><mesh filename="package://nowhere/arm.stl"/></geometry></visual>'
+    path = tmp_path / "bare.urdf"
+    path.write_text(URDFS["gantry"].replace('<link name="link2">', f'<link name="link2">{visual}'), encoding="utf-8")
+    robot = load_robot(path)
+    looks = appearance(robot, kinematic_tree(robot))
+    assert len(looks.notes) == 1
+    assert "link2" in looks.notes[0] and "arm.stl" in looks.notes[0]
+    assert looks.shapes
