@@ -26,6 +26,7 @@ FLOORS = {
     "policies": "4'",
     "controller": "4'",
     "batch_manipulability": "4'",
+    "velocity_room": "4'",
     "rollout": "5",
     "metrics": "5",
     "io": "6",
