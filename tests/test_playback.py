@@ -10,6 +10,7 @@ import subprocess
 import sys
 import webbrowser
 from dataclasses import replace
+from xml.sax.saxutils import escape
 
 import numpy as np
 import pytest
@@ -20,6 +21,8 @@ from manip_learn.playback import replay
 from manip_learn.playback.page_writer import json_in_html
 from manip_learn.playback.palette import COLOURS, rollout_colours
 from manip_learn.playback.tip_frame import tip_frame
+from manip_learn.robot.loading import load_robot
+from manip_learn.robot.planar_arm import planar_arm_urdf
 from manip_learn.rollout import Rollout
 
 EVIL = '</script><script>window.hacked=1</script><img src=x onerror="window.hacked=2">'
@@ -34,6 +37,14 @@ def waving(robot, duration=2.0, dt=0.01, phase=0.0):
     status = tuple("damped" if m < 0.3 else "ok" for m in mu)
     q = middle + 0.4 * swing
     return Rollout(time, q, np.gradient(q, dt, axis=0), mu, status, robot.joint_names, 0.0 * time)
+
+
+def evil_robot(folder):
+    """A planar arm whose own name and those of a link and a joint are markup."""
+    urdf = planar_arm_urdf(name=EVIL).replace("link2", escape(EVIL)).replace("joint2", escape("<b>joint</b>"))
+    path = folder / "evil.urdf"
+    path.write_text(urdf.replace(escape(EVIL), escape(EVIL, {'"': "&quot;"})), encoding="utf-8")
+    return load_robot(path)
 
 
 def data_in(path):
@@ -77,9 +88,9 @@ def test_page_is_closed_off(robot_of, tmp_path):
     assert not re.search(r"(src|href)\s*=", outside)
 
 
-def test_names_are_escaped(robot_of, tmp_path):
-    """Markup in the names of robots, rollouts, titles and status words stays text."""
-    robot = robot_of("planar3")
+def test_names_are_escaped(tmp_path):
+    """Markup in the names of robots, joints, links, rollouts, titles and status words stays text."""
+    robot = evil_robot(tmp_path)
     rollout = waving(robot)
     evil = replace(rollout, status=(EVIL,) * len(rollout))
     text = replay(robot, {EVIL: evil}, tmp_path / "a.html", title=EVIL).html.read_text(encoding="utf-8")

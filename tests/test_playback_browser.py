@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shutil
 import time
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from test_playback import EVIL, waving
+from test_playback import EVIL, evil_robot, waving
 
 from manip_learn.playback import LiveViewer, replay
 from manip_learn.playback.recorded_motion import key_frames
@@ -98,9 +99,7 @@ def test_huge_angles_are_right(robot_of, tmp_path, opened):
     rollout = waving(robot)
     q = np.array(rollout.q)
     q[100:] += [6.1e9, 0.0, -2.7e8]
-    far = type(rollout)(
-        rollout.time, q, rollout.u, rollout.manipulability, rollout.status, rollout.joint_names, q[:, 0]
-    )
+    far = replace(rollout, q=q)
     page = opened(replay(robot, {"far": far}, tmp_path / "a.html").html.as_uri())
     page.evaluate("manipLearn.seek(manipLearn.duration)")
     error = np.abs(link_pose(page, "far", "tip") - robot.pose(q[-1], robot.frame("tip"))).max()
@@ -218,25 +217,19 @@ def test_legend_hides_and_picks(robot_of, tmp_path, opened):
     assert picture() != both
 
 
-def test_hostile_names_do_nothing(robot_of, tmp_path, opened):
-    """Markup in names shows as text; no script of it runs."""
-    robot = robot_of("planar3")
+def test_hostile_names_do_nothing(tmp_path, opened):
+    """Markup in names shows as text; no script of it runs; links with such names are found."""
+    robot = evil_robot(tmp_path)
     rollout = waving(robot)
-    evil = type(rollout)(
-        rollout.time,
-        rollout.q,
-        rollout.u,
-        rollout.manipulability,
-        (EVIL,) * len(rollout),
-        rollout.joint_names,
-        rollout.time,
-    )
+    evil = replace(rollout, status=(EVIL,) * len(rollout))
     page = opened(replay(robot, {EVIL: evil}, tmp_path / "a.html", title=EVIL).html.as_uri())
     assert page.evaluate("window.hacked") is None
-    assert page.locator("#legend .name").inner_text() == EVIL
-    assert page.locator("#subtitle").inner_text() == EVIL
+    for place in ("#robot-name", "#subtitle", "#legend .name"):
+        assert page.locator(place).inner_text() == EVIL
     assert EVIL in page.locator("#status-key").inner_text()
     assert page.locator("img").count() == 0
+    expected = robot.pose(rollout.q[0], robot.frame(EVIL))
+    np.testing.assert_allclose(link_pose(page, EVIL, EVIL), expected, atol=POSES)
 
 
 @pytest.mark.parametrize(("width", "height"), [(800, 600), (1280, 800), (1920, 1080)])
