@@ -45,6 +45,7 @@ class Constraint:
         self.features = features
         self.selection: Float[np.ndarray, "s p"] = _orthonormal(selection, features)
         self.selection.setflags(write=False)
+        self._embedded = features.embedded(self.selection)
         self.provenance: dict[str, Any] = dict(provenance or {})
 
     @property
@@ -77,9 +78,7 @@ class Constraint:
 
     def value_and_contraction(self, q: ArrayLike) -> tuple[Float[np.ndarray, "s nv"], Contraction]:
         """A(q), and the function weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, shape (nv,); no dA/dq is formed."""
-        Phi, contract = self.features.value_and_contraction(q)
-        selection = self.selection
-        return selection.dot(Phi), lambda weights: contract(selection.T.dot(weights))
+        return self.features.selected(q, self._embedded)
 
     def residual(self, demonstrations: Iterable[Trajectory]) -> float:
         """Fraction of the motion that breaks A(q) u = 0: sqrt(sum |A^+ A u|^2 / sum |u|^2), 0 to 1.
@@ -118,6 +117,7 @@ class Constraint:
                 "nq": robot.nq,
                 "nv": robot.nv,
                 "joint_names": list(robot.joint_names),
+                "locked": dict(robot.locked),
             }
         return {
             "format": FORMAT,

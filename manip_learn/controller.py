@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint import Constraint
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
-from manip_learn.linalg import Inverse, inverse_singular_values, matlab_tolerance, svd
+from manip_learn.linalg import Inverse, inverse_singular_values, matlab_tolerance, row_inverse, svd
 from manip_learn.manipulability_measure import SINGULAR_RATIO
 from manip_learn.policies.manipulability_ascent import ManipulabilityAscent
 from manip_learn.policies.policy import NullSpacePolicy
@@ -23,8 +23,6 @@ from manip_learn.velocity_room import VelocityRoom
 
 # worst first: a command has one status, the gravest thing that was done to it
 STATUSES = ("singular", "position-limited", "velocity-limited", "damped", "null-scaled", "ok")
-# a smallest singular value above this share of the largest is above every rank tolerance: no need to compute that
-FULL_RANK = 1e-9
 
 
 @final
@@ -107,9 +105,9 @@ class ResolvedRateController:
         self.dt = float(dt)
         self.robot: Robot | None = robot or getattr(constraint.features, "robot", None)
         self._room = VelocityRoom(self.robot) if self.limits and self.robot is not None else None
-        self._shares_constraint = (
-            isinstance(self.null_policy, ManipulabilityAscent) and self.null_policy.constraint is constraint
-        )
+        self._features_check = self.robot is not None and self.robot is getattr(constraint.features, "robot", None)
+        ours = isinstance(self.null_policy, ManipulabilityAscent) and self.null_policy.constraint is constraint
+        self._ascent: ManipulabilityAscent | None = self.null_policy if ours else None  # type: ignore[assignment]
 
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float | None = None) -> Command:
         """The command at posture q and time t.
@@ -123,32 +121,32 @@ class ResolvedRateController:
             ConfigurationError: q has the wrong size or is not finite.
             TargetError: The task's target does not fit the constraint.
         """
-        q = self._checked_posture(q)
-        constraint = self.constraint
-        if self._shares_constraint:  # one Hessian and one decomposition serve both
-            A, contract = constraint.value_and_contraction(q)
-            U, sigma, Vt = svd(A)
-            pi = self.null_policy.from_decomposition(A.shape, (U, sigma, Vt), contract)  # type: ignore[attr-defined]
+        if not (self._features_check and type(q) is np.ndarray and q.dtype == np.float64):
+            q = self._checked_posture(q)
+        ascent = self._ascent
+        if ascent is None:
+            A, contract = self.constraint(q), _not_needed
+        else:  # one Hessian and one inverse serve the task and the policy
+            A, contract = self.constraint.value_and_contraction(q)
+        b = self._checked(self.task.velocity(self.constraint, q, t), A.shape[0], "the task's velocity b")
+        inverse = row_inverse(A)
+        if inverse is not None and (self.inverse != "damped" or inverse.smallest >= self.threshold):
+            # nothing to damp or to drop, the case of nearly every step: A^{+T} b and pi - A^+ A pi as they stand
+            pi = self._policy(q, t) if ascent is None else ascent.from_inverse(inverse, contract)
+            X = inverse.X
+            return self._limited(q, dt, b, b.dot(X), pi - A.dot(pi).dot(X), inverse.volume, inverse.smallest, False)
+        U, sigma, Vt = svd(A)
+        if ascent is None:
+            pi = self._policy(q, t)
         else:
-            A = constraint(q)
-            U, sigma, Vt = svd(A)
-            pi = self._checked(self.null_policy(q, t), A.shape[1], "the null-space policy's velocity")
-        b = self._checked(self.task.velocity(constraint, q, t), A.shape[0], "the task's velocity b")
-        values = sigma.tolist()
-        k = len(values)
-        gains, rank = self._gains_and_rank(sigma, values, A.shape)
+            pi = ascent.from_decomposition(A.shape, (U, sigma, Vt), contract)
+        gains = inverse_singular_values(sigma, A.shape, self.inverse, self.threshold, self.damping)
+        k = sigma.shape[0]
         task_part = (gains * b.dot(U[:, :k])).dot(Vt[:k])
-        Z = Vt[rank:]
-        null_part = Z.dot(pi).dot(Z)
-        mu = math.prod(values) if A.shape[0] <= A.shape[1] else 0.0
-        return self._limited(q, dt or self.dt, b, task_part, null_part, mu, values)
-
-    def _gains_and_rank(self, sigma: np.ndarray, values: list[float], shape: tuple[int, ...]) -> tuple[np.ndarray, int]:
-        full = FULL_RANK * values[0]
-        if values[-1] > full and (self.inverse != "damped" or values[-1] >= self.threshold):
-            return 1.0 / sigma, len(values)  # nothing to damp or to drop: the case of nearly every step
-        gains = inverse_singular_values(sigma, shape, self.inverse, self.threshold, self.damping)
-        return gains, int(np.count_nonzero(sigma > matlab_tolerance(sigma, shape)))
+        Z = Vt[np.count_nonzero(sigma > matlab_tolerance(sigma, A.shape)) :]
+        smallest, singular = float(sigma[-1]), bool(sigma[-1] <= SINGULAR_RATIO * sigma[0])
+        mu = math.prod(sigma.tolist()) if A.shape[0] <= A.shape[1] else 0.0
+        return self._limited(q, dt, b, task_part, Z.dot(pi).dot(Z), mu, smallest, singular)
 
     def _checked_posture(self, q: ArrayLike) -> np.ndarray:
         if self.robot is not None:
@@ -158,49 +156,57 @@ class ResolvedRateController:
             raise ConfigurationError(f"the posture is not finite: {vector.tolist()}")
         return vector
 
+    def _policy(self, q: np.ndarray, t: float) -> np.ndarray:
+        return self._checked(self.null_policy(q, t), self.constraint.nv, "the null-space policy's velocity")
+
     @staticmethod
     def _checked(vector: ArrayLike, size: int, what: str) -> np.ndarray:
         array = np.asarray(vector, dtype=np.float64)
-        if array.shape != (size,) or not all(map(math.isfinite, array.tolist())):
+        if array.shape != (size,) or not math.isfinite(sum(array.tolist())):
             raise TargetError(f"{what} must be {size} finite numbers, got {array.tolist()}")
         return array
 
     def _limited(
         self,
         q: np.ndarray,
-        dt: float,
+        dt: float | None,
         b: np.ndarray,
         task_part: np.ndarray,
         null_part: np.ndarray,
         mu: float,
-        sigma: list[float],
+        smallest: float,
+        singular: bool,
     ) -> Command:
         task_scale = null_scale = 1.0
         position_bound = False
         if self._room is not None:
-            task_scale, null_scale, position_bound = self._room.shares(q, dt, task_part, null_part)
+            task_scale, null_scale, position_bound = self._room.shares(q, dt or self.dt, task_part, null_part)
             if task_scale < 1.0:
                 task_part = task_scale * task_part
             if null_scale < 1.0:
                 null_part = null_scale * null_part
         velocity = task_part + null_part
-        if not all(map(math.isfinite, velocity.tolist())):
+        if not math.isfinite(sum(velocity.tolist())):
             raise ConfigurationError(
-                f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {sigma[-1]:.1e}): "
+                f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {smallest:.1e}): "
                 "use inverse='damped'"
             )
-        if sigma[-1] <= SINGULAR_RATIO * sigma[0]:
+        if singular:
             status = "singular"
         elif task_scale < 1.0:
             status = "position-limited" if position_bound else "velocity-limited"
-        elif self.inverse == "damped" and sigma[-1] < self.threshold:
+        elif self.inverse == "damped" and smallest < self.threshold:
             status = "damped"
         else:
             status = "null-scaled" if null_scale < 1.0 else "ok"
-        return Command(velocity, status, mu, b, task_part, null_part, task_scale, null_scale, sigma[-1])
+        return Command(velocity, status, mu, b, task_part, null_part, task_scale, null_scale, smallest)
 
     def __repr__(self) -> str:
         return (
             f"ResolvedRateController({self.constraint!r}, task={self.task!r}, null_policy={self.null_policy!r}, "
             f"inverse={self.inverse!r})"
         )
+
+
+def _not_needed(weights: np.ndarray) -> np.ndarray:
+    raise NotImplementedError

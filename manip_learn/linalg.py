@@ -5,14 +5,16 @@ Shapes: A (s, n) with s <= n in general, but nothing here needs it.
 
 from __future__ import annotations
 
-from typing import Literal
+import math
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dgesdd
+from scipy.linalg.lapack import dgesdd, dposv, dsyev  # pyright: ignore[reportAttributeAccessIssue]
 
 Inverse = Literal["exact", "truncated", "damped"]
 EPS = float(np.finfo(np.float64).eps)
+WELL_CONDITIONED = 0.02  # smallest over largest singular value
 
 
 def pseudo_inverse(
@@ -75,6 +77,49 @@ def svd(
     if failed:
         return np.linalg.svd(A, full_matrices=True)
     return U, sigma, Vt
+
+
+@final
+class RowInverse(NamedTuple):
+    """Of a well-conditioned matrix A (s, n), s <= n: what a control step needs.
+
+    Attributes:
+        X: A^{+T} = (A A^T)^-1 A, shape (s, n).
+        volume: sqrt(det(A A^T)), the product of the singular values.
+        smallest: Smallest singular value.
+    """
+
+    X: Float[np.ndarray, "s n"]
+    volume: float
+    smallest: float
+
+
+def row_inverse(A: Float[np.ndarray, "s n"]) -> RowInverse | None:
+    """A^{+T} by Cholesky's factors of A A^T, in half the time of a singular value decomposition.
+
+    None if A is too ill-conditioned: errors grow with the square of its condition number here, so that 1e-12 is kept
+    up to 1 / WELL_CONDITIONED only. The singular value decomposition is for the rest.
+    """
+    s = A.shape[0]
+    if s > A.shape[1]:
+        return None
+    G = A.dot(A.T)
+    L, X, failed = dposv(G, A, lower=1)
+    if failed:
+        return None
+    volume = math.prod(L.diagonal().tolist())
+    if s == 1:
+        return RowInverse(X, volume, volume)
+    if s == 2:
+        (a, b), (_, c) = G.tolist()
+        largest = 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
+        smallest = volume * volume / largest  # not the difference, which cancels
+    else:
+        values, _, failed = dsyev(G, compute_v=0)
+        smallest, largest = float(values[0]), float(values[-1])
+    if failed or not smallest > WELL_CONDITIONED**2 * largest:
+        return None
+    return RowInverse(X, volume, math.sqrt(smallest))
 
 
 def null_basis(A: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "n k"]:

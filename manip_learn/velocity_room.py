@@ -54,7 +54,8 @@ class VelocityRoom:
         """
         task, position_bound = 1.0, False
         room: list[tuple[float, float, float]] = []
-        positions = self._robot.positions(q).tolist()
+        # a posture that has been checked already; as many numbers as joints are joint positions
+        positions = q.tolist() if q.shape[0] == len(self._limits) else self._robot.positions(q).tolist()
         for x, v, (limit, lower, upper) in zip(positions, task_part.tolist(), self._limits, strict=True):
             low, high = (lower - x) / dt, (upper - x) / dt
             low = -limit if low < -limit else min(low, 0.0)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from manip_learn.errors import FeatureError, TargetError
 
 CHUNK = 512  # configurations whose dPhi/dq are held at a time
-Contraction = Callable[[Float[np.ndarray, "p nv"]], Float[np.ndarray, " nv"]]
+Contraction = Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]
 Weigh = Callable[[Float[np.ndarray, "p nv m"], slice], Float[np.ndarray, "p nv m"]]
 
 
@@ -47,14 +47,20 @@ class FeatureMap(ABC):
         """Phi(q) and dPhi/dq together, cheaper than one by one where a child shares work."""
         return self(q), self.derivative(q)
 
-    def value_and_contraction(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Contraction]:
-        """Phi(q), and the function weights (p, nv) -> sum_ij weights_ij dPhi_ij / dq_k, shape (nv,).
+    def embedded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s k"]:
+        """What `selected` takes for a selection matrix: made once, used at every step."""
+        return selection
 
-        All that the gradient of a scalar function of Phi needs, without dPhi/dq where a child knows a shorter way.
+    def selected(
+        self, q: ArrayLike, embedded: Float[np.ndarray, "s k"]
+    ) -> tuple[Float[np.ndarray, "s nv"], Contraction]:
+        """A = Lambda Phi(q), and the function weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, shape (nv,).
+
+        All that the gradient of a scalar function of A needs, without dA/dq where a child knows a shorter way.
         """
         Phi, dPhi = self.value_and_derivative(q)
         flat = dPhi.reshape(-1, self.nv)
-        return Phi, lambda weights: weights.reshape(-1).dot(flat)
+        return embedded.dot(Phi), lambda weights: embedded.T.dot(weights).reshape(-1).dot(flat)
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
         """Phi at n configurations, the rows of q."""

@@ -96,17 +96,17 @@ class FrameJacobian(FeatureMap):
         J, H = self.robot.jacobian_and_derivative(q, self.frame, self.reference)
         return J[self._rows], H[self._rows]
 
-    def value_and_contraction(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Contraction]:
-        """Phi(q) and weights -> sum_ij weights_ij dPhi_ij / dq_k (see `FeatureMap`)."""
-        J, contract = self.robot.jacobian_and_contraction(q, self.frame, self.reference)
-        rows, nv = self._rows, self.nv
+    def embedded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s 6"]:
+        """The selection from all six rows of the Jacobian."""
+        every_row = np.zeros((selection.shape[0], len(AXES)))
+        every_row[:, self._rows] = selection
+        return every_row
 
-        def contract_rows(weights: np.ndarray) -> np.ndarray:
-            every_row = np.zeros((nv, 6))
-            every_row[:, rows] = weights.T
-            return contract(every_row)
-
-        return J[rows], contract_rows
+    def selected(
+        self, q: ArrayLike, embedded: Float[np.ndarray, "s 6"]
+    ) -> tuple[Float[np.ndarray, "s nv"], Contraction]:
+        """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
+        return self.robot.mixed_jacobian(q, self.frame, self.reference, embedded)
 
     def batch(self, q: ArrayLike, *, compiled: bool | None = None) -> Float[np.ndarray, "n p nv"]:
         """Phi at n postures, the rows of q, in bulk.
@@ -153,7 +153,7 @@ class FrameJacobian(FeatureMap):
         if self._only_linear and goal.shape == (self.n_rows,):
             # the usual reaching task, many times a second: no orientation is needed
             displacement = goal - self.robot.pose(q, self.frame)[self._rows, 3]
-            if math.isfinite(displacement.dot(displacement)):
+            if math.isfinite(sum(displacement.tolist())):
                 return displacement
         pose = self.robot.pose(q, self.frame)
         p, R = pose[:3, 3], pose[:3, :3]

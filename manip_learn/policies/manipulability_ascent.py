@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint import Constraint
 from manip_learn.features.feature_map import Contraction
-from manip_learn.linalg import svd
+from manip_learn.linalg import RowInverse, row_inverse, svd
 from manip_learn.manipulability_measure import gradient_from
 from manip_learn.policies.policy import NullSpacePolicy
 
@@ -40,12 +40,19 @@ class ManipulabilityAscent(NullSpacePolicy):
             ConfigurationError: q has the wrong size or is not finite.
         """
         A, contract = self.constraint.value_and_contraction(q)
+        inverse = row_inverse(A)
+        if inverse is not None:
+            return self.from_inverse(inverse, contract)
         return self.from_decomposition(A.shape, svd(A), contract)
+
+    def from_inverse(self, inverse: RowInverse, contract: Contraction) -> Float[np.ndarray, " nv"]:
+        """The same away from singularities, where d log mu = A^{+T} : dA, from what the controller has already."""
+        return contract(inverse.X) * (self.gain if self.logarithmic else self.gain * inverse.volume)
 
     def from_decomposition(
         self, shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], contract: Contraction
     ) -> Float[np.ndarray, " nv"]:
-        """The same from what the controller has already, see `gradient_from`."""
+        """The same near a singularity too, see `gradient_from`."""
         mu, gradient, floor = gradient_from(shape, decomposition, contract)
         if self.logarithmic:
             return gradient * (self.gain / max(mu, floor, 1e-300))

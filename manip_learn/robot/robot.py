@@ -207,6 +207,20 @@ class Robot:
             return self.joint_names.index(name)
         raise UnknownNameError("joint", name, self.joint_names, f"robot {self.name!r}")
 
+    def moves(self, joint: str, frame: str) -> bool:
+        """Whether a joint, or one that mimics it, lies between the base and a frame.
+
+        Raises:
+            UnknownNameError: No such joint or frame; lists near matches.
+        """
+        index = self.joint_index(joint)
+        block = next(b for b in self.blocks if b.v.start <= index < b.v.stop)
+        leaders = {block.name}
+        followers = {m.joint for m in self.mimics if m.leader in leaders}
+        model = self._model
+        chain = {model.names[j] for j in model.supports[self.frame(frame).parent_joint]}
+        return bool((leaders | followers) & chain)
+
     # ---- configurations -------------------------------------------------------------------------------------------
 
     def configuration(self, q: ArrayLike) -> Float[np.ndarray, " nq"]:
@@ -422,7 +436,7 @@ class Robot:
         """
         data = self._data
         pin.forwardKinematics(self._model, data, self._pin_q(q))
-        return pin.updateFramePlacement(self._model, data, frame.index).homogeneous.copy()
+        return pin.updateFramePlacement(self._model, data, frame.index).homogeneous  # a copy
 
     def pose_batch(self, q: ArrayLike, frame: Frame) -> Float[np.ndarray, "n 4 4"]:
         """`pose` at n postures, the rows of q.
@@ -469,11 +483,11 @@ class Robot:
             return J @ lift, np.einsum("iab,aj,bk->ijk", H, lift, lift, optimize=True)
         return J, H
 
-    def jacobian_and_contraction(
-        self, q: ArrayLike, frame: Frame, reference: Reference = "world"
-    ) -> tuple[Float[np.ndarray, "6 nv"], Callable[[Float[np.ndarray, "nv 6"]], Float[np.ndarray, " nv"]]]:
-        """Frame Jacobian J, and the function that takes weights (nv, 6), one a column and row of J, to
-        sum_ij weights_ji dJ_ij / dq_k: a gradient of J costs one product of a matrix and a vector.
+    def mixed_jacobian(
+        self, q: ArrayLike, frame: Frame, reference: Reference, mix: Float[np.ndarray, "s 6"]
+    ) -> tuple[Float[np.ndarray, "s nv"], Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]]:
+        """A = mix J, J the frame Jacobian, and the function weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k: a
+        gradient of A costs two small products, dA/dq is never formed.
 
         Raises:
             ConfigurationError: Wrong size or not finite.
@@ -481,15 +495,16 @@ class Robot:
         nv = self._model.nv
         if not self._fast_hessian or self._coupling is not None:
             J, H = self.jacobian_and_derivative(q, frame, reference)
-            by_column = H.transpose(1, 0, 2).reshape(6 * self.nv, self.nv)
-            return J, lambda weights: weights.reshape(-1).dot(by_column)
+            flat = H.reshape(6 * self.nv, self.nv)
+            return mix.dot(J), lambda weights: mix.T.dot(weights).reshape(-1).dot(flat)
         model, data, ref = self._model, self._data, REFERENCES[reference]
         pin.computeJointKinematicHessians(model, data, self._pin_q(q))
         pin.updateFramePlacement(model, data, frame.index)
-        J = pin.getFrameJacobian(model, data, frame.index, ref).reshape(6, nv)
+        J = pin.getFrameJacobian(model, data, frame.index, ref)
         # Pinocchio's buffer as it lies in memory is [k, j, i] (see `reordered`)
         by_joint = pin.getFrameKinematicHessian(model, data, frame.index, ref).reshape(nv, 6 * nv)
-        return J, lambda weights: by_joint.dot(weights.reshape(-1))
+        A = mix.dot(J) if nv > 1 else mix.dot(J.reshape(6, 1))
+        return A, lambda weights: by_joint.dot(weights.T.dot(mix).reshape(-1))
 
     @property
     def mass(self) -> float:
@@ -537,4 +552,5 @@ def _float_vector(values: ArrayLike, what: str) -> np.ndarray:
 
 def _all_finite(vector: np.ndarray) -> bool:
     # five times as fast as NumPy's own for a handful of numbers, and on the path of every call
-    return all(map(math.isfinite, vector.tolist()))
+    numbers = vector.tolist()
+    return math.isfinite(sum(numbers)) or all(map(math.isfinite, numbers))

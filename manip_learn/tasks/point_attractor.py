@@ -45,16 +45,17 @@ class PointAttractor(Task):
         Raises:
             TargetError: The target has the wrong size.
         """
-        features, s = constraint.features, constraint.n_constraints
-        if self.target.shape == (s,) and s != features.n_rows:
+        features, shape = constraint.features, self.target.shape
+        if shape == (features.n_rows,) or shape == (4, 4):
+            return constraint.selection.dot(features.error_to(self.target, q))
+        s = constraint.n_constraints
+        if shape == (s,):
             return self.target - constraint.selection @ features.coordinates(q)
-        if self.target.shape not in ((features.n_rows,), (4, 4)):
-            either = "" if s == features.n_rows else f", or {s}: one a row of the constraint"
-            raise TargetError(
-                f"the target must have {features.n_rows} numbers ({', '.join(features.row_names)}){either}; "
-                f"got shape {self.target.shape}"
-            )
-        return constraint.selection @ features.error_to(self.target, q)
+        either = "" if s == features.n_rows else f", or {s}: one a row of the constraint"
+        raise TargetError(
+            f"the target must have {features.n_rows} numbers ({', '.join(features.row_names)}){either}; "
+            f"got shape {shape}"
+        )
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
         """gain * displacement, shortened to max_speed."""

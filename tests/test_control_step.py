@@ -1,0 +1,152 @@
+"""The short cuts of one control step must not show in its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from conftest import tip_of
+
+from manip_learn import linalg
+from manip_learn.constraint import Constraint
+from manip_learn.controller import Command, ResolvedRateController
+from manip_learn.errors import ConfigurationError
+from manip_learn.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
+from manip_learn.linalg import WELL_CONDITIONED, row_inverse
+from manip_learn.policies import ManipulabilityAscent
+from manip_learn.robot.robot import Robot
+from manip_learn.tasks import PointAttractor
+from manip_learn.velocity_room import VelocityRoom
+
+RobotOf = Callable[[str], Robot]
+
+
+def close(a: Command, b: Command) -> None:
+    scale = max(1.0, float(np.max(np.abs(a.velocity))))
+    for name in ("velocity", "task_velocity", "task_part", "null_part"):
+        np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-12 * scale)
+    for name in ("manipulability", "task_scale", "null_scale", "smallest_singular_value"):
+        assert getattr(a, name) == pytest.approx(getattr(b, name), rel=1e-11, abs=1e-12)
+    assert a.status == b.status
+
+
+@pytest.mark.parametrize("name", ["planar3", "sawyer", "panda", "kinova", "gantry", "tree"])
+def test_cholesky_and_svd_give_the_same_command(
+    name: str, robot_of: RobotOf, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The factorisation of the common case and the decomposition of all cases agree to 1e-12, status included."""
+    robot = robot_of(name)
+    commands: list[list[Command]] = []
+    for shortcut in (True, False):
+        if not shortcut:
+            monkeypatch.setattr("manip_learn.controller.row_inverse", lambda A: None)
+        rng, here = np.random.default_rng(5), []
+        for axes in ("x y", "xyz", "pose"):
+            features = FrameJacobian(robot, tip_of(name), axes)
+            for s in range(1, min(features.n_rows, robot.nv - 1, 4) + 1):
+                constraint = Constraint(np.linalg.qr(rng.normal(size=(features.n_rows, s)))[0].T, features)
+                for inverse in ("damped", "exact"):
+                    q = robot.random_configuration(rng)
+                    target = features.coordinates(robot.random_configuration(rng))
+                    policy = ManipulabilityAscent(constraint, 0.3, logarithmic=bool(s % 2))
+                    if np.linalg.cond(constraint(q)) < 1e6:  # beyond it A^+ b itself is rounding
+                        here.append(ResolvedRateController(constraint, PointAttractor(target), policy, inverse)(q))
+        commands.append(here)
+    assert len(commands[0]) > 5
+    for a, b in zip(*commands, strict=True):
+        close(a, b)
+
+
+def test_row_inverse_is_exact_or_refuses(rng: np.random.Generator) -> None:
+    """A^{+T}, the volume and the smallest singular value to 1e-12, or None: never a bad answer."""
+    answered = 0
+    for _ in range(300):
+        s = int(rng.integers(1, 5))
+        A = rng.normal(size=(s, int(rng.integers(s, 9)))) * 10.0 ** rng.uniform(-3, 2)
+        U, sigma, Vt = np.linalg.svd(A, full_matrices=False)
+        sigma = sigma * 10.0 ** -np.linspace(0.0, rng.uniform(0.0, 6.0), s)
+        A = (U * sigma) @ Vt
+        got = row_inverse(A)
+        if got is None:
+            assert sigma[-1] < 1.01 * WELL_CONDITIONED * sigma[0]
+            continue
+        answered += 1
+        np.testing.assert_allclose(got.X, np.linalg.pinv(A).T, rtol=0, atol=2e-12 / sigma[-1])
+        assert got.volume == pytest.approx(np.prod(sigma), rel=1e-11)
+        assert got.smallest == pytest.approx(sigma[-1], rel=1e-11)
+    assert 50 < answered < 290
+    for singular in (np.zeros((2, 5)), np.ones((2, 5)), np.zeros((1, 3)), np.ones((3, 2))):
+        assert row_inverse(singular) is None
+
+
+def test_svd_survives_a_failing_lapack(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
+    """If LAPACK reports that it did not converge, NumPy's own call has the last word."""
+    A = rng.normal(size=(2, 5))
+    expected = np.linalg.svd(A)
+    monkeypatch.setattr(linalg, "dgesdd", lambda A: (np.nan, np.nan, np.nan, 1))
+    for got, wanted in zip(linalg.svd(A), expected, strict=True):
+        np.testing.assert_array_equal(got, wanted)
+
+
+def test_selected_rows_and_their_contraction(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Every feature map's short way to A and to sum weights dA/dq is that of its derivative."""
+    robot = robot_of("tree")
+    maps: list[FeatureMap] = [
+        FrameJacobian(robot, "tip", "ry z x", "local"),
+        FrameJacobian(robot, "arm_b", "pose"),
+        FrameJacobian(robot_of("one"), "tip", "y"),
+        FrameJacobian(robot_of("mimic"), "tip", "xyz"),
+        CentreOfMass(robot),
+        Stacked([FrameJacobian(robot, "tip"), CentreOfMass(robot, "x")]),
+        CustomFeatures(lambda q: np.outer([1.0, 2.0], q), ("a", "b"), 3, derivative=lambda q: np.ones((2, 3, 3))),
+    ]
+    for features in maps:
+        q = rng.uniform(-1.0, 1.0, features.nv)
+        for s in range(1, features.n_rows + 1):
+            constraint = Constraint(np.linalg.qr(rng.normal(size=(features.n_rows, s)))[0].T, features)
+            A, contract = constraint.value_and_contraction(q)
+            np.testing.assert_allclose(A, constraint(q), rtol=0, atol=1e-13)
+            weights = rng.normal(size=A.shape)
+            wanted = np.einsum("ij,ijk->k", weights, constraint.derivative(q))
+            np.testing.assert_allclose(contract(weights), wanted, rtol=0, atol=1e-12)
+
+
+def test_bad_postures_are_still_refused(robot_of: RobotOf) -> None:
+    """The single check of the hot path sees text, lists with NaN, wrong sizes and other byte orders."""
+    features = FrameJacobian(robot_of("sawyer"), "right_hand")
+    constraint = Constraint(np.eye(3), features)
+    for policy in (None, ManipulabilityAscent(constraint)):
+        controller = ResolvedRateController(constraint, PointAttractor([0.6, 0.1, 0.4]), policy)
+        for wrong in ("text", [np.nan] * 7, np.full(7, np.inf), np.zeros(6), np.zeros((7, 1)), ["a"] * 7):
+            with pytest.raises(ConfigurationError):
+                controller(wrong)
+        q = np.linspace(-0.5, 0.7, 7)
+        for same in (list(q), q.astype(">f8"), np.repeat(q, 2)[::2]):
+            np.testing.assert_array_equal(controller(same).velocity, controller(q).velocity)
+
+
+def brute_share(v: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
+    bounds = np.where(v > 0, upper, lower)
+    return float(min([1.0, *(max(b / x, 0.0) for b, x in zip(bounds, v, strict=True) if x != 0.0)]))
+
+
+def test_shares_against_their_definition(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """The largest shares that fit, at postures within, at and outside the limits; both parts end up within bounds."""
+    robot = robot_of("sawyer")
+    room, dt, seen = VelocityRoom(robot), 0.01, set()
+    for _ in range(300):
+        q = rng.uniform(1.02 * robot.position_lower, 1.02 * robot.position_upper)
+        if rng.random() < 0.3:
+            q[rng.integers(7)] = robot.position_upper[0]
+        task, null = rng.normal(size=7) * 10.0 ** rng.uniform(-2, 1), rng.normal(size=7) * 10.0 ** rng.uniform(-2, 1)
+        got = room.shares(q, dt, task, null)
+        lower = np.maximum(-robot.velocity_limit, np.minimum((robot.position_lower - q) / dt, 0.0))
+        upper = np.minimum(robot.velocity_limit, np.maximum((robot.position_upper - q) / dt, 0.0))
+        assert got.task == pytest.approx(brute_share(task, lower, upper), rel=1e-13)
+        used = got.task * task
+        assert got.null == pytest.approx(brute_share(null, lower - used, upper - used), rel=1e-11, abs=1e-12)
+        velocity = used + got.null * null
+        assert np.all(velocity <= upper + 1e-12) and np.all(velocity >= lower - 1e-12)
+        seen.add((got.task < 1.0, got.position_bound, got.null < 1.0))
+    assert len(seen) >= 5
