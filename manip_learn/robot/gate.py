@@ -10,7 +10,7 @@ from typing import final
 from manip_learn.errors import closest_names
 from manip_learn.robot.gate_log import GateLog, quoted, shortened
 from manip_learn.robot.mimic import Mimics, resolve_mimics
-from manip_learn.robot.urdf_elements import UrdfFile
+from manip_learn.robot.urdf_elements import UrdfFile, UrdfJoint, UrdfLink
 from manip_learn.robot.urdf_limits import check_limits
 from manip_learn.robot.urdf_reader import read_joint, read_link
 from manip_learn.robot.urdf_tree import MAX_LINKS, root_of_tree
@@ -51,7 +51,18 @@ def check_urdf(content: bytes, path: Path, locked: Collection[str] = ()) -> Pass
     check_root(root, log)
     links = tuple(read_link(node, log) for node in _counted(root, "link", log))
     joints = tuple(read_joint(node, log) for node in _counted(root, "joint", log))
-    urdf = UrdfFile(_robot_name(root, log), links, joints, root_of_tree(links, joints, log))
+    return pass_parts(_robot_name(root, log), links, joints, locked, log)
+
+
+def pass_parts(
+    name: str, links: tuple[UrdfLink, ...], joints: tuple[UrdfJoint, ...], locked: Collection[str], log: GateLog
+) -> Passed:
+    """Check links and joints, from whatever format, against each other.
+
+    Raises:
+        RobotError: They form no tree, follow each other in circles, or have limits that cannot be meant.
+    """
+    urdf = UrdfFile(name, links, joints, root_of_tree(links, joints, log))
     mimics = resolve_mimics(joints, frozenset(locked), log)
     still = {*locked, *mimics.resting, *(m.joint for m in mimics.followers if m.leader in locked)}
     for joint in joints:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from xml.sax.saxutils import quoteattr
 
 from manip_learn.robot.urdf_elements import Pose, UrdfFile, UrdfInertial, UrdfJoint, UrdfLink
@@ -11,17 +12,25 @@ from manip_learn.robot.urdf_reader import INERTIA
 LARGE = 1e300  # what C++ reads as a number and no joint reaches
 
 
-def kinematic_urdf(urdf: UrdfFile) -> str:
-    """Plain URDF without visuals, meshes and mimics (mimic joints are joints of their own here)."""
+def kinematic_urdf(
+    urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None = None, *, with_mimics: bool = False
+) -> str:
+    """Plain URDF of links and joints.
+
+    Args:
+        urdf: What passed the gate.
+        visuals: Link -> `<visual>` elements to put in; Pinocchio gets none.
+        with_mimics: Whether to write `<mimic>`; for Pinocchio mimic joints are joints of their own.
+    """
     parts = [f"<robot name={quoteattr(urdf.name)}>"]
-    parts += [_link(link) for link in urdf.links]
-    parts += [_joint(joint) for joint in urdf.joints]
+    parts += [_link(link, (visuals or {}).get(link.name, ())) for link in urdf.links]
+    parts += [_joint(joint, with_mimics) for joint in urdf.joints]
     parts.append("</robot>")
     return "\n".join(parts)
 
 
-def _link(link: UrdfLink) -> str:
-    inside = "" if link.inertial is None else _inertial(link.inertial)
+def _link(link: UrdfLink, visuals: Sequence[str]) -> str:
+    inside = ("" if link.inertial is None else _inertial(link.inertial)) + "".join(visuals)
     return f"<link name={quoteattr(link.name)}>{inside}</link>"
 
 
@@ -30,12 +39,16 @@ def _inertial(inertial: UrdfInertial) -> str:
     return f'<inertial>{_origin(inertial.pose)}<mass value="{inertial.mass!r}"/><inertia {entries}/></inertial>'
 
 
-def _joint(joint: UrdfJoint) -> str:
+def _joint(joint: UrdfJoint, with_mimics: bool) -> str:
     x, y, z = joint.axis
+    mimic = ""
+    if with_mimics and joint.mimic is not None:
+        m = joint.mimic
+        mimic = f'<mimic joint={quoteattr(m.leader)} multiplier="{m.multiplier!r}" offset="{m.offset!r}"/>'
     return (
         f'<joint name={quoteattr(joint.name)} type="{joint.type}">{_origin(joint.pose)}'
         f"<parent link={quoteattr(joint.parent)}/><child link={quoteattr(joint.child)}/>"
-        f'<axis xyz="{x!r} {y!r} {z!r}"/>{_limit(joint)}</joint>'
+        f'<axis xyz="{x!r} {y!r} {z!r}"/>{_limit(joint)}{mimic}</joint>'
     )
 
 
@@ -54,7 +67,7 @@ def _limit(joint: UrdfJoint) -> str:
     lower, upper = _bound(lower, -LARGE), _bound(upper, LARGE)
     if lower >= upper:  # of a locked joint, else the gate would have refused
         lower, upper = -LARGE, LARGE
-    velocity = LARGE if velocity is None or velocity <= 0.0 else velocity
+    velocity = LARGE if velocity is None or velocity <= 0.0 else min(velocity, LARGE)
     effort = LARGE if effort is None or effort < 0.0 else effort
     return f'<limit lower="{lower!r}" upper="{upper!r}" velocity="{velocity!r}" effort="{effort!r}"/>'
 

@@ -11,11 +11,11 @@ import pinocchio as pin
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.description_file import read_description
-from manip_learn.robot.locking import Locked
-from manip_learn.robot.mjcf import load_mjcf
+from manip_learn.robot.locking import Locked, names_of
+from manip_learn.robot.mjcf import check_mjcf
 from manip_learn.robot.names import find_robot
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.urdf_robot import robot_from_urdf
+from manip_learn.robot.urdf_robot import robot_from_parts, robot_from_urdf
 from manip_learn.robot.xacro_file import expanded_xacro
 
 Base = Literal["fixed", "floating", "planar"]
@@ -59,7 +59,8 @@ def load_robot(
     else:
         content = read_description(path)
         if _is_mjcf(content):
-            return load_mjcf(content, path, folders, locked, root_joint)
+            passed, content = check_mjcf(content, path, names_of(locked))
+            return robot_from_parts(passed, content, path, package_dirs=folders, locked=locked, root_joint=root_joint)
     return robot_from_urdf(content, path, package_dirs=folders, locked=locked, root_joint=root_joint)
 
 

@@ -37,6 +37,8 @@ def _check_range(joint: UrdfJoint, log: GateLog) -> None:
         fix = f'swap or correct them{otherwise}, or type="fixed", or lock the joint'
         raise log.refusal("limit-order", limit.line, where, seen, "lower below upper is wanted", fix)
     largest = max(abs(limit.lower), abs(limit.upper))
+    if largest == math.inf:  # said by the format, not by a number
+        return
     if largest > UNLIMITED:
         log.warn(limit.line, f"{where}: its limit of {largest:.3g} {unit} is taken for no limit")
     elif joint.type == "revolute" and largest > LARGEST_ANGLE:

@@ -47,7 +47,7 @@ def read_link(node: XmlNode, log: GateLog) -> UrdfLink:
     Raises:
         RobotError: Codes `name-*`, `number`, `not-finite`, `vector-size`, `mass`, `element-twice`.
     """
-    name = _name(node, log)
+    name = read_name(node, log)
     where = f"link {name!r}"
     _warn_unknown_children(node, LINK_CHILDREN, where, log)
     inertial = _only(node, "inertial", where, log)
@@ -60,7 +60,7 @@ def read_joint(node: XmlNode, log: GateLog) -> UrdfJoint:
     Raises:
         RobotError: Codes `name-*`, `joint-type`, `joint-link`, `axis-*`, `planar-axis`, `number`, `not-finite`, ...
     """
-    name = _name(node, log)
+    name = read_name(node, log)
     where = f"joint {name!r}"
     _warn_unknown_children(node, JOINT_CHILDREN, where, log)
     joint_type = _type(node, where, log)
@@ -78,7 +78,12 @@ def read_joint(node: XmlNode, log: GateLog) -> UrdfJoint:
     )
 
 
-def _name(node: XmlNode, log: GateLog) -> str:
+def read_name(node: XmlNode, log: GateLog) -> str:
+    """The name of an element.
+
+    Raises:
+        RobotError: Codes `name-missing`, `name-long`, `name-unprintable`, `name-reserved`.
+    """
     where = f"<{node.tag}>"
     name = node.attributes.get("name", "")
     if not name.strip():
@@ -150,10 +155,15 @@ def _axis(node: XmlNode, joint_type: str, where: str, log: GateLog) -> Vector:
     if axis is None or xyz is None:
         log.warn(node.line, f"{where}: it has no axis; 1 0 0 is taken, which is the default of URDF")
         return (1.0, 0.0, 0.0)
-    return _unit(xyz, axis, where, log)
+    return unit_axis(xyz, axis, where, log)
 
 
-def _unit(xyz: tuple[float, ...], axis: XmlNode, where: str, log: GateLog) -> Vector:
+def unit_axis(xyz: tuple[float, ...], axis: XmlNode, where: str, log: GateLog) -> Vector:
+    """The direction of an axis.
+
+    Raises:
+        RobotError: Codes `axis-zero`, `axis-norm`.
+    """
     norm = math.hypot(*xyz)
     if norm == 0.0:
         fix = 'write the direction, or type="fixed" for a joint that never moves'

@@ -12,7 +12,7 @@ import pinocchio as pin
 from manip_learn.errors import RobotError
 from manip_learn.robot.c_stderr import captured_c_stderr
 from manip_learn.robot.coupling import Mimic
-from manip_learn.robot.gate import check_urdf
+from manip_learn.robot.gate import Passed, check_urdf
 from manip_learn.robot.kinematic_urdf import LARGE, kinematic_urdf
 from manip_learn.robot.locking import Locked, locked_positions, names_of
 from manip_learn.robot.robot import Robot
@@ -41,6 +41,24 @@ def robot_from_urdf(
         UnknownNameError: A locked joint that does not exist.
     """
     passed = check_urdf(content, path, names_of(locked))
+    return robot_from_parts(passed, content, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint)
+
+
+def robot_from_parts(
+    passed: Passed,
+    content: bytes,
+    path: Path,
+    *,
+    package_dirs: Sequence[Path] = (),
+    locked: Locked = (),
+    root_joint: pin.JointModel | None = None,
+) -> Robot:
+    """Robot from what passed the gate; `content` is kept as its description. See `robot_from_urdf`.
+
+    Raises:
+        RobotError: Pinocchio refuses it, or a joint cannot be locked.
+        UnknownNameError: A locked joint that does not exist.
+    """
     urdf, warnings = passed.urdf, list(passed.warnings)
     if root_joint is not None and urdf.joint("root_joint") is not None:
         raise RobotError(

@@ -1,0 +1,164 @@
+"""MJCF files: the same robot as MuJoCo sees, or a refusal."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from manip_learn.errors import RobotError
+from manip_learn.robot.cross_check import cross_check
+from manip_learn.robot.loading import load_robot
+from manip_learn.robot.shapes import Box, Capsule, Cylinder, Sphere
+from manip_learn.robot.visuals import visual_shapes
+
+GEOM = '<geom type="sphere" size="0.1"/>'
+RADIAN = '<compiler angle="radian"/>'
+DEFAULTS = """<compiler angle="radian"/>
+<default><joint axis="1 0 0"/><default class="c"><joint axis="0 1 0" range="0 1"/>
+<default class="d"><joint type="slide"/></default></default></default>"""
+
+
+def body(name: str, attributes: str = "", inside: str = "") -> str:
+    """One body with a ball for a mass."""
+    return f'<body name="{name}" {attributes}>{inside}{GEOM}</body>'
+
+
+def mjcf(bodies: str, head: str = RADIAN, tail: str = "") -> str:
+    """A file."""
+    return f'<mujoco model="m">{head}<worldbody>{bodies}</worldbody>{tail}</mujoco>'
+
+
+JOINT = '<joint name="j" axis="0 1 1"/>'
+SECOND = body("b", 'pos="0.3 0.1 0" euler="0.3 0 0.2"', '<joint name="k" axis="1 0 0.5"/>')
+CASES = {
+    "plain": mjcf(body("a", 'pos="1 2 3"', JOINT + SECOND)),
+    "joint away from the origin": mjcf(
+        body("a", 'euler="0.1 0.2 0.3"', '<joint name="j" axis="0 0 1" pos="0.1 0.2 0.3"/>' + SECOND)
+    ),
+    "reference angle": mjcf(body("a", 'pos="0 0 1"', '<joint name="j" axis="0 0.6 0.8" ref="0.5"/>' + SECOND)),
+    "reference slide": mjcf(body("a", 'euler="1 0 0"', '<joint name="j" type="slide" ref="0.5"/>' + SECOND)),
+    "axis and angle": mjcf(body("a", 'axisangle="1 2 0 0.7"', JOINT)),
+    "axis and angle in degrees": mjcf(body("a", 'axisangle="1 2 0 70"', JOINT), head=""),
+    "two axes": mjcf(body("a", 'xyaxes="1 1 0 -1 2 0.3"', JOINT)),
+    "z axis": mjcf(body("a", 'zaxis="1 1 0.2"', JOINT)),
+    "quaternion not of length one": mjcf(body("a", 'quat="0.5 0.1 0.2 0.9"', JOINT)),
+    "Euler fixed axes": mjcf(body("a", 'euler="0.1 0.2 0.3"', JOINT), '<compiler angle="radian" eulerseq="ZYX"/>'),
+    "Euler mixed axes": mjcf(body("a", 'euler="10 20 30"', JOINT), '<compiler eulerseq="xZy"/>'),
+    "quarter turn of pitch": mjcf(body("a", f'euler="0.4 {np.pi / 2} 0"', JOINT + SECOND)),
+    "default classes": mjcf(
+        body("a", 'childclass="c"', '<joint name="j"/>' + body("b", 'pos="1 0 0"', '<joint name="k" class="d"/>')),
+        DEFAULTS,
+    ),
+    "several joints in a body": mjcf(
+        body(
+            "a", 'pos="1 0 0"', '<joint name="x" type="slide" axis="1 0 0"/>' + JOINT + '<joint name="z" pos="0 1 0"/>'
+        )
+    ),
+    "body without joint": mjcf(body("a", 'pos="1 0 0" quat="0 1 0 0"', body("b", 'pos="0 1 0"', JOINT))),
+    "two bodies in the world": mjcf(body("a", 'pos="1 0 0"', JOINT) + body("b", 'pos="0 1 0"', '<joint name="k"/>')),
+    "free body": mjcf(body("a", 'pos="1 0 0"', '<freejoint name="f"/>' + SECOND)),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_body_is_where_mujoco_puts_it(name, tmp_path, rng):
+    """Positions and orientations of all bodies agree to 1e-12 at random joint values."""
+    mujoco = pytest.importorskip("mujoco")
+    path = tmp_path / "robot.xml"
+    path.write_text(CASES[name], encoding="utf-8")
+    robot = load_robot(path)
+    model = mujoco.MjModel.from_xml_string(CASES[name])
+    data = mujoco.MjData(model)
+    for _ in range(5):
+        q = robot.random_configuration(rng)
+        for block in robot.blocks:
+            values = q[block.q]
+            # a quaternion is x y z w here and w x y z there
+            data.joint(block.name).qpos = values[[0, 1, 2, 6, 3, 4, 5]] if block.kind == "floating" else values
+        mujoco.mj_kinematics(model, data)
+        for link in (n for n in ("a", "b") if n in robot.frame_names):
+            pose = robot.pose(q, robot.frame(link))
+            np.testing.assert_allclose(pose[:3, 3], data.body(link).xpos, atol=1e-12)
+            np.testing.assert_allclose(pose[:3, :3].ravel(), data.body(link).xmat, atol=1e-12)
+
+
+def load(tmp_path, text: str, **options):
+    """Load a text."""
+    path = tmp_path / "robot.xml"
+    path.write_text(text, encoding="utf-8")
+    return load_robot(path, **options)
+
+
+def test_only_angles_are_in_degrees(tmp_path):
+    """The range of a hinge is converted, that of a slide is metres; without a range there is no limit."""
+    inside = '<joint name="h" range="-90 45"/><joint name="s" type="slide" range="0 0.2"/><joint name="free"/>'
+    robot = load(tmp_path, mjcf(body("a", "", inside), head=""))
+    assert robot.joint_names == ("h", "s", "free")
+    np.testing.assert_allclose(robot.position_lower, [-np.pi / 2, 0, -np.inf])
+    np.testing.assert_allclose(robot.position_upper, [np.pi / 4, 0.2, np.inf])
+    assert np.isinf(robot.velocity_limit).all()
+
+
+def test_linear_couplings_become_mimic_joints(tmp_path, rng):
+    """A coupled joint follows, counted from both reference values, as in MuJoCo's equation."""
+    inside = '<joint name="j" ref="0.2"/>' + body("b", "", '<joint name="k" ref="0.1"/>')
+    tail = '<equality><joint joint1="k" joint2="j" polycoef="0.3 -2"/></equality>'
+    robot = load(tmp_path, mjcf(body("a", "", inside), tail=tail))
+    (mimic,) = robot.mimics
+    assert (mimic.joint, mimic.leader, mimic.multiplier) == ("k", "j", -2.0)
+    assert mimic.offset == pytest.approx(0.1 + 0.3 + 2 * 0.2)
+    assert robot.nv == 1
+    assert cross_check(robot, rng).agrees
+
+
+def test_sites_are_frames_and_shapes_are_drawn(tmp_path):
+    """Sites can be named as tips; primitive shapes keep size and colour; half lengths become lengths."""
+    shapes = (
+        '<geom type="box" size="0.1 0.2 0.3" rgba="1 0 0 1"/><geom type="capsule" size="0.1 0.2"/>'
+        '<geom type="cylinder" size="0.05" fromto="0 0 0 0 0 0.6"/><geom type="plane" size="1 1 1"/>'
+    )
+    robot = load(tmp_path, mjcf(body("a", "", JOINT + shapes + '<site name="tcp" pos="0 0 0.5"/>')))
+    assert "tcp" in robot.frame_names
+    drawn = {type(v.shape): v for v in visual_shapes(robot)}
+    assert drawn[Box].shape == Box((0.2, 0.4, 0.6)) and drawn[Box].colour == (1.0, 0.0, 0.0, 1.0)
+    assert drawn[Capsule].shape == Capsule(0.1, 0.4)
+    assert drawn[Cylinder].shape.length == pytest.approx(0.6) and drawn[Cylinder].placement[2, 3] == pytest.approx(0.3)
+    assert drawn[Sphere].shape == Sphere(0.1)
+
+
+REFUSED = {
+    "mjcf-element": mjcf('<include file="other.xml"/>'),
+    "mjcf-class": mjcf(body("a", "", '<joint class="nowhere"/>')),
+    "mjcf-compiler": mjcf("", head='<compiler angle="gon"/>'),
+    "mjcf-orientation": mjcf(body("a", 'quat="0 0 0 0"', JOINT)),
+    "mjcf-coupling": mjcf(
+        body("a", "", JOINT + SECOND), tail='<equality><joint joint1="k" joint2="j" polycoef="0 1 2"/></equality>'
+    ),
+    "joint-type": mjcf(body("a", "", '<joint type="ball"/>')),
+    "axis-zero": mjcf(body("a", "", '<joint axis="0 0 0"/>')),
+    "limit-order": mjcf(body("a", "", '<joint range="1 -1"/>')),
+    "not-finite": mjcf(body("a", 'pos="nan 0 0"', JOINT)),
+    "number": mjcf(body("a", 'pos="x 0 0"', JOINT)),
+    "duplicate-link": mjcf(body("a", "", JOINT) + body("a", "", '<joint name="k"/>')),
+    "name-reserved": mjcf(body("universe", "", JOINT)),
+    "doctype": "<!DOCTYPE mujoco [<!ENTITY a 'b'>]>" + mjcf(body("a", "", JOINT)),
+}
+
+
+@pytest.mark.parametrize("code", REFUSED)
+def test_what_cannot_be_kept_is_refused(code, tmp_path):
+    """Files that Pinocchio's own reader takes in silence or garbles are refused with a code and a line."""
+    with pytest.raises(RobotError) as caught:
+        load(tmp_path, REFUSED[code])
+    assert caught.value.code == code
+    assert caught.value.line is not None
+    assert str(tmp_path) in str(caught.value)
+
+
+def test_locking_and_fingerprint(tmp_path):
+    """Joints of an MJCF file are locked by name, and the fingerprint knows."""
+    text = mjcf(body("a", "", JOINT + SECOND))
+    free, held = load(tmp_path, text), load(tmp_path, text, locked={"k": 0.4})
+    assert (free.nv, held.nv) == (2, 1)
+    assert held.locked == {"k": 0.4}
+    assert free.fingerprint != held.fingerprint
