@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +23,11 @@ from manip_learn.manipulability_measure import manipulability
 from manip_learn.robot.robot import Robot
 
 FORMAT = "manip_learn.rollout"
+# what NumPy and zipfile raise for files that are broken, cut short, or of another kind
+DAMAGE = (
+    *(OSError, ValueError, KeyError, AttributeError, TypeError, EOFError, NotImplementedError, RuntimeError),
+    *(MemoryError, zipfile.BadZipFile, zlib.error),
+)
 Progress = Callable[[float], None]
 
 
@@ -101,7 +108,8 @@ class Rollout:
             RecordingError: No such file, or another kind of file.
         """
         try:
-            with np.load(path, allow_pickle=False) as content:
+            # opened here: np.load leaves a damaged file open
+            with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as content:
                 if "format" not in content or str(content["format"]) != FORMAT:
                     raise RecordingError(f"{path} is no rollout; `manip-learn control ... --out FILE.npz` writes one")
                 return Rollout(
@@ -115,7 +123,7 @@ class Rollout:
                 )
         except FileNotFoundError as error:
             raise RecordingError(f"rollout file {path} does not exist", code="missing") from error
-        except (OSError, ValueError, KeyError, AttributeError, EOFError) as error:
+        except DAMAGE as error:
             raise RecordingError(f"{path} is no rollout file: {error}", code="not-a-rollout") from error
 
 

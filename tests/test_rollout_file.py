@@ -1,0 +1,86 @@
+"""Rollout files: what is saved is what is loaded, and a damaged file is refused in a sentence."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from manip_learn.errors import OutputError, RecordingError
+from manip_learn.rollout import Rollout
+
+T = 4
+ROLLOUT = Rollout(
+    np.arange(T) * 0.1,
+    np.arange(2.0 * T).reshape(T, 2),
+    np.ones((T, 2)),
+    np.full(T, 0.5),
+    ("ok", "ok", "damped", "ok"),
+    ("a", "b"),
+    np.zeros(T),
+)
+
+
+def test_round_trip(tmp_path):
+    """Every array, word and name comes back as it was; the file is whole or absent."""
+    copy = Rollout.load(ROLLOUT.save(tmp_path / "r.npz"))
+    for name in ("time", "q", "u", "manipulability", "task_error"):
+        np.testing.assert_array_equal(getattr(copy, name), getattr(ROLLOUT, name))
+    assert copy.status == ROLLOUT.status
+    assert copy.joint_names == ROLLOUT.joint_names
+    assert [p.name for p in tmp_path.iterdir()] == ["r.npz"]
+
+
+def test_unwritable(tmp_path):
+    """A path through a file that is no folder is refused by name."""
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(OutputError, match="file"):
+        ROLLOUT.save(tmp_path / "file" / "r.npz")
+
+
+@pytest.mark.parametrize("kind", ["missing", "folder", "empty", "text", "npy", "other npz", "pickle"])
+def test_other_files_are_refused(tmp_path, kind):
+    """No file, a folder, or a file of another kind is a RecordingError that names it."""
+    path = tmp_path / "r.npz"
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "npy":
+        with path.open("wb") as stream:
+            np.save(stream, np.zeros(3))
+    elif kind == "other npz":
+        np.savez(path, q=np.zeros(3))
+    elif kind == "pickle":
+        np.savez(path, format=np.array([{}], dtype=object))
+    elif kind != "missing":
+        path.write_text("" if kind == "empty" else "time,q\n0,1\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"r\.npz"):
+        Rollout.load(path)
+
+
+def whole_file() -> bytes:
+    """The bytes of a good file, uncompressed so that damage reaches the arrays' headers too."""
+    stream = io.BytesIO()
+    arrays = {
+        n: getattr(ROLLOUT, n) for n in ("time", "q", "u", "manipulability", "task_error", "status", "joint_names")
+    }
+    np.savez(stream, format=np.array("manip_learn.rollout"), **arrays)
+    return stream.getvalue()
+
+
+@given(cut=st.floats(0.0, 1.0), changes=st.lists(st.tuples(st.floats(0.0, 0.999999), st.integers(0, 255)), max_size=6))
+@pytest.mark.fuzz
+def test_damaged_files_are_refused_or_harmless(tmp_path_factory, cut, changes):
+    """Whatever bytes are changed or missing, loading gives a rollout or a RecordingError, never anything else."""
+    content = bytearray(whole_file())
+    for place, value in changes:
+        content[int(place * len(content))] = value
+    path = Path(tmp_path_factory.getbasetemp()) / "damaged.npz"
+    path.write_bytes(content[: max(1, int(np.ceil(cut * len(content))))])
+    try:
+        Rollout.load(path)
+    except RecordingError as error:
+        assert "damaged.npz" in str(error)
