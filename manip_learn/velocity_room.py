@@ -9,6 +9,9 @@ from jaxtyping import Float
 
 from manip_learn.robot.robot import Robot
 
+# [rad/s or m/s] A joint at its limit must not stop the arm because rounding asks it for less than this.
+NEGLIGIBLE = 1e-12
+
 
 @final
 class Shares(NamedTuple):
@@ -62,11 +65,11 @@ class VelocityRoom:
             high = limit if high > limit else max(high, 0.0)
             room.append((low, high, v))
             bound = high if v > 0.0 else low
-            if abs(bound) < abs(v) * task:
+            if abs(bound) < abs(v) * task and abs(v) > NEGLIGIBLE:
                 task, position_bound = bound / v, abs(bound) < limit
         null = 1.0
         for w, (low, high, v) in zip(null_part.tolist(), room, strict=True):
             left = high - task * v if w > 0.0 else task * v - low
-            if left < abs(w) * null:
+            if left < abs(w) * null and abs(w) > NEGLIGIBLE:
                 null = max(left, 0.0) / abs(w)
         return Shares(task, null, position_bound)

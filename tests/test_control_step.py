@@ -131,6 +131,18 @@ def brute_share(v: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
     return float(min([1.0, *(max(b / x, 0.0) for b, x in zip(bounds, v, strict=True) if x != 0.0)]))
 
 
+def test_rounding_does_not_stop_the_arm(robot_of: RobotOf) -> None:
+    """A joint at its limit that is asked for 1e-15 rad/s beyond it costs the task nothing."""
+    robot = robot_of("sawyer")
+    q = np.array(robot.positions(robot.neutral()))
+    q[3] = robot.position_upper[3]
+    task, null = np.full(7, 0.01), np.full(7, 0.01)
+    task[3] = null[3] = 1e-15
+    assert VelocityRoom(robot).shares(q, 0.01, task, null) == (1.0, 1.0, False)
+    task[3] = 1e-9
+    assert VelocityRoom(robot).shares(q, 0.01, task, null) == (0.0, 1.0, True)
+
+
 def test_shares_against_their_definition(robot_of: RobotOf, rng: np.random.Generator) -> None:
     """The largest shares that fit, at postures within, at and outside the limits; both parts end up within bounds."""
     robot = robot_of("sawyer")
