@@ -13,7 +13,7 @@ from manip_learn.io.joint_matching import MatchedRecording, angular_coordinates,
 from manip_learn.io.limit_checks import check_limits
 from manip_learn.io.read_request import ReadRequest
 from manip_learn.io.recording import Recording
-from manip_learn.io.time_checks import doubt_slow_time, increasing, pieces, time_in_seconds
+from manip_learn.io.time_checks import bunched_note, doubt_slow_time, increasing, pieces, time_in_seconds
 from manip_learn.io.velocity_checks import FEWEST, check_velocities, compare_velocities
 from manip_learn.robot import Robot
 
@@ -51,6 +51,7 @@ def examine(recording: Recording, request: ReadRequest) -> Examined:
         recording, time, q, u = _kept(recording, keep), time[keep], q[keep], None if u is None else u[keep]
         if time.shape[0] < 2:
             raise recording.refusal("too-short", "all stamps are the same: nothing is left to see a motion")
+    notes += bunched_note(time)
     q, said = _unwrapped(robot, q)
     notes += said
     if u is None:

@@ -14,6 +14,7 @@ FAR_ANGLE, FAR_LENGTH = 0.1, 0.05  # [rad], [m]: a few degrees are calibration, 
 MANY_TURNS = 4 * np.pi  # [rad] for joints without limits
 FAST = 3.0  # times the velocity limit
 JUMP = np.pi / 2  # [rad] in one step
+MOSTLY = 0.3  # of the samples
 
 
 def excess(robot: Robot, q: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, " nv"]:
@@ -62,22 +63,36 @@ def _refuse_degrees(
     far: Bool[np.ndarray, " nv"],
     fast: bool,
 ) -> None:
+    largest = np.abs(q).max(axis=0)
     unlimited = angular & ~np.isfinite(robot.position_lower) & ~np.isfinite(robot.position_upper)
-    turning = unlimited & (np.abs(q).max(axis=0) > MANY_TURNS) & fast
-    if not np.any((far & angular) | turning):
+    turning = unlimited & (largest > MANY_TURNS) & fast
+    # one faulty sample, a sign or a full turn is another fault
+    mostly = np.mean((q < robot.position_lower) | (q > robot.position_upper), axis=0) > MOSTLY
+    other = np.array([_other_guess(robot, q[:, i], i) is not None for i in range(robot.nv)])
+    suspects = (far & angular & mostly & ~other & (largest > 2 * np.pi)) | turning
+    if not np.any(suspects) or np.any(excess(robot, np.radians(q))[suspects] > FAR_ANGLE):
         return
-    inside = excess(robot, np.radians(q)) <= FAR_ANGLE
-    if not np.all(inside | ~angular):
-        return
-    i = int(np.argmax(np.where((far & angular) | turning, np.abs(q).max(axis=0), 0.0)))
+    i = int(np.argmax(np.where(suspects, largest, 0.0)))
     sample = int(np.argmax(np.abs(q[:, i])))
+    whole_file = 2 * np.count_nonzero(largest[angular] > np.pi) >= np.count_nonzero(angular)
+    advice = "pass degrees=True, or convert the file to radians" if whole_file else "convert this column to radians"
     raise recording.refusal(
         "degrees",
         f"positions look like degrees: {q[sample, i]:.6g} where the limits are [{robot.position_lower[i]:.4g}, "
-        f"{robot.position_upper[i]:.4g}] rad; pass degrees=True, or convert the file to radians",
+        f"{robot.position_upper[i]:.4g}] rad; {advice}",
         sample=sample,
         column=robot.joint_names[i],
     )
+
+
+def _other_guess(robot: Robot, q: Float[np.ndarray, " T"], i: int) -> str | None:
+    """What would bring all positions of joint i back inside its limits, other than a unit."""
+    lower, upper = robot.position_lower[i], robot.position_upper[i]
+    if np.all((-q >= lower) & (-q <= upper)):
+        return "a wrong sign?"
+    if any(np.all((q + turn >= lower) & (q + turn <= upper)) for turn in (-2 * np.pi, 2 * np.pi)):
+        return "a full turn too much?"
+    return None
 
 
 def _refuse_far(recording: Recording, request: ReadRequest, q: Float[np.ndarray, "T nv"], i: int) -> None:
@@ -85,18 +100,14 @@ def _refuse_far(recording: Recording, request: ReadRequest, q: Float[np.ndarray,
     lower, upper = robot.position_lower[i], robot.position_upper[i]
     outside = np.maximum(lower - q[:, i], q[:, i] - upper)
     sample = int(np.argmax(outside))
-    if np.all((-q[:, i] >= lower) & (-q[:, i] <= upper)):
-        guess = "a wrong sign?"
-    elif any(np.all((q[:, i] + t >= lower) & (q[:, i] + t <= upper)) for t in (-2 * np.pi, 2 * np.pi)):
-        guess = "a full turn too much?"
-    elif request.joint_names:
+    guess = _other_guess(robot, q[:, i], i)
+    if guess is None and request.joint_names:
         guess = "the wrong order in joint_names?"
-    else:
-        guess = "wrong units, columns with the wrong names, or another robot?"
     raise recording.refusal(
         "outside-limits",
         f"{q[sample, i]:.6g} is outside the limits [{lower:.4g}, {upper:.4g}] of robot {robot.name!r} at "
-        f"{np.count_nonzero(outside > 0)} of {q.shape[0]} samples: {guess} Correct the file, or pass "
+        f"{np.count_nonzero(outside > 0)} of {q.shape[0]} samples: "
+        f"{guess or 'wrong units, columns with the wrong names, or another robot?'} Correct the file, or pass "
         "outside_limits='note' if it is right",
         sample=sample,
         column=robot.joint_names[i],

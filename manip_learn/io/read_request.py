@@ -53,7 +53,12 @@ class ReadRequest:
         _check_choice("outside_limits", self.outside_limits, ("refuse", "note"))
         for option in ("ignore_columns", "joint_names", "topics"):
             object.__setattr__(self, option, _names(option, getattr(self, option)))
-        if self.rate is not None and not (math.isfinite(self.rate) and self.rate > 0):
+        if not isinstance(self.rename, Mapping):
+            raise RecordingError(
+                f"rename must be a mapping {{name in the file: name wanted}}, got {self.rename!r}", code="option"
+            )
+        is_number = isinstance(self.rate, int | float)
+        if self.rate is not None and not (is_number and math.isfinite(self.rate) and self.rate > 0):
             raise RecordingError(
                 f"rate must be a positive number of samples a second [Hz], got {self.rate!r}", code="option"
             )
@@ -71,7 +76,8 @@ def _check_choice(option: str, value: object, allowed: tuple[object, ...]) -> No
 def _names(option: str, value: str | Sequence[str] | None) -> tuple[str, ...] | None:
     if value is None:
         return None
-    names = (value,) if isinstance(value, str) else tuple(value)
-    if not all(isinstance(n, str) for n in names):
+    given = (value,) if isinstance(value, str) else value
+    names = tuple(n for n in given if isinstance(n, str)) if isinstance(given, Sequence) else ()
+    if not isinstance(given, Sequence) or len(names) != len(given):
         raise RecordingError(f"{option} must be names, got {value!r}", code="option")
     return names

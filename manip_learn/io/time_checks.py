@@ -10,6 +10,7 @@ from manip_learn.io.read_request import SECONDS, ReadRequest
 from manip_learn.io.recording import Recording
 
 GAP_FACTOR = 10.0
+BUNCHED = 0.02  # of the usual step
 UNIT_WORDS = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 # a stamp of the years 1973 to 5138 in each unit; seconds end where milliseconds begin
 EPOCHS = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
@@ -120,3 +121,18 @@ def pieces(time: Float[np.ndarray, " T"]) -> tuple[list[slice], Int[np.ndarray, 
     gaps = np.flatnonzero(steps > GAP_FACTOR * np.median(steps))
     bounds = [0, *(int(g) + 1 for g in gaps), time.shape[0]]
     return [slice(a, b) for a, b in zip(bounds, bounds[1:], strict=False)], gaps
+
+
+def bunched_note(time: Float[np.ndarray, " T"]) -> list[str]:
+    """A sentence on samples that were stamped almost at once, as by a recorder that fell behind; velocities derived
+    from them would be far too large.
+    """
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    bunched = steps < BUNCHED * usual
+    if not np.any(bunched):
+        return []
+    return [
+        f"{np.count_nonzero(bunched)} steps between stamps are under {BUNCHED:.0%} of the usual {usual:.3g} s (the smallest: "
+        f"{np.min(steps):.3g} s): the stamps are those of a recorder that fell behind, derived velocities will suffer"
+    ]

@@ -1,0 +1,262 @@
+"""The doctor: faults are found by limits and slopes and named; real data pass; everything done is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manip_learn.demonstrations import Demonstrations
+from manip_learn.errors import RecordingError
+from manip_learn.io import load_demonstrations
+from manip_learn.io.velocity_checks import compare_velocities
+from manip_learn.robot import Robot, load_robot
+
+
+@pytest.fixture(scope="module")
+def sawyer() -> Robot:
+    return load_robot("sawyer")
+
+
+@pytest.fixture(scope="module")
+def planar3() -> Robot:
+    return load_robot("planar3")
+
+
+def guided(robot: Robot, rng: np.random.Generator, n: int = 400, dt: float = 0.05) -> tuple[np.ndarray, ...]:
+    """A motion as of a guided arm: smooth, inside the limits, jittering stamps, encoder noise, quantised velocities."""
+    time = np.cumsum(dt * rng.uniform(0.3, 1.7, n))
+    lower, upper = np.maximum(robot.position_lower, -3.0), np.minimum(robot.position_upper, 3.0)
+    middle, half = 0.5 * (lower + upper), 0.25 * (upper - lower)
+    rate, phase = rng.uniform(0.2, 0.6, robot.nv), rng.uniform(0, 6, robot.nv)
+    q = middle + half * np.sin(rate * time[:, None] + phase) + 1e-4 * rng.normal(size=(n, robot.nv))
+    u = half * rate * np.cos(rate * time[:, None] + phase) + 0.01 * rng.normal(size=(n, robot.nv))
+    return time, q, np.round(u, 3)
+
+
+def load(robot: Robot, folder: Path, time: Any, q: Any, u: Any = None, **options: Any) -> Demonstrations:
+    arrays = {"time": time, "q": q, "joint_names": np.array(robot.joint_names)} | ({} if u is None else {"u": u})
+    np.savez(folder / "demo.npz", **arrays)
+    return load_demonstrations(folder / "demo.npz", robot, **options)
+
+
+def refused(*arguments: Any, **options: Any) -> RecordingError:
+    with pytest.raises(RecordingError) as caught:
+        load(*arguments, **options)
+    return caught.value
+
+
+def test_guided_motions_pass_without_a_word(sawyer: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
+    """Jitter, noise and quantisation of real recordings are no faults: 20 of 20 pass, with and without velocities."""
+    for _ in range(20):
+        time, q, u = guided(sawyer, rng)
+        assert load(sawyer, tmp_path, time, q, u).notes == ()
+        assert load(sawyer, tmp_path, time, q).notes == ()
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5", "sawyer"])
+def test_degrees_are_always_caught(name: str, robot_of, rng: np.random.Generator, tmp_path: Path) -> None:
+    """By the limits, without velocities, 20 of 20; with the way out, which gives the radians back."""
+    robot = robot_of(name)
+    for _ in range(20):
+        time, q, _ = guided(robot, rng)
+        assert refused(robot, tmp_path, time, np.degrees(q)).code == "degrees"
+    demos = load(robot, tmp_path, time, np.degrees(q), degrees=True)
+    np.testing.assert_allclose(demos[0].q, q, rtol=1e-12)
+    assert demos.notes == ("demo.npz: degrees converted to radians, as asked",)
+
+
+@pytest.mark.parametrize(
+    ("scale_t", "scale_q", "scale_u", "code", "slope"),
+    [
+        (1.0, 57.29578, 1.0, "degrees", 57.3),
+        (1.0, 1.0, 57.29578, "degrees", 0.0175),
+        (1e3, 1.0, 1.0, "time-unit", 1e-3),
+        (1e6, 1.0, 1.0, "time-unit", 1e-6),
+        (1e9, 1.0, 1.0, "time-unit", 1e-9),
+        (1.0, 1.0, 0.1, "velocity-scale", 10.0),
+        (1.0, 1.0, -1.0, "sign", -1.0),
+    ],
+)
+def test_faults_are_named_by_the_slope(
+    scale_t: float, scale_q: float, scale_u: float, code: str, slope: float, sawyer: Robot, rng, tmp_path: Path
+) -> None:
+    """slope(dq/dt against the recorded velocity) tells degrees, milliseconds and signs apart; the number is said."""
+    time, q, u = guided(sawyer, rng)
+    small = 0.02 * q if scale_q > 1 else q  # inside the limits even in degrees: the limits cannot tell
+    error = refused(sawyer, tmp_path, scale_t * time, scale_q * small, scale_u * (u * small.std() / q.std()))
+    assert error.code == code
+    said = float(str(error).split("slope ")[1].split()[0])
+    assert said == pytest.approx(slope, rel=0.05)
+
+
+def test_one_joint_with_a_wrong_sign_is_named(sawyer: Robot, rng, tmp_path: Path) -> None:
+    """The joint at fault stands in the refusal."""
+    time, q, u = guided(sawyer, rng)
+    u[:, 3] *= -1
+    error = refused(sawyer, tmp_path, time, q, u)
+    assert error.code == "sign" and error.column == "right_j3"
+
+
+def test_velocities_in_another_order_are_named(sawyer: Robot, rng, tmp_path: Path) -> None:
+    """Two velocity columns changed about: both joints stand in the refusal."""
+    time, q, u = guided(sawyer, rng)
+    error = refused(sawyer, tmp_path, time, q, u[:, [0, 4, 2, 3, 1, 5, 6]])
+    assert error.code == "velocity-order" and "right_j1" in str(error) and "right_j4" in str(error)
+
+
+def test_joints_at_rest_are_not_judged(sawyer: Robot, rng, tmp_path: Path) -> None:
+    """A joint that stands still, with an offset in its velocity, is no fault."""
+    time, q, u = guided(sawyer, rng)
+    q[:, 2], u[:, 2] = 0.4 + 1e-4 * rng.normal(size=len(q)), -0.001
+    assert load(sawyer, tmp_path, time, q, u).notes == ()
+
+
+def test_useless_velocities_are_a_note(sawyer: Robot, rng, tmp_path: Path) -> None:
+    """Noise instead of velocities is not repaired and not hidden."""
+    time, q, u = guided(sawyer, rng)
+    u[:, 5] = rng.normal(size=len(q))
+    demos = load(sawyer, tmp_path, time, q, u)
+    np.testing.assert_array_equal(demos[0].u, u)
+    assert len(demos.notes) == 1 and "'right_j5' does not follow" in demos.notes[0]
+
+
+def test_slopes_survive_jitter_noise_and_gaps(sawyer: Robot, rng) -> None:
+    """The slope of a good recording is 1 within 5 % for every joint, whatever the stamps do."""
+    time, q, u = guided(sawyer, rng)
+    time[200:] += 30.0
+    q[200:] = q[200:] + 0.5
+    match = compare_velocities(time, q, u)
+    np.testing.assert_allclose(match.slope, 1.0, atol=0.05)
+    assert np.all(np.diag(match.correlation) > 0.97)
+
+
+def test_slow_stamps_are_taken_for_milliseconds(sawyer: Robot, rng, tmp_path: Path) -> None:
+    """Without velocities: seconds between samples of creeping joints; stating the unit settles it either way."""
+    time, q, _ = guided(sawyer, rng)
+    error = refused(sawyer, tmp_path, 1e3 * time, q)
+    assert error.code == "time-unit" and "time_unit='ms'" in str(error)
+    np.testing.assert_allclose(load(sawyer, tmp_path, 1e3 * time, q, time_unit="ms")[0].time, time)
+    np.testing.assert_array_equal(load(sawyer, tmp_path, 1e3 * time, q, time_unit="s")[0].time, 1e3 * time)
+
+
+def test_a_little_beyond_the_limits_is_a_note(sawyer: Robot, rng, tmp_path: Path) -> None:
+    """Two degrees are calibration: kept, and said. Twelve are another fault, unless the caller knows better."""
+    time, q, u = guided(sawyer, rng)
+    q[:, 0] += sawyer.position_upper[0] + 0.035 - q[:, 0].max()
+    demos = load(sawyer, tmp_path, time, q, u)
+    np.testing.assert_array_equal(demos[0].q, q)
+    assert "'right_j0'" in demos.notes[0] and "by 0.035 rad" in demos.notes[0]
+    q[:, 0] += 0.2
+    error = refused(sawyer, tmp_path, time, q, u)
+    assert error.code == "outside-limits" and error.column == "right_j0"
+    assert load(sawyer, tmp_path, time, q, u, outside_limits="note").n_samples == len(q)
+
+
+def test_guesses_about_positions_outside(sawyer: Robot, rng, tmp_path: Path) -> None:
+    """A sign and a full turn are recognised from the limits."""
+    time, q, _ = guided(sawyer, rng)
+    turned = q.copy()
+    turned[:, 2] += 2 * np.pi
+    assert "full turn" in str(refused(sawyer, tmp_path, time, turned))
+    signed = q.copy()
+    signed[:, 1] = 2.6 + 0.1 * np.sin(time)
+    assert "wrong sign?" in str(refused(sawyer, tmp_path, time, signed))
+
+
+def test_one_bad_sample_is_not_taken_for_degrees(sawyer: Robot, rng, tmp_path: Path) -> None:
+    """A spike of 50 rad is named as what it is, with its sample."""
+    time, q, _ = guided(sawyer, rng)
+    q[100, 3] = 50.0
+    error = refused(sawyer, tmp_path, time, q)
+    assert error.code == "outside-limits" and "sample 100" in str(error)
+
+
+def test_one_column_in_degrees_is_not_the_whole_file(sawyer: Robot, rng, tmp_path: Path) -> None:
+    """degrees=True would spoil the other columns, so it is not proposed."""
+    time, q, _ = guided(sawyer, rng)
+    q = np.clip(q, -2.0, 2.0)
+    q[:, 3] = np.degrees(q[:, 3])
+    error = refused(sawyer, tmp_path, time, q)
+    assert error.code == "degrees" and error.column == "right_j3" and "convert this column" in str(error)
+
+
+def test_gaps_split_the_demonstration(sawyer: Robot, rng, tmp_path: Path) -> None:
+    """More than ten usual steps: two trajectories, said aloud; a lone sample between gaps is left out, said too."""
+    time, q, u = guided(sawyer, rng, n=100)
+    time[40:] += 5.0
+    time[41:] += 5.0
+    demos = load(sawyer, tmp_path, time, q, u)
+    assert [(t.name, len(t)) for t in demos] == [("demo.npz part 1 of 2", 40), ("demo.npz part 2 of 2", 59)]
+    np.testing.assert_array_equal(demos[1].u, u[41:])
+    assert "2 gap(s)" in demos.notes[0] and "after sample 39" in demos.notes[0] and "lone" in demos.notes[1]
+
+
+def test_bunched_stamps_are_told(sawyer: Robot, rng, tmp_path: Path) -> None:
+    """Samples stamped almost at once are kept, and said."""
+    time, q, u = guided(sawyer, rng)
+    time[101:104] = time[100] + np.array([1, 2, 3]) * 1e-6
+    demos = load(sawyer, tmp_path, time, q, u)
+    assert demos.n_samples == len(q) and len(demos.notes) == 1 and "3 steps between stamps" in demos.notes[0]
+
+
+def test_continuous_joints_are_unwrapped(robot_of, tmp_path: Path) -> None:
+    """An angle that wraps at pi is the same posture: full turns are added, and it is said; degrees wrap at 180."""
+    robot = robot_of("wrist")
+    time = np.arange(100) * 0.02
+    q = np.column_stack([2.5 + time, 0.1 * time, 0.3 * time, 0.2 * time])
+    wrapped = (q + np.pi) % (2 * np.pi) - np.pi
+    demos = load(robot, tmp_path, time, wrapped)
+    np.testing.assert_allclose(demos[0].q, q, rtol=0, atol=1e-12)
+    assert "joint0" in demos.notes[0] and "wraps" in demos.notes[0]
+    demos = load(robot, tmp_path, time, np.degrees(wrapped), degrees=True)
+    np.testing.assert_allclose(demos[0].q, q, rtol=0, atol=1e-12)
+
+
+def test_limited_joints_that_wrap_are_refused(sawyer: Robot, rng, tmp_path: Path) -> None:
+    """A joint with limits cannot go round: the line of the jump is named."""
+    time, q, _ = guided(sawyer, rng)
+    q[:, 6] = 2.5 + 0.15 * time / time[-1] * 10
+    q[200:, 6] -= 2 * np.pi
+    error = refused(sawyer, tmp_path, time, q)
+    assert (
+        error.code == "jump" and error.column == "right_j6" and "full turn" in str(error) and "sample 200" in str(error)
+    )
+
+
+def test_prismatic_joints_stay_in_metres(robot_of, tmp_path: Path) -> None:
+    """degrees=True converts angles only, and says which columns it took as metres."""
+    robot = robot_of("gantry")
+    time = np.arange(100) * 0.02
+    q = np.column_stack([0.1 * np.sin(time + i) for i in range(5)])
+    demos = load(robot, tmp_path, time, q * [1, 1, 57.29577951308232, 57.29577951308232, 1], degrees=True)
+    np.testing.assert_allclose(demos[0].q, q, rtol=1e-12)
+    assert "joint0, joint1, joint4 taken as metres" in demos.notes[0]
+
+
+def test_locked_and_mimic_joints_are_known_names(robot_of, tmp_path: Path) -> None:
+    """Columns of joints that do not move by themselves are not used, and it is said when they contradict the robot."""
+    robot = robot_of("mimic")
+    mimic = robot.mimics[0]
+    time = np.arange(100) * 0.02
+    q = np.column_stack([0.1 * np.sin(time + i) for i in range(robot.nv)])
+    leader = q[:, robot.joint_names.index(mimic.leader)]
+    for off, said in ((0.0, False), (0.3, True)):
+        follower = mimic.multiplier * leader + mimic.offset + off
+        names = [*robot.joint_names, mimic.joint]
+        np.savez(tmp_path / "demo.npz", time=time, q=np.column_stack([q, follower]), joint_names=np.array(names))
+        demos = load_demonstrations(tmp_path / "demo.npz", robot)
+        assert mimic.joint in demos.notes[0] and ("0.3 away" in demos.notes[0]) == said
+    panda = robot_of("panda")
+    middle = 0.5 * (panda.position_lower + panda.position_upper)
+    q = middle + 0.1 * np.sin(time)[:, None] * np.arange(panda.nv)
+    q = np.clip(q, panda.position_lower, panda.position_upper)
+    names = [*panda.joint_names, "panda_finger_joint1"]
+    for span, said in ((0.0, False), (0.04, True)):
+        finger = np.linspace(0.0, span, 100)
+        np.savez(tmp_path / "demo.npz", time=time, q=np.column_stack([q, finger]), joint_names=np.array(names))
+        demos = load_demonstrations(tmp_path / "demo.npz", panda)
+        note = next(n for n in demos.notes if "panda_finger_joint1" in n)
+        assert ("moves by 0.04" in note) == said

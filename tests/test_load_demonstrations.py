@@ -1,0 +1,188 @@
+"""load_demonstrations: one door for all formats, folders, options, notes; streaming; extras that are missing."""
+
+from __future__ import annotations
+
+import builtins
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recording_corpus import GOOD, HEADER, JOINTS, TABLE, TIME, Q, csv
+
+from manip_learn.demonstrations import Demonstrations
+from manip_learn.errors import MissingExtraError, RecordingError
+from manip_learn.io import iter_demonstrations, load_demonstrations
+from manip_learn.io.recording_files import natural_order
+from manip_learn.robot import Robot, load_robot
+
+
+@pytest.fixture(scope="module")
+def planar3() -> Robot:
+    return load_robot("planar3")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for i in (1, 2, 10):
+        (tmp_path / f"demo_{i}.csv").write_text(csv(TABLE + [0, 0.01 * i, 0, 0]))
+    return tmp_path
+
+
+def test_paths_may_be_strings_lists_and_folders(planar3: Robot, folder: Path) -> None:
+    """One path, several, and their folder give the same; folders in natural order."""
+    files = [folder / f"demo_{i}.csv" for i in (1, 2, 10)]
+    for paths in (files, [str(f) for f in files], iter(files), folder, str(folder), [folder]):
+        demos = load_demonstrations(paths, planar3)
+        assert isinstance(demos, Demonstrations)
+        assert [t.name for t in demos] == ["demo_1.csv", "demo_2.csv", "demo_10.csv"]
+    assert len(load_demonstrations(files[0], planar3)) == 1
+
+
+def test_formats_can_be_mixed_in_a_list(planar3: Robot, folder: Path) -> None:
+    """A list may name files of several formats; a folder may not hold them."""
+    np.savez(folder / "a.npz", time=TIME, q=Q, joint_names=np.array(JOINTS))
+    assert len(load_demonstrations([folder / "demo_1.csv", folder / "a.npz"], planar3)) == 2
+    with pytest.raises(RecordingError) as caught:
+        load_demonstrations(folder, planar3)
+    assert caught.value.code == "mixed-folder"
+
+
+def test_a_file_given_twice_counts_once(planar3: Robot, folder: Path) -> None:
+    """Through the folder and by name: read once, and said."""
+    demos = load_demonstrations([folder, folder / "demo_2.csv"], planar3)
+    assert len(demos) == 3 and "read once" in demos.notes[0]
+
+
+def test_broken_files_in_a_folder_are_not_passed_over(planar3: Robot, folder: Path) -> None:
+    """A recording by its name that is broken refuses the folder; a README is left out, and it is said."""
+    (folder / "README.txt").write_text("made on a Monday")
+    assert load_demonstrations(folder, planar3).notes == (f"{folder.name}: not recordings, not read: README.txt",)
+    (folder / "demo_3.csv").write_text("")
+    with pytest.raises(RecordingError, match=r"demo_3\.csv"):
+        load_demonstrations(folder, planar3)
+
+
+@pytest.mark.parametrize("paths", [[], "", [""], [None], 7, None])
+def test_no_path_at_all(paths, planar3: Robot) -> None:
+    """Nothing, or something that is no path, is refused in a sentence."""
+    with pytest.raises(RecordingError):
+        load_demonstrations(paths, planar3)
+
+
+def test_pipes_and_devices_do_not_hang(planar3: Robot, tmp_path: Path) -> None:
+    """A FIFO without a writer and an endless device are refused at once."""
+    os.mkfifo(tmp_path / "pipe.csv")
+    for path in (tmp_path / "pipe.csv", Path("/dev/zero")):
+        with pytest.raises(RecordingError) as caught:
+            load_demonstrations(path, planar3)
+        assert caught.value.code == "not-a-file"
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"unit": "degrees"}, "there is no option 'unit'"),
+        ({"units": "deg"}, "'degrees'"),
+        ({"time_unit": "min"}, "'ms'"),
+        ({"outside_limits": "ignore"}, "'note'"),
+        ({"rate": 0}, "positive"),
+        ({"rate": "fast"}, "positive"),
+        ({"degrees": True, "units": "radians"}, "contradict"),
+        ({"ignore_columns": (1,)}, "names"),
+        ({"joint_names": 3}, "names"),
+        ({"rename": ["a"]}, "rename"),
+    ],
+)
+def test_options_are_checked(options: dict, said: str, planar3: Robot, folder: Path) -> None:
+    """A misspelt option or value is refused with what is allowed, before any file is opened."""
+    with pytest.raises(RecordingError, match=said) as caught:
+        load_demonstrations(folder / "not_there.csv", planar3, **options)
+    assert caught.value.code == "option"
+
+
+def test_notes_say_the_same_thing_once(planar3: Robot, folder: Path) -> None:
+    """What three files have in common is one sentence."""
+    demos = load_demonstrations(folder, planar3, units="normalised")
+    assert len(demos.notes) == 1 and demos.notes[0].startswith("demo_1.csv and 2 more: normalised")
+
+
+def test_trajectories_come_one_by_one(planar3: Robot, folder: Path) -> None:
+    """The generator has given the first before it opens the second; notes are handed out at the end."""
+    (folder / "demo_2.csv").write_text(csv(TABLE[:1]))
+    stream = iter_demonstrations([folder / "demo_1.csv", folder / "demo_2.csv"], planar3)
+    assert next(stream).name == "demo_1.csv"
+    with pytest.raises(RecordingError, match="demo_2"):
+        next(stream)
+    notes: list[str] = []
+    assert len(list(iter_demonstrations(folder / "demo_1.csv", planar3, notes=notes, degrees=True))) == 1
+    assert len(notes) == 1
+
+
+def test_the_answer_is_not_shared(planar3: Robot, folder: Path) -> None:
+    """Arrays are float64, C-ordered and read-only, and two calls are independent and equal."""
+    a, b = (load_demonstrations(folder, planar3) for _ in range(2))
+    for s, t in zip(a, b, strict=True):
+        assert s.q is not t.q and np.array_equal(s.q, t.q)
+        assert s.q.dtype == np.float64 and s.q.flags.c_contiguous and not s.q.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("module", "reader", "extra"),
+    [
+        ("rosbags", "bag_file", "ros"),
+        ("lz4", "bag_safety", "ros"),
+        ("pyarrow", "lerobot_reader", "lerobot"),
+        ("h5py", "robomimic_reader", "robomimic"),
+    ],
+)
+def test_missing_libraries_name_the_extra(
+    module: str, reader: str, extra: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without the library: one sentence with the pip command, not an ImportError."""
+    real = builtins.__import__
+
+    def absent(name, *arguments, **keywords):
+        if name.split(".")[0] == module:
+            raise ImportError(f"No module named {name!r}")
+        return real(name, *arguments, **keywords)
+
+    monkeypatch.setattr(builtins, "__import__", absent)
+    for name in [n for n in sys.modules if n == "manip_learn.io" or n.startswith("manip_learn.io.")]:
+        monkeypatch.delitem(sys.modules, name)
+    with pytest.raises(Exception) as caught:  # noqa: PT011 - the class is a new one after the new import
+        __import__(f"manip_learn.io.{reader}")
+    assert type(caught.value).__name__ == MissingExtraError.__name__
+    assert caught.value.extra == extra and f"manip_learn[{extra}]" in str(caught.value)
+
+
+def test_tables_need_no_heavy_library(folder: Path) -> None:
+    """Reading CSV imports none of the readers' libraries."""
+    code = (
+        "import sys; from manip_learn.io import load_demonstrations; from manip_learn.robot import load_robot; "
+        f"load_demonstrations({str(folder)!r}, load_robot('planar3')); "
+        "sys.exit(any(m in sys.modules for m in ('rosbags', 'pyarrow', 'h5py', 'pandas')))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
+
+
+def test_natural_order() -> None:
+    """Numbers count as numbers, whatever their length; no name breaks the order."""
+    names = ["demo_10", "demo_2", "demo_1a", "demo_1", "2", "10", "a", "9" * 500]
+    ordered = sorted(names, key=natural_order)
+    assert ordered.index("demo_2") < ordered.index("demo_10") and ordered.index("2") < ordered.index("10")
+
+
+def test_shipped_recordings_load(planar3: Robot) -> None:
+    """The recordings in examples/data are accepted without a word."""
+    data = Path(__file__).resolve().parents[1] / "examples" / "data"
+    for name, robot in (("planar3_reach", planar3), ("sawyer_drawer", load_robot("sawyer"))):
+        demos = load_demonstrations(data / name, robot)
+        assert demos.notes == () and demos.joint_names == robot.joint_names
+
+
+def test_good_and_header_are_what_the_other_tests_think() -> None:
+    """The corpus' good table begins with its header."""
+    assert GOOD.startswith(HEADER)
