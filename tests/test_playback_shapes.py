@@ -87,8 +87,21 @@ def test_own_shapes_are_used(robot_of):
         robot = robot_of(name)
         looks = appearance(robot, kinematic_tree(robot))
         assert looks.notes == ()
-        assert {s.kind for s in looks.shapes} <= {"box", "sphere", "cylinder"}
-        assert len(looks.shapes) >= 7
+        own = [s for s in looks.shapes if s.kind != "cone"]
+        assert {s.kind for s in own} <= {"box", "sphere", "cylinder"}
+        assert len(own) >= 7
+
+
+def test_rods_stay_inside(robot_of):
+    """The rods that connect the shapes are slimmer than the shapes of their joint."""
+    robot = robot_of("planar3")
+    looks = appearance(robot, kinematic_tree(robot))
+    rods = [s for s in looks.shapes if s.kind == "cone"]
+    assert len(rods) == 3
+    for rod in rods:
+        assert max(rod.size[:2]) < min(
+            s.half_extent().min() for s in looks.shapes if s.joint == rod.joint and s is not rod
+        )
 
 
 def test_meshes_are_packed(robot_of):

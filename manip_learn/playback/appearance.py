@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.playback.mesh_budget import within_budget
-from manip_learn.playback.plain_figure import plain_figure
+from manip_learn.playback.plain_figure import plain_figure, rods
 from manip_learn.playback.shape import Appearance, Shape, TriangleMesh
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.shapes import Box, Capsule, Cylinder, Sphere, Triangles, Visual
@@ -34,6 +34,9 @@ def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = M
     if not own:
         return Appearance(plain_figure(tree, end_points(robot, tree)), notes=tuple(notes))
     shapes, meshes, mesh_notes = _own_shapes(own, max_triangles)
+    if not meshes:
+        # boxes and cylinders rarely touch each other: slim rods show what holds them together
+        shapes += rods(tree, end_points(robot, tree), shapes)
     if plain_joints:
         shapes += plain_figure(tree, end_points(robot, tree), plain_joints)
     return Appearance(tuple(shapes), tuple(meshes), tuple(notes + mesh_notes))
