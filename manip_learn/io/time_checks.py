@@ -134,5 +134,5 @@ def bunched_note(time: Float[np.ndarray, " T"]) -> list[str]:
         return []
     return [
         f"{np.count_nonzero(bunched)} steps between stamps are under {BUNCHED:.0%} of the usual {usual:.3g} s (the smallest: "
-        f"{np.min(steps):.3g} s): the stamps are those of a recorder that fell behind, derived velocities will suffer"
+        f"{np.min(steps):.3g} s): the recorder fell behind, derived velocities will suffer"
     ]
