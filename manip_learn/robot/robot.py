@@ -18,6 +18,7 @@ from manip_learn.robot.batch import batch_kinematics
 from manip_learn.robot.coupling import Coupling, Mimic
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.joint_block import JointBlock, joint_kind
+from manip_learn.robot.joint_limits import joint_limits
 from manip_learn.robot.kinematic_hessian import (
     REFERENCES,
     centre_of_mass_derivative,
@@ -82,7 +83,9 @@ class Robot:
         self.description = description
         self.locked: dict[str, float] = dict(locked or {})
         self._build_blocks()
-        self.warnings = (*warnings, *self._build_limits())
+        limits = joint_limits(model, self.blocks, self.mimics)
+        self.position_lower, self.position_upper, self.velocity_limit = limits.lower, limits.upper, limits.velocity
+        self.warnings = (*warnings, *limits.warnings)
         self._build_frames()
         self._fast_hessian = pinocchio_order_is_known(model)
         self._columns_to_joints = columns_to_joints(model)
@@ -131,48 +134,6 @@ class Robot:
             lift[row, column[m.leader]] = m.multiplier
             offset[row] = m.offset
         return Coupling(lift, offset)
-
-    def _build_limits(self) -> list[str]:
-        lower, upper = np.full(self.nv, -np.inf), np.full(self.nv, np.inf)
-        velocity = np.full(self.nv, np.inf)
-        model = self._model
-        for b in self.blocks:
-            if b.kind in ("revolute", "prismatic"):
-                lower[b.v], upper[b.v] = model.lowerPositionLimit[b.pin_q], model.upperPositionLimit[b.pin_q]
-            limit = np.asarray(model.velocityLimit[b.pin_v])
-            velocity[b.v] = np.where(limit > 0, limit, np.inf)
-        warnings = [w for m in self.mimics for w in self._bind_leader(m, lower, upper, velocity)]
-        for array in (lower, upper, velocity):
-            array.setflags(write=False)
-        self.position_lower, self.position_upper, self.velocity_limit = lower, upper, velocity
-        return warnings
-
-    def _bind_leader(self, m: Mimic, lower: np.ndarray, upper: np.ndarray, velocity: np.ndarray) -> list[str]:
-        """A follower's limits bind its leader, seen through the multiplier."""
-        model = self._model
-        joint = model.joints[model.getJointId(m.joint)]
-        leader = next(b for b in self.blocks if b.name == m.leader)
-        k, limit = leader.v.start, float(model.velocityLimit[joint.idx_v])
-        if m.multiplier == 0.0:
-            return []
-        if limit > 0:
-            velocity[k] = min(velocity[k], limit / abs(m.multiplier))
-        if joint.nq != 1 or leader.kind == "continuous":
-            return []
-        ends = (model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q])
-        low, high = sorted((float(end) - m.offset) / m.multiplier for end in ends)
-        # files round: a follower's limit may cut a hair off its leader's
-        room = 1e-6 + 1e-4 * (high - low) if math.isfinite(high - low) else 0.0
-        if low <= lower[k] + room and high >= upper[k] - room:
-            return []
-        new_lower, new_upper = max(low, lower[k]), min(high, upper[k])
-        if new_lower >= new_upper:
-            return [
-                f"joint {m.joint!r} would need {m.leader!r} in {low:.4g} ... {high:.4g}, outside that joint's own "
-                f"limits {lower[k]:.4g} ... {upper[k]:.4g}; the limits of {m.joint!r} are ignored"
-            ]
-        lower[k], upper[k] = new_lower, new_upper
-        return [f"joint {m.leader!r} is limited to {new_lower:.4g} ... {new_upper:.4g} by its follower {m.joint!r}"]
 
     def _build_frames(self) -> None:
         frames: dict[str, Frame] = {}
