@@ -17,7 +17,7 @@ from manip_learn.learning.estimate import Estimate
 from manip_learn.learning.excitation import check_samples, excitation
 from manip_learn.learning.joint_estimator import estimate_joint
 from manip_learn.learning.null_space_estimator import estimate_null_space
-from manip_learn.learning.rank import CLEAR_GAP, WEAK_GAP
+from manip_learn.learning.rank import CLEAR_GAP
 from manip_learn.learning.report import LearningReport
 from manip_learn.learning.samples import Samples
 from manip_learn.learning.words import free_directions, in_words
@@ -32,6 +32,8 @@ HELD_FRACTION = 1e-2
 EXPLAINED = 0.3
 # how far above the noise that the joint estimator sees a held direction may lie (root mean square)
 NOISE_MARGIN = 1.3
+# how much larger the gap of a later candidate must be
+CHANCE = 1.1
 
 
 @final
@@ -98,6 +100,9 @@ class ConstraintLearner:
             RecordingError: They cannot be used (no velocities to be had, outliers, another robot's joints).
         """
         demos = demonstrations if isinstance(demonstrations, Demonstrations) else Demonstrations(demonstrations)
+        for features in self._candidates:
+            _check_joints(features, demos)
+        demos = with_velocities(demos, getattr(self._candidates[0], "robot", None), self.velocities)
         outcomes: list[tuple[Constraint, LearningReport]] = []
         refusals: list[NotIdentifiableError] = []
         for features in self._candidates:
@@ -107,19 +112,15 @@ class ConstraintLearner:
                 refusals.append(error)
         if not outcomes:
             raise refusals[0]
-        self.constraint_, self.report_ = max(outcomes, key=lambda outcome: outcome[1].gap)
+        # the first candidate wins unless another is better by more than chance
+        self.constraint_, self.report_ = outcomes[0]
+        for constraint, report in outcomes[1:]:
+            if report.gap > CHANCE * self.report_.gap:
+                self.constraint_, self.report_ = constraint, report
         return self
 
     def _fit_one(self, features: FeatureMap, demos: Demonstrations) -> tuple[Constraint, LearningReport]:
         started = time.perf_counter()
-        robot = getattr(features, "robot", None)
-        if robot is not None and tuple(demos.joint_names) != tuple(robot.joint_names):
-            raise RecordingError(
-                f"the demonstrations have the joints {', '.join(demos.joint_names)}; robot {robot.name!r} has "
-                f"{', '.join(robot.joint_names)}: load them with load_demonstrations(files, robot), which sorts by name",
-                code="joint-names",
-            )
-        demos = with_velocities(demos, robot, self.velocities)
         samples = Samples.collect(features, demos)
         names = demos.joint_names
         warnings = check_samples(samples, names, self.n_constraints)
@@ -249,4 +250,11 @@ class ConstraintLearner:
         return f"ConstraintLearner({self.features!r}, n_constraints={self.n_constraints}, estimator={self.estimator!r})"
 
 
-__all__ = ["WEAK_GAP", "ConstraintLearner"]
+def _check_joints(features: FeatureMap, demos: Demonstrations) -> None:
+    robot = getattr(features, "robot", None)
+    if robot is not None and tuple(demos.joint_names) != tuple(robot.joint_names):
+        raise RecordingError(
+            f"the demonstrations have the joints {', '.join(demos.joint_names)}; robot {robot.name!r} has "
+            f"{', '.join(robot.joint_names)}: load them with load_demonstrations(files, robot), which sorts by name",
+            code="joint-names",
+        )

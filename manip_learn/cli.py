@@ -1,0 +1,315 @@
+"""The command line: argv in, exit code out; all work is done in `commands`."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from manip_learn.errors import ManipLearnError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+app = typer.Typer(
+    name="manip-learn",
+    help="Learn which directions a demonstrated task constrains, and keep the arm away from its singularities.",
+    epilog="Start with: manip-learn demo",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
+RobotName = Annotated[str, typer.Argument(metavar="ROBOT", help="A name (sawyer, planar3, panda, ...) or a URDF file.")]
+Lock = Annotated[list[str] | None, typer.Option("--lock", help="Joint to hold still; may be given several times.")]
+Packages = Annotated[list[str] | None, typer.Option("--package-dir", help="Folder that contains mesh packages.")]
+
+# options whose value is a vector: `--start 0.1 -0.2 0.3` means `--start 0.1,-0.2,0.3`
+VECTORS = ("--start", "--target", "--rest")
+
+
+@app.command()
+def demo(
+    robot: Annotated[str, typer.Option(help="sawyer or planar3.")] = "sawyer",
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("demo_out"),
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the replay.")] = True,
+    as_json: Json = False,
+) -> None:
+    """Learn from shipped recordings, compare three policies, write the replay."""
+    from manip_learn.commands.demo import demo as run
+
+    with _progress(as_json) as report:
+        result = run(robot, out, browser and not as_json, report)
+    _answer(as_json, result.to_dict(), "print_demo", result)
+
+
+@app.command()
+def inspect(robot: RobotName, lock: Lock = None, package_dir: Packages = None, as_json: Json = False) -> None:
+    """Show joints, frames, limits, and what is doubtful about a robot."""
+    from manip_learn.commands.inspect import inspect as run
+    from manip_learn.commands.inspect import summary_dict
+
+    summary = run(robot, lock, package_dir)
+    _answer(as_json, summary_dict(summary), "print_robot", summary)
+
+
+@app.command()
+def learn(
+    robot: RobotName,
+    recordings: Annotated[list[str], typer.Argument(metavar="RECORDING...", help="Files, or a folder of them.")],
+    frame: Annotated[str | None, typer.Option(help="The frame that was guided, e.g. the tool's tip.")] = None,
+    axes: Annotated[str, typer.Option(help="xyz, pose, planar, rotation, or any of 'x y z rx ry rz'.")] = "xyz",
+    reference: Annotated[str, typer.Option(help="world, local, or auto (the larger gap).")] = "auto",
+    constraints: Annotated[int | None, typer.Option(help="Number of constraints; found if not given.")] = None,
+    estimator: Annotated[str, typer.Option(help="auto, null-space, joint or separate.")] = "auto",
+    out: Annotated[Path | None, typer.Option(help="Constraint file to write (JSON).")] = None,
+    lock: Lock = None,
+    package_dir: Packages = None,
+    degrees: Annotated[bool, typer.Option("--degrees", help="The recordings are in degrees.")] = False,
+    ignore_column: Annotated[list[str] | None, typer.Option(help="Column that is not to be read.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the bootstrap and of random starts.")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Learn a constraint from recordings, and say what was learnt."""
+    from manip_learn.commands.learn import learn as run
+    from manip_learn.io.load_demonstrations import ReadOptions
+
+    options = ReadOptions()
+    if degrees:
+        options["degrees"] = True
+    if ignore_column:
+        options["ignore_columns"] = ignore_column
+    with _waiting(as_json, "learning"):
+        learnt = run(
+            robot,
+            recordings,
+            frame=frame,
+            axes=axes,
+            reference=reference,
+            n_constraints=constraints,
+            estimator=estimator,
+            out=out,
+            locked=lock,
+            package_dirs=package_dir,
+            seed=seed,
+            options=options,
+        )
+    _answer(as_json, learnt.to_dict(), "print_learnt", learnt)
+
+
+@app.command()
+def control(
+    robot: RobotName,
+    constraint: Annotated[str, typer.Argument(metavar="CONSTRAINT.JSON", help="Written by `learn --out`.")],
+    start: Annotated[str | None, typer.Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the rest posture.")] = None,
+    target: Annotated[str | None, typer.Option(help="Where the frame shall go, one number an axis; default: hold.")] = None,
+    policy: Annotated[str, typer.Option(help="manipulability, zero or attractor.")] = "manipulability",
+    rest: Annotated[str | None, typer.Option(help="Rest posture of the attractor [rad].")] = None,
+    gain: Annotated[float, typer.Option(help="Gain of the policy.")] = 1.0,
+    task_gain: Annotated[float, typer.Option(help="Gain of the task [1/s].")] = 1.0,
+    duration: Annotated[float, typer.Option(help="[s]")] = 5.0,
+    dt: Annotated[float, typer.Option(help="[s]")] = 0.01,
+    inverse: Annotated[str, typer.Option(help="damped, exact or truncated.")] = "damped",
+    tolerance: Annotated[float, typer.Option(help="Final error that counts as reached [m or rad].")] = 0.01,
+    out: Annotated[Path | None, typer.Option(help="Rollout file to write (NPZ).")] = None,
+    package_dir: Packages = None,
+    as_json: Json = False,
+) -> None:
+    """Simulate a controller that does the task and climbs its manipulability."""
+    from manip_learn.commands.control import control as run
+
+    with _progress(as_json) as report:
+        result = run(
+            robot,
+            constraint,
+            start=_vector("--start", start),
+            target=_vector("--target", target),
+            policy=policy,
+            rest=_vector("--rest", rest),
+            gain=gain,
+            task_gain=task_gain,
+            duration=duration,
+            dt=dt,
+            inverse=inverse,
+            tolerance=tolerance,
+            out=out,
+            package_dirs=package_dir,
+            progress=lambda share: report("simulating", share),
+        )
+    _answer(as_json, result.to_dict(), "print_controlled", result)
+
+
+@app.command()
+def replay(
+    robot: RobotName,
+    rollouts: Annotated[list[str], typer.Argument(metavar="ROLLOUT...", help="Written by `control --out`; or recordings.")],
+    html: Annotated[Path, typer.Option(help="File to write.")] = Path("replay.html"),
+    open_browser: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+    tip: Annotated[str | None, typer.Option(help="Frame whose path is drawn.")] = None,
+    package_dir: Packages = None,
+    as_json: Json = False,
+) -> None:
+    """Write a browser replay with the manipulability plot: one file, no server, no network."""
+    from manip_learn.commands.show import show
+
+    with _waiting(as_json, "writing the replay"):
+        page = show(robot, rollouts, html=html, open_browser=open_browser, tip=tip, package_dirs=package_dir)
+    answer = {"html": str(page.html), "bytes": page.bytes, "notes": list(page.notes)}
+    if as_json:
+        _answer(True, answer)
+        return
+    for note in page.notes:
+        typer.echo(f"note: {note}")
+    typer.echo(f"replay: {page.html} ({page.bytes / 1e6:.1f} MB)")
+
+
+@app.command()
+def reproduce(
+    experiment: Annotated[str, typer.Argument(help="table, rmse, singular-start, near-singular-start, sawyer, beyond or all.")],
+    trials: Annotated[int | None, typer.Option(help="Repetitions; default: as in the paper.")] = None,
+    seed: Annotated[int, typer.Option(help="Same seed, same numbers.")] = 0,
+    out: Annotated[Path, typer.Option(help="Folder for tables, figures and replays.")] = Path("reproduction_out"),
+    as_json: Json = False,
+) -> None:
+    """Run the experiments of "Learning Singularity Avoidance", the printed numbers beside ours."""
+    from manip_learn.commands.reproduce import reproduce as run
+
+    with _progress(as_json) as report:
+        result = run(experiment, trials=trials, seed=seed, out=out, progress=report)
+    _answer(as_json, result.to_dict(), "print_reproduction", result)
+
+
+# ---- in and out ------------------------------------------------------------------------------------------------------
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns 0, 2 for bad input, 1 for our own failure, 130 for Ctrl-C. No traceback."""
+    from typer.main import get_command
+
+    arguments = _joined_vectors(list(sys.argv[1:] if argv is None else argv))
+    if not arguments:
+        return _complain("no command given: try `manip-learn demo`, or `manip-learn --help` for all commands")
+    code = _run(lambda: get_command(app).main(arguments, prog_name="manip-learn", standalone_mode=False))
+    if argv is None:
+        sys.exit(code)
+    return code
+
+
+def _run(command: Callable[[], Any]) -> int:
+    import click
+
+    try:
+        outcome = command()
+    except ManipLearnError as error:
+        return _complain(str(error))
+    except click.UsageError as error:
+        where = f"manip-learn {error.ctx.info_name}" if error.ctx and error.ctx.parent else "manip-learn"
+        return _complain(f"{error.format_message().rstrip('.')}: see `{where} --help`")
+    except (click.Abort, KeyboardInterrupt):
+        print("interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        return 1
+    except Exception as error:  # the last line of defence: a sentence, not a traceback
+        print(f"manip-learn: internal error ({type(error).__name__}: {error}); please report it", file=sys.stderr)
+        return 1
+    return outcome if isinstance(outcome, int) else 0
+
+
+def _complain(sentence: str) -> int:
+    print(f"manip-learn: {' '.join(sentence.split())}", file=sys.stderr)
+    return 2
+
+
+def _joined_vectors(arguments: list[str]) -> list[str]:
+    out: list[str] = []
+    numbers: list[str] | None = None  # open while the values of a vector option follow
+    for argument in arguments:
+        if numbers is not None and _is_vector(argument):
+            numbers.append(argument)
+            continue
+        if numbers:
+            out.append(",".join(numbers))
+        numbers = [] if argument in VECTORS else None
+        out.append(argument)
+    return [*out, ",".join(numbers)] if numbers else out
+
+
+def _is_vector(text: str) -> bool:
+    try:
+        [float(part) for part in text.replace(",", " ").split()]
+    except ValueError:
+        return False
+    return bool(text.strip())
+
+
+def _vector(option: str, text: str | None) -> list[float] | None:
+    if text is None:
+        return None
+    try:
+        numbers = [float(part) for part in text.strip("[]() ").replace(",", " ").split()]
+    except ValueError as error:
+        raise ManipLearnError(f"{option} must be numbers such as 0.1,-0.2,0.3, got {text!r}") from error
+    if not numbers or not all(map(math.isfinite, numbers)):
+        raise ManipLearnError(f"{option} must be finite numbers such as 0.1,-0.2,0.3, got {text!r}")
+    return numbers
+
+
+def _answer(as_json: bool, content: dict[str, Any], printer: str = "", value: Any = None) -> None:
+    if as_json:
+        print(json.dumps(_finite(content), indent=2, allow_nan=False))
+        return
+    from manip_learn.commands import tables
+
+    getattr(tables, printer)(_console(), value)
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN: null stands for what could not be measured."""
+    if isinstance(value, dict):
+        return {str(k): _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _console(stderr: bool = False) -> Console:
+    from rich.console import Console
+
+    return Console(stderr=stderr)
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[str, float], None]]:
+    """A progress bar on standard error; nothing where nobody looks."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda _step, _share: None
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"), TimeElapsedColumn())
+    with Progress(*columns, console=_console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=1.0)
+        yield lambda step, share: bar.update(task, description=step, completed=share)
+
+
+@contextmanager
+def _waiting(quiet: bool, what: str) -> Iterator[None]:
+    if quiet or not sys.stderr.isatty():
+        yield
+        return
+    with _console(stderr=True).status(what):
+        yield
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What the commands of `manip-learn` do; `cli.py` parses and prints."""

@@ -1,0 +1,145 @@
+"""`manip-learn control`: one rollout of a learnt or hand-written constraint."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_learn.commands.robot_for import load_for_joints
+from manip_learn.constraint import Constraint
+from manip_learn.controller import ResolvedRateController
+from manip_learn.errors import ConstraintMismatchError, ManipLearnError, TargetError
+from manip_learn.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
+from manip_learn.robot import Robot, load_robot
+from manip_learn.rollout import Progress, Rollout, simulate
+from manip_learn.tasks import Hold, PointAttractor, Task
+
+POLICIES = ("manipulability", "zero", "attractor")
+
+
+@final
+@dataclass(frozen=True)
+class Controlled:
+    """A rollout and whether it arrived."""
+
+    rollout: Rollout
+    out: Path | None
+    tolerance: float
+
+    @property
+    def final_error(self) -> float:
+        """Distance to the target at the end, along the constrained rows [m or rad]."""
+        return float(self.rollout.task_error[-1])
+
+    @property
+    def reached(self) -> bool:
+        """Whether that is within the tolerance."""
+        return self.final_error <= self.tolerance
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON answer."""
+        r = self.rollout
+        return {
+            "reached": self.reached,
+            "final_error": self.final_error,
+            "tolerance": self.tolerance,
+            "min_manipulability": float(r.manipulability.min()),
+            "mean_manipulability": float(r.manipulability.mean()),
+            "max_velocity": float(np.abs(r.u).max()),
+            "status_counts": r.status_counts,
+            "duration": float(r.time[-1]),
+            "final_posture": r.q[-1].tolist(),
+            "out": None if self.out is None else str(self.out),
+        }
+
+
+def control(
+    robot_name: str,
+    constraint_file: str,
+    *,
+    start: list[float] | None = None,
+    target: list[float] | None = None,
+    policy: str = "manipulability",
+    rest: list[float] | None = None,
+    gain: float = 1.0,
+    task_gain: float = 1.0,
+    duration: float = 5.0,
+    dt: float = 0.01,
+    inverse: str = "damped",
+    tolerance: float = 0.01,
+    out: Path | None = None,
+    package_dirs: list[str] | None = None,
+    progress: Progress | None = None,
+) -> Controlled:
+    """Simulate a controller and write the rollout to a file if one is named.
+
+    Raises:
+        ManipLearnError: Anything that is wrong with the robot, the constraint file, the numbers or the output.
+    """
+    robot = robot_of_constraint(robot_name, constraint_file, package_dirs or [])
+    constraint = Constraint.load(constraint_file, robot)
+    q0 = robot.neutral() if start is None else robot.checked_posture(start)
+    _check_start(robot, q0)
+    task: Task = Hold() if target is None else PointAttractor(target, task_gain)
+    if isinstance(task, PointAttractor):
+        task.displacement(constraint, q0)  # a wrong size is said now
+    controller = ResolvedRateController(
+        constraint,
+        task,
+        null_policy(policy, constraint, robot, gain, rest),
+        inverse,  # type: ignore[arg-type]  # checked by the controller
+        dt=dt,
+    )
+    rollout = simulate(robot, controller, q0, duration, dt, progress=progress)
+    written = rollout.save(out) if out is not None else None
+    return Controlled(rollout, written, tolerance)
+
+
+def robot_of_constraint(robot_name: str, constraint_file: str, package_dirs: list[str]) -> Robot:
+    """The robot with the joints locked that were locked when the constraint was learnt."""
+    try:
+        described = json.loads(Path(constraint_file).read_bytes()).get("robot") or {}
+        joints, locked = list(described["joint_names"]), dict(described.get("locked", {}))
+    except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError):
+        return load_robot(robot_name, package_dirs)  # Constraint.load says what is wrong with the file
+    plain = load_robot(robot_name, package_dirs)
+    held = {name: position for name, position in locked.items() if name in plain.joint_names}
+    if any(j not in plain.joint_names for j in joints):
+        raise ConstraintMismatchError(
+            f"{constraint_file} was made for robot {described.get('name')!r} with the joints {', '.join(map(str, joints))}; "
+            f"{plain.name!r} has {', '.join(plain.joint_names)}: name the robot that it was learnt on"
+        )
+    return load_for_joints(robot_name, joints, held, package_dirs)
+
+
+def null_policy(
+    name: str, constraint: Constraint, robot: Robot, gain: float, rest: ArrayLike | None
+) -> NullSpacePolicy:
+    """A null-space policy by its name on the command line.
+
+    Raises:
+        ManipLearnError: Unknown name.
+    """
+    if name == "manipulability":
+        return ManipulabilityAscent(constraint, gain)
+    if name == "zero":
+        return ZeroPolicy(constraint.nv)
+    if name == "attractor":
+        return JointAttractor(robot.neutral() if rest is None else rest, gain, robot)
+    raise ManipLearnError(f"unknown policy {name!r}: use one of {', '.join(POLICIES)}")
+
+
+def _check_start(robot: Robot, q0: np.ndarray) -> None:
+    positions = robot.positions(q0)
+    outside = (positions < robot.position_lower - 1e-9) | (positions > robot.position_upper + 1e-9)
+    if np.any(outside):
+        i = int(np.argmax(outside))
+        raise TargetError(
+            f"the start puts joint {robot.joint_names[i]!r} at {positions[i]:.4g}, outside its limits "
+            f"{robot.position_lower[i]:.4g} .. {robot.position_upper[i]:.4g} (are these degrees?)"
+        )

@@ -1,0 +1,33 @@
+"""`manip-learn inspect`: what a robot is made of."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+from manip_learn.robot import load_robot
+from manip_learn.robot.inspection import RobotSummary, inspect_robot
+
+
+def inspect(robot_name: str, locked: list[str] | None = None, package_dirs: list[str] | None = None) -> RobotSummary:
+    """Load a robot and look at it.
+
+    Raises:
+        ManipLearnError: The robot cannot be loaded.
+    """
+    return inspect_robot(load_robot(robot_name, package_dirs or [], locked or []))
+
+
+def summary_dict(summary: RobotSummary) -> dict[str, Any]:
+    """The JSON answer; limits that do not exist are null."""
+    content = dataclasses.asdict(summary)
+    for joint in content["joints"]:
+        for key in ("lower", "upper", "velocity"):
+            if not math.isfinite(joint[key]):
+                joint[key] = None
+    content["source"] = None if summary.source is None else str(summary.source)
+    content["meshes_found"] = {k: str(v) for k, v in summary.meshes_found.items()}
+    for key in ("joints", "frames", "warnings", "tips", "mimics"):
+        content[key] = list(content[key])
+    return content

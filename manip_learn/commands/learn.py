@@ -1,0 +1,78 @@
+"""`manip-learn learn`: recordings -> constraint file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+from manip_learn.commands.robot_for import load_for_recordings
+from manip_learn.constraint import Constraint
+from manip_learn.errors import FeatureError
+from manip_learn.features import FrameJacobian
+from manip_learn.io.load_demonstrations import ReadOptions
+from manip_learn.learning import ConstraintLearner, LearningReport
+from manip_learn.learning.learner import EstimatorName
+from manip_learn.robot.robot import Reference
+
+REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": ("local",), "auto": ("world", "local")}
+
+
+@final
+@dataclass(frozen=True)
+class Learnt:
+    """What was learnt, and where it was written."""
+
+    constraint: Constraint
+    report: LearningReport
+    frame: str
+    out: Path | None
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON answer."""
+        content = self.report.to_dict()
+        content.update(
+            selection=self.constraint.selection.tolist(),
+            axes=list(self.report.row_names),
+            free_directions=[list(row) for row in self.report.free_directions],
+            frame=self.frame,
+            notes=[*self.notes, *self.report.notes],
+            out=None if self.out is None else str(self.out),
+        )
+        return content
+
+
+def learn(
+    robot_name: str,
+    recordings: list[str],
+    *,
+    frame: str | None = None,
+    axes: str = "xyz",
+    reference: str = "auto",
+    n_constraints: int | None = None,
+    estimator: str = "auto",
+    out: Path | None = None,
+    locked: list[str] | None = None,
+    package_dirs: list[str] | None = None,
+    seed: int = 0,
+    options: ReadOptions | None = None,
+) -> Learnt:
+    """Learn a constraint from recordings and write it to a file if one is named.
+
+    Raises:
+        ManipLearnError: Anything that is wrong with the robot, the recordings, the settings or the output.
+    """
+    if reference not in REFERENCES:
+        raise FeatureError(f"reference must be world, local or auto, not {reference!r}")
+    robot, demos, chosen, notes = load_for_recordings(
+        robot_name, recordings, frame, locked or [], package_dirs or [], options
+    )
+    candidates = [FrameJacobian(robot, chosen, axes, r) for r in REFERENCES[reference]]
+    learner = ConstraintLearner(candidates, n_constraints, _estimator(estimator), seed=seed).fit(demos)
+    written = learner.constraint_.save(out) if out is not None else None
+    return Learnt(learner.constraint_, learner.report_, chosen, written, tuple(notes))
+
+
+def _estimator(name: str) -> EstimatorName:
+    return name  # type: ignore[return-value]  # the learner checks it and lists the names

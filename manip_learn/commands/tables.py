@@ -1,0 +1,118 @@
+"""What the commands print for people."""
+
+from __future__ import annotations
+
+import math
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from manip_learn.commands.control import Controlled
+from manip_learn.commands.demo import Demo
+from manip_learn.commands.learn import Learnt
+from manip_learn.learning.rank import CLEAR_GAP
+from manip_learn.robot.inspection import RobotSummary
+
+UNDER_WAY = 0.1  # a nearly singular start is no fault of the policy: look from here on [s]
+
+
+def print_learnt(console: Console, learnt: Learnt) -> None:
+    """The sentence, the evidence, the doubts."""
+    report = learnt.report
+    console.print(f"[bold]{escape(report.sentence)}[/bold]", highlight=False)
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    rank = "clear" if report.gap >= CLEAR_GAP else "weak"
+    table.add_row("estimator", f"{report.estimator} ({report.kind})")
+    table.add_row("constraints", f"{report.n_constraints} of {len(report.row_names)} rows, gap {report.gap:.3g} ({rank})")
+    if report.reference:
+        table.add_row("reference", report.reference)
+    if report.policy_model:
+        table.add_row("policy model", report.policy_model)
+    if math.isfinite(report.held_out_residual):
+        table.add_row("left-out trajectories", f"{100 * report.held_out_residual:.2g} % of the motion unexplained")
+    if report.uncertainty_deg is not None:
+        table.add_row("uncertainty", f"{report.uncertainty_deg:.2g} degrees (68 %, bootstrap over trajectories)")
+    table.add_row("learnt from", f"{report.n_samples} samples of {report.n_trajectories} trajectories in {report.seconds:.2g} s")
+    console.print(table)
+    for note in (*learnt.notes, *report.notes):
+        console.print(f"[dim]note: {escape(note)}[/dim]", highlight=False)
+    for warning in report.warnings:
+        console.print(f"[yellow]warning: {escape(warning)}[/yellow]", highlight=False)
+    if learnt.out is not None:
+        console.print(f"written: {escape(str(learnt.out))}", highlight=False, soft_wrap=True)
+
+
+def rollout_table(rollouts: dict[str, Controlled]) -> Table:
+    """Policies side by side."""
+    table = Table(header_style="bold")
+    for name in ("policy", "reached", "error left", "min mu", "mean mu", "peak speed", "unhindered"):
+        table.add_column(name, justify="left" if name == "policy" else "right", no_wrap=True)
+    for name, controlled in rollouts.items():
+        r = controlled.rollout
+        mu = r.manipulability[r.time >= min(UNDER_WAY, r.time[-1])]
+        table.add_row(
+            escape(name),
+            "yes" if controlled.reached else "[red]no[/red]",
+            f"{controlled.final_error:.4f}",
+            f"{mu.min():.4f}",
+            f"{r.manipulability.mean():.3f}",
+            f"{abs(r.u).max():.2f}/s",
+            f"{100 * r.status.count('ok') / len(r):.0f} %",
+        )
+    return table
+
+
+def print_demo(console: Console, demo: Demo) -> None:
+    """What was learnt, the comparison, and where the replay is."""
+    print_learnt(console, demo.learnt)
+    console.print()
+    start = next(iter(demo.rollouts.values())).rollout.manipulability[0]
+    console.print(f"from a start with mu = {start:.1g} (min mu: after the first {UNDER_WAY:g} s)", highlight=False)
+    console.print(rollout_table(demo.rollouts))
+    console.print(f"replay: {escape(str(demo.page.html))} ({demo.page.bytes / 1e6:.1f} MB)", highlight=False, soft_wrap=True)
+
+
+def print_robot(console: Console, summary: RobotSummary) -> None:
+    """Joints, frames, and everything doubtful."""
+    console.print(f"[bold]{escape(summary.name)}[/bold]: nq {summary.nq}, nv {summary.nv}", highlight=False)
+    if summary.source is not None:
+        console.print(f"[dim]{escape(str(summary.source))}[/dim]", highlight=False, soft_wrap=True)
+    table = Table(header_style="bold")
+    for name in ("joint", "kind", "lower", "upper", "velocity", "unit"):
+        table.add_column(name, justify="right" if name in ("lower", "upper", "velocity") else "left")
+    for joint in summary.joints:
+        table.add_row(
+            escape(joint.name), joint.kind, _limit(joint.lower), _limit(joint.upper), _limit(joint.velocity), joint.unit
+        )
+    console.print(table)
+    for mimic in summary.mimics:
+        console.print(f"mimic: {escape(mimic.joint)} = {mimic.multiplier:g} {escape(mimic.leader)} + {mimic.offset:g}", highlight=False)
+    for name, position in summary.locked.items():
+        console.print(f"locked: {escape(name)} at {position:g}", highlight=False)
+    console.print(f"likely tips: {escape(', '.join(summary.tips) or 'none')}", highlight=False)
+    console.print(f"frames: {escape(', '.join(summary.frames))}", highlight=False)
+    if summary.cross_check is not None:
+        worst = summary.cross_check.largest_difference
+        console.print(f"forward kinematics: agrees with yourdfpy to {worst:.1e}", highlight=False)
+    for warning in summary.warnings:
+        console.print(f"[yellow]warning: {escape(warning)}[/yellow]", highlight=False)
+
+
+def print_controlled(console: Console, controlled: Controlled) -> None:
+    """One rollout."""
+    console.print(rollout_table({"rollout": controlled}))
+    counts = ", ".join(f"{status} {n}" for status, n in controlled.rollout.status_counts.items())
+    console.print(f"steps: {counts}", highlight=False)
+    if not controlled.reached:
+        console.print(
+            f"[yellow]the target was not reached: {controlled.final_error:.3g} left after {controlled.rollout.time[-1]:g} s; "
+            "try a longer --duration, or another start[/yellow]",
+            highlight=False,
+        )
+    if controlled.out is not None:
+        console.print(f"written: {escape(str(controlled.out))}", highlight=False, soft_wrap=True)
+
+
+def _limit(value: float) -> str:
+    return f"{value:.4g}" if math.isfinite(value) else "none"
