@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from xml.parsers.expat import ExpatError
 
 from manip_learn.errors import MissingExtraError, RobotError
 from manip_learn.robot.description_file import read_description
@@ -30,15 +31,16 @@ def expanded_xacro(path: Path, *, allowed: bool) -> bytes:
     if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
         raise RobotError(f"{path}: a <!DOCTYPE> is not read; delete it", code="doctype", path=path)
     try:
-        from xacrodoc import XacroDoc, XacroException
+        from xacro import XacroException
+        from xacrodoc import XacroDoc
     except ImportError as error:
         raise MissingExtraError(f"the xacro file {path}", "xacro") from error
     try:
         return XacroDoc.from_file(str(path)).to_urdf_string().encode()
-    except (XacroException, OSError, ValueError, LookupError, TypeError, ArithmeticError) as error:
+    except (XacroException, ExpatError, OSError, ValueError, LookupError, RuntimeError) as error:
+        said = " ".join(str(error).split())[:300]
         raise RobotError(
-            f"{path}: xacro could not be expanded ({type(error).__name__}: {str(error)[:300]}); "
-            "set ROS_PACKAGE_PATH or expand it by hand",
+            f"{path}: xacro could not be expanded ({said}); correct it, or set ROS_PACKAGE_PATH for $(find ...)",
             code="xacro-failed",
             path=path,
         ) from error

@@ -1,0 +1,308 @@
+"""From a name or a file to a robot."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import pickle
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from urdf_corpus_case import ARM, edited
+
+from manip_learn.errors import MissingExtraError, RobotError, UnknownNameError
+from manip_learn.robot import names
+from manip_learn.robot.loading import load_robot
+from manip_learn.robot.names import example_robots, find_robot, robot_names
+
+PANDA_FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
+
+
+@pytest.fixture
+def arm(tmp_path) -> Path:
+    """A two-joint arm in a file."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "nq", "nv"),
+    [
+        ("planar3", 3, 3),
+        ("sawyer", 7, 7),
+        ("panda", 8, 8),
+        ("ur5", 6, 6),
+        ("xarm7", 7, 7),
+        ("kinova", 9, 6),
+        ("z1", 7, 7),
+    ],
+)
+def test_well_known_names(name, nq, nv):
+    """Names from the contract load; Panda's second finger follows the first, Kinova has three continuous joints."""
+    robot = load_robot(name)
+    assert (robot.nq, robot.nv) == (nq, nv)
+
+
+def test_a_path_is_a_path(arm, tmp_path, monkeypatch):
+    """Path objects, strings, relative names with a suffix, and existing files without one."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "robotfile").write_text(ARM, encoding="utf-8")
+    for name in (arm, str(arm), "arm.urdf", "./arm.urdf", "robotfile"):
+        assert load_robot(name).joint_names == ("shoulder", "elbow")
+
+
+def test_a_folder_does_not_hide_a_name(tmp_path, monkeypatch):
+    """A folder called like a robot is no robot description."""
+    (tmp_path / "planar3").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert load_robot("planar3").nv == 3
+
+
+def test_unknown_names_list_near_matches():
+    """A slip of the finger is answered with what was meant."""
+    with pytest.raises(UnknownNameError, match="planar3") as caught:
+        load_robot("planr3")
+    assert caught.value.kind == "robot" and "planar3" in caught.value.near
+
+
+@pytest.mark.parametrize("name", ["", "  "])
+def test_no_name(name):
+    """An empty name is a sentence, not the current folder."""
+    with pytest.raises(RobotError, match="no robot is named"):
+        load_robot(name)
+
+
+def test_missing_file_and_folder(tmp_path, arm):
+    """A path that is none, and a folder, which tells what is in it."""
+    with pytest.raises(RobotError, match="no such file") as caught:
+        load_robot(tmp_path / "gone.urdf")
+    assert caught.value.code == "missing"
+    with pytest.raises(RobotError, match=r"arm\.urdf") as caught:
+        load_robot(f"{tmp_path}/")
+    assert caught.value.code == "not-a-file"
+
+
+def test_without_the_data_package(monkeypatch):
+    """Without example-robot-data its robots name the extra, and the shipped ones still load."""
+
+    def missing(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(names.importlib.metadata, "files", missing)
+    example_robots.cache_clear()
+    try:
+        with pytest.raises(MissingExtraError, match=r"manip_learn\[robots\]"):
+            find_robot("panda")
+        assert load_robot("planar3").nv == 3
+        assert robot_names() == ("planar3", "sawyer")
+    finally:
+        monkeypatch.undo()
+        example_robots.cache_clear()
+
+
+def test_every_short_name_exists():
+    """The table of short names fits the installed robot data."""
+    catalogue = example_robots()
+    assert not [name for name in names.SHORT_NAMES if name not in catalogue]
+    assert all(path.is_file() for path in catalogue.values())
+
+
+def test_model_counts_everything_in_the_file():
+    """Links, joints and degrees of freedom of the XML are those of the model."""
+    for name in ("panda", "kinova", "talos_full", "pr2"):
+        robot = load_robot(name)
+        text = example_robots()[name].read_text(encoding="utf-8")
+        reference = pin.buildModelFromXML(text)
+        assert [f.name for f in robot.pinocchio_model.frames] == [f.name for f in reference.frames]
+        assert robot.pinocchio_model.nv == reference.nv
+
+
+def test_pinocchio_alone_reads_the_same_robot(rng):
+    """Where nothing needs resolving, poses equal those of Pinocchio's own reading of the file, bit for bit."""
+    for name in ("ur5", "xarm7", "z1"):
+        robot, model = load_robot(name), pin.buildModelFromUrdf(str(example_robots()[name]))
+        q = robot.random_configuration(rng)
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, q)
+        for frame in robot.frame_names:
+            index = robot.frame(frame).index
+            np.testing.assert_array_equal(robot.pose(q, robot.frame(frame)), data.oMf[index].homogeneous)
+
+
+def test_locked_joints_disappear():
+    """Fingers locked: seven degrees of freedom, whichever of the coupled two are named."""
+    one, both = load_robot("panda", locked=PANDA_FINGERS[:1]), load_robot("panda", locked=PANDA_FINGERS)
+    assert one.nv == both.nv == 7 and not one.mimics
+    assert one.fingerprint == both.fingerprint
+    assert load_robot("panda", locked="panda_finger_joint1").nv == 7
+    assert set(PANDA_FINGERS) == set(one.locked)
+
+
+def test_locked_at_a_position(rng):
+    """A joint locked at a position stands where the free robot stands with that position."""
+    free, held = load_robot("panda"), load_robot("panda", locked={"panda_joint2": 0.3, "panda_finger_joint1": 0.02})
+    q = free.random_configuration(rng)
+    q[1], q[7] = 0.3, 0.02
+    for frame in ("panda_hand_tcp", "panda_rightfinger"):
+        pose = held.pose(np.delete(q, [1, 7]), held.frame(frame))
+        np.testing.assert_allclose(pose, free.pose(q, free.frame(frame)), atol=1e-14)
+
+
+def test_locked_stands_inside_its_limits():
+    """Zero where that is allowed, else the limit nearest to it: Panda's elbow cannot be straight."""
+    robot = load_robot("panda", locked=("panda_joint4",))
+    assert robot.locked["panda_joint4"] == load_robot("panda").position_upper[3] < 0
+
+
+@pytest.mark.parametrize(
+    ("locked", "code"),
+    [
+        (("panda_finger_joint2",), "locked-follower"),
+        ({"panda_joint1": 9.0}, "locked-position"),
+        ({"panda_joint1": float("nan")}, "locked-position"),
+        ({"panda_joint1": "left"}, "locked-position"),
+    ],
+)
+def test_what_cannot_be_locked(locked, code):
+    """A follower alone, or a position outside the limits."""
+    with pytest.raises(RobotError) as caught:
+        load_robot("panda", locked=locked)
+    assert caught.value.code == code
+
+
+def test_locked_names_are_checked():
+    """An unknown joint is an error with near matches."""
+    with pytest.raises(UnknownNameError, match="panda_finger_joint1"):
+        load_robot("panda", locked=("finger_joint1",))
+
+
+def test_fingerprint_is_of_the_kinematics(tmp_path, arm):
+    """Line ends, comments, colours and visuals do not matter; geometry, locking and the base do."""
+    same = [
+        ARM.replace("\n", "\r\n"),
+        ARM.replace("<link", "<!-- c --><link"),
+        ARM.replace(
+            '<link name="tip"/>', '<link name="tip"><visual><geometry><sphere radius="1"/></geometry></visual></link>'
+        ),
+        ARM.replace('xyz="0 0 0.3"', 'xyz="0.0 0 3e-1"'),
+    ]
+    fingerprint = load_robot(arm).fingerprint
+    for i, text in enumerate(same):
+        path = tmp_path / f"{i}.urdf"
+        path.write_text(text, encoding="utf-8", newline="")
+        assert load_robot(path).fingerprint == fingerprint
+    other = tmp_path / "other.urdf"
+    other.write_bytes(edited(("0 0 0.3", "0 0 0.31")))
+    different = {
+        load_robot(other).fingerprint,
+        load_robot(arm, locked=("elbow",)).fingerprint,
+        load_robot(arm, locked={"elbow": 0.1}).fingerprint,
+        load_robot(arm, base="floating").fingerprint,
+        load_robot(arm, base="planar").fingerprint,
+    }
+    assert len(different | {fingerprint}) == 6
+
+
+def test_fingerprint_is_the_same_in_another_process(arm):
+    """Nothing in it depends on hashing seeds or memory."""
+    script = f"from manip_learn.robot.loading import load_robot; print(load_robot({str(arm)!r}).fingerprint)"
+    root = Path(__file__).parents[1]
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": str(root)},
+    )
+    assert done.stdout.strip() == load_robot(arm).fingerprint
+
+
+@pytest.mark.parametrize(("base", "nq", "nv"), [("fixed", 2, 2), ("planar", 6, 5), ("floating", 9, 8)])
+def test_bases(arm, rng, base, nq, nv):
+    """The root link can be free; at the neutral base the arm is where it is with a fixed one."""
+    robot, fixed = load_robot(arm, base=base), load_robot(arm)
+    assert (robot.nq, robot.nv) == (nq, nv)
+    positions = np.concatenate([np.zeros(nv - 2), rng.uniform(-1, 1, 2)])
+    expected = fixed.pose(positions[-2:], fixed.frame("tip"))
+    np.testing.assert_allclose(robot.pose(positions, robot.frame("tip")), expected, atol=1e-15)
+
+
+def test_unknown_base(arm):
+    """A base that does not exist is named with those that do."""
+    with pytest.raises(RobotError, match="floating"):
+        load_robot(arm, base="flying")  # type: ignore[arg-type]
+
+
+def test_package_dirs_must_exist(arm, tmp_path):
+    """A mistyped package folder is found at once, not when meshes are missing."""
+    with pytest.raises(RobotError, match="no such folder"):
+        load_robot(arm, package_dirs=[tmp_path / "nowhere"])
+    assert load_robot(arm, package_dirs=str(tmp_path)).package_dirs == (tmp_path,)
+
+
+def test_robots_survive_pickling(rng):
+    """A robot sent to another process is the same robot."""
+    robot = load_robot("kinova")
+    copy = pickle.loads(pickle.dumps(robot))
+    q, frame = robot.random_configuration(rng), "j2s6s200_end_effector"
+    np.testing.assert_array_equal(copy.pose(q, copy.frame(frame)), robot.pose(q, robot.frame(frame)))
+    assert copy.fingerprint == robot.fingerprint and copy.locked == robot.locked
+
+
+def test_errors_survive_pickling(tmp_path):
+    """What a worker process raises arrives with its code and line."""
+    path = tmp_path / "bad.urdf"
+    path.write_bytes(edited(("0 0 0.3", "0 0 x")))
+    with pytest.raises(RobotError) as caught:
+        load_robot(path)
+    copy = pickle.loads(pickle.dumps(caught.value))
+    assert (copy.code, copy.line, copy.path, str(copy)) == ("number", 10, path, str(caught.value))
+
+
+def test_xacro_only_when_asked(tmp_path):
+    """A xacro file says how to opt in, and then is expanded; what it does wrong is a sentence."""
+    path = tmp_path / "arm.xacro"
+    text = ARM.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
+    path.write_text(
+        text.replace('<link name="base"/>', '<xacro:property name="h" value="0.25"/><link name="base"/>').replace(
+            "0 0 0.3", "0 0 ${2*h}"
+        ),
+        encoding="utf-8",
+    )
+    with pytest.raises(RobotError, match="xacro=True") as caught:
+        load_robot(path)
+    assert caught.value.code == "xacro"
+    pytest.importorskip("xacrodoc")
+    robot = load_robot(path, xacro=True)
+    assert robot.pose([0, 0], robot.frame("upper"))[2, 3] == pytest.approx(0.5)
+    wrong = {
+        "0 0 ${unknown}": "unknown",
+        "0 0 ${1+}": "syntax",
+        "$(arg x)": "arg",
+        "$(find nowhere)": "ROS_PACKAGE_PATH",
+        "<": "expanded",
+    }
+    for expression, part in wrong.items():
+        path.write_text(text.replace("0 0 0.3", expression), encoding="utf-8")
+        with pytest.raises(RobotError, match=part) as caught:
+            load_robot(path, xacro=True)
+        assert caught.value.code == "xacro-failed"
+
+
+def test_loading_is_quick():
+    """Panda without meshes takes at most 50 ms once the library is imported (3 ms here)."""
+    load_robot("panda")
+    best = min(_timed_load() for _ in range(5))
+    assert best <= 0.050
+
+
+def _timed_load() -> float:
+    start = time.perf_counter()
+    load_robot("panda")
+    return time.perf_counter() - start
