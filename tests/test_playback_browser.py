@@ -246,6 +246,28 @@ def test_page_fits_the_window(robot_of, tmp_path, opened, width, height):
         assert box["y"] >= 0 and box["y"] + box["height"] <= height, selector
 
 
+def test_crowds_and_single_samples(robot_of, tmp_path, opened):
+    """Thirty rollouts still fit the window, those beyond twelve are drawn once picked; one sample is a replay, too."""
+    robot = robot_of("planar3")
+    crowd = {str(i): waving(robot, phase=0.2 * i) for i in range(30)}
+    result = replay(robot, crowd, tmp_path / "a.html")
+    assert "first 12 are drawn" in result.notes[0]
+    page = opened(result.html.as_uri(), 800, 600)
+    assert page.evaluate("document.documentElement.scrollHeight") <= 600
+    assert page.locator("#chart rect").count() < 100
+    page.locator("#legend .pick").nth(25).click()
+    page.evaluate("manipLearn.seek(1)")
+    np.testing.assert_allclose(
+        link_pose(page, "25", "tip"), robot.pose(crowd["25"].q[100], robot.frame("tip")), atol=POSES
+    )
+    still = waving(robot, 0.0)
+    page = opened(replay(robot, {"still": still}, tmp_path / "b.html").html.as_uri())
+    page.keyboard.press("Space")
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("manipLearn.time") == 0.0
+    np.testing.assert_allclose(link_pose(page, "still", "tip"), robot.pose(still.q[0], robot.frame("tip")), atol=POSES)
+
+
 def test_curves_can_be_absent(robot_of, tmp_path, opened):
     """A demonstration plays without a panel for curves that it does not have."""
     robot = robot_of("sawyer")

@@ -42,13 +42,7 @@ class LiveProcess:
         self._newest: Callable[[], str] | None = None
         self._wake = threading.Event()
         self._closed = threading.Event()
-        self._process = subprocess.Popen(
-            [sys.executable, "-I", str(SERVER)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is for the program, which then closes us
-        )
+        self._process = _started_server()
         self._thread = threading.Thread(target=self._feed, args=(token,), name="live view", daemon=True)
         self._thread.start()
         try:
@@ -119,3 +113,16 @@ class LiveProcess:
                     time.sleep(1.0 / FRAMES_PER_SECOND)
         except (OSError, ValueError):  # the server is gone, or the pipe was closed
             self._closed.set()
+
+
+def _started_server() -> subprocess.Popen[bytes]:
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-I", str(SERVER)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C is for the program, which then closes us
+        )
+    except OSError as error:
+        raise OutputError(f"the live view's server cannot be started: {error}") from error

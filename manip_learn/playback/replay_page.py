@@ -13,7 +13,7 @@ from typing import final
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.demonstrations import Trajectory
-from manip_learn.errors import RecordingError
+from manip_learn.errors import OutputError, RecordingError
 from manip_learn.playback.appearance import appearance
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.page_writer import page
@@ -25,6 +25,7 @@ from manip_learn.robot.robot import Robot
 from manip_learn.rollout import Rollout
 
 Recording = Rollout | Trajectory
+MAX_GHOSTS = 12  # as in page/scene.js
 
 
 @final
@@ -79,12 +80,13 @@ def replay(
     tree = kinematic_tree(robot)
     motions = [recorded_motion(robot, tree, robot.frame(tip_name), name, r) for name, r in named.items()]
     looks = appearance(robot, tree)
-    data = scene_data(robot, tree, looks, tip_name, motions, chosen_colours, looks.notes)
+    notes = looks.notes + _crowd_note(len(motions))
+    data = scene_data(robot, tree, looks, tip_name, motions, chosen_colours, notes)
     content = page(data, robot=robot.name or "robot", subtitle=title).encode("utf-8")
     path = write_atomically(_temporary_file(robot.name) if html is None else html, content)
     if open_browser or (open_browser is None and html is None):
         webbrowser.open(path.as_uri())
-    return ReplayResult(path, len(content), looks.notes)
+    return ReplayResult(path, len(content), notes)
 
 
 def _named(rollouts: Mapping[str, Recording] | Recording) -> dict[str, Recording]:
@@ -105,6 +107,19 @@ def _named(rollouts: Mapping[str, Recording] | Recording) -> dict[str, Recording
     return dict(rollouts)
 
 
+def _crowd_note(n: int) -> tuple[str, ...]:
+    if n <= MAX_GHOSTS:
+        return ()
+    return (
+        f"Of {n} rollouts the first {MAX_GHOSTS} are drawn as robots, the others by their tip's way and their curve; "
+        "click a name to draw that one.",
+    )
+
+
 def _temporary_file(robot_name: str) -> Path:
     safe = re.sub(r"[^A-Za-z0-9_-]+", "_", robot_name)[:40] or "robot"
-    return Path(tempfile.mkdtemp(prefix="manip_learn_")) / f"{safe}_replay.html"
+    try:
+        folder = tempfile.mkdtemp(prefix="manip_learn_")
+    except OSError as error:
+        raise OutputError(f"no temporary folder for the replay: {error}; name a file with html=...") from error
+    return Path(folder) / f"{safe}_replay.html"

@@ -9,6 +9,7 @@ const STATUS = {
   singular: { colour: "#17212b", say: "singular" },
 };
 const OTHER_STATUS = ["#56b4e9", "#8c6d1f", "#4d7f6a", "#a04040", "#77808a"];
+const MAX_STRIPS = 8;
 const DASHES = ["", "7 4", "2 4", "10 3 2 3", "1 3 6 3"];
 
 function svg(tag, attributes, parent) {
@@ -87,7 +88,7 @@ class Chart {
   draw() {
     const w = this.element.clientWidth, h = this.element.clientHeight;
     if (w < 50 || h < 40) return;
-    const curves = this.rollouts.filter((r) => r.visible && r.curve.length), strips = this.rollouts.filter((r) => r.visible && r.status.length);
+    const curves = this.rollouts.filter((r) => r.visible && r.curve.length), strips = this.stripsToDraw();
     const row = strips.length > 5 ? 7 : 10, stripsHeight = strips.length ? 4 + row * strips.length : 0;
     Object.assign(this, { left: 58, right: w - 14, top: 8, bottom: h - 24 - stripsHeight });
     this.range = this.findRange(curves);
@@ -100,6 +101,12 @@ class Chart {
     this.dots = curves.map((r) => [r, svg("circle", { r: 5, fill: r.colour, stroke: "#fff", "stroke-width": 2 }, root)]);
     this.element.replaceChildren(root);
     if (this.time !== undefined) this.setTime(this.time);
+  }
+
+  // All visible ones while there is room, else that of the solid rollout.
+  stripsToDraw() {
+    const strips = this.rollouts.filter((r) => r.visible && r.status.length);
+    return strips.length <= MAX_STRIPS ? strips : strips.filter((r) => r.solid);
   }
 
   drawAxes(root, h, stripsHeight) {

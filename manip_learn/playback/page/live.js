@@ -1,6 +1,7 @@
 // A robot that is moving now: poses arrive from the program, the newest one is drawn.
 
 const LIVE_SPAN = 20; // seconds of manipulability that stay in the chart
+const TAIL_SPAN = 6; // seconds of the tip's way that stay in the picture
 
 class Live {
   constructor(show, data) {
@@ -20,6 +21,9 @@ class Live {
     });
     for (const button of document.querySelectorAll("[data-view]"))
       button.addEventListener("click", () => show.stage && show.stage.look(button.dataset.view === "fit" ? show.stage.view : button.dataset.view));
+    this.tail = []; // where the tip was: time, x, y, z
+    this.tailMesh = new THREE.Mesh(new THREE.BufferGeometry(), new THREE.MeshStandardMaterial({ color: linear(this.rollout.colour), roughness: 0.6 }));
+    this.rollout.instance.root.add(this.tailMesh);
     show.setTime(0);
     this.source = new EventSource(data.events);
     this.source.onmessage = (event) => this.receive(JSON.parse(event.data));
@@ -42,9 +46,25 @@ class Live {
   receive({ time, values, mu }) {
     this.rollout.instance.setValues(values);
     this.show.time = time;
+    this.addTail(time);
     if (mu !== null) this.addValue(time, mu);
     if (this.show.stage) this.show.stage.dirty();
     this.say(`live · ${time.toFixed(2)} s`, false);
+  }
+
+  addTail(time) {
+    const last = this.tail[this.tail.length - 1];
+    if (last && time < last[0]) this.tail.length = 0;
+    if (last && time < last[0] + 1 / 30) return;
+    this.tail.push([time, ...this.rollout.instance.tipPosition().toArray()]);
+    while (this.tail[0][0] < time - TAIL_SPAN) this.tail.shift();
+    this.moved = true;
+  }
+
+  drawTail() {
+    this.tailMesh.geometry.dispose();
+    this.tailMesh.geometry = tubeGeometry(this.tail.flatMap((p) => p.slice(1)), 0.0022 * (this.show.stage ? this.show.stage.size : 1));
+    this.moved = false;
   }
 
   addValue(time, mu) {
@@ -59,6 +79,7 @@ class Live {
 
   frame() {
     const now = performance.now();
+    if (this.moved && this.tail.length > 1) this.drawTail();
     if (this.changed && now - (this.drawn ?? 0) > 100) {
       get("panel").hidden = false;
       this.chart.start = Math.max(0, this.rollout.duration - LIVE_SPAN);

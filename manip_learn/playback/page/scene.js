@@ -79,6 +79,9 @@ function tubeGeometry(points, radius, sides = 8) {
   return geometry;
 }
 
+// Rollouts beyond these are drawn by their tip's way alone, until they are made solid.
+const MAX_GHOSTS = 12;
+
 // ---- one robot ------------------------------------------------------------------------------------------------------
 
 // Dark and light parts stay dark and light, all in the rollout's colour: structure and identity at once.
@@ -112,9 +115,14 @@ class RobotInstance {
     this.meshes = [];
     // a ghost first fills the depth buffer, so that only its front skin is blended and it stays easy to read
     this.veil = new THREE.MeshBasicMaterial({ colorWrite: false, side: THREE.DoubleSide, ...behind(rollout.index) });
-    robot.shapes.forEach((shape, i) => this.addShape(shape, geometries[i]));
+    this.geometries = geometries;
+    if (rollout.index < MAX_GHOSTS) this.addShapes();
     this.motion = new THREE.Matrix4();
-    this.setSolid(true);
+  }
+
+  addShapes() {
+    this.robot.shapes.forEach((shape, i) => this.addShape(shape, this.geometries[i]));
+    this.geometries = null;
   }
 
   addShape(shape, geometry) {
@@ -131,6 +139,7 @@ class RobotInstance {
 
   setSolid(solid) {
     this.solid = solid;
+    if (solid && this.geometries) this.addShapes();
     const made = new Map();
     for (const { skin, veil } of this.meshes) {
       const shape = skin.userData.shape, key = shape.accent ? "accent" : [shape.joint > 0, shape.kind === "mesh", ...shape.colour].join();
