@@ -18,6 +18,7 @@ from manip_learn.io.reason import reason
 try:
     import apsw
     from rosbags import rosbag1, rosbag2
+    from rosbags.serde import SerdeError
     from rosbags.typesys import Stores, get_typestore
     from ruamel.yaml.error import YAMLError
 except ImportError as error:
@@ -29,6 +30,7 @@ LARGEST_METADATA = 10_000_000
 DAMAGE = (
     rosbag1.ReaderError,
     rosbag2.ReaderError,
+    SerdeError,
     YAMLError,
     apsw.Error,
     sqlite3.Error,

@@ -16,6 +16,7 @@ from typing import IO, final
 import numpy as np
 
 from manip_learn.errors import RecordingError, closest_names
+from manip_learn.io.float_array import float_array
 from manip_learn.io.read_request import ReadRequest
 from manip_learn.io.reason import reason
 from manip_learn.io.recording import Recording
@@ -93,7 +94,7 @@ def _read_arrays(path: Path, archive: zipfile.ZipFile, request: ReadRequest) -> 
         if key in arrays:
             if arrays[key].dtype != np.dtype(np.float64):
                 notes.append(f"{key} is stored as {arrays[key].dtype.str}, read as float64")
-            arrays[key] = np.ascontiguousarray(arrays[key], dtype=np.float64)
+            arrays[key] = float_array(arrays[key])
     return arrays, notes
 
 

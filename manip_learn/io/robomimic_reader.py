@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError
+from manip_learn.io.float_array import float_array
 from manip_learn.io.read_request import ReadRequest
 from manip_learn.io.reason import reason
 from manip_learn.io.recording import Recording
@@ -129,7 +130,7 @@ def _matrix(path: Path, dataset: Any, where: str) -> np.ndarray:
         raise _refusal(
             path, "bomb", f"{where} claims {need:,} bytes, {stored:,} are stored: no recorded motion packs so well"
         )
-    return np.asarray(dataset[()], dtype=np.float64)
+    return float_array(dataset[()])
 
 
 def _names(path: Path, request: ReadRequest) -> tuple[str, ...]:

@@ -133,6 +133,6 @@ def bunched_note(time: Float[np.ndarray, " T"]) -> list[str]:
     if not np.any(bunched):
         return []
     return [
-        f"{np.count_nonzero(bunched)} steps between stamps are under {BUNCHED:.0%} of the usual {usual:.3g} s (the smallest: "
-        f"{np.min(steps):.3g} s): the recorder fell behind, derived velocities will suffer"
+        f"{np.count_nonzero(bunched)} steps between stamps are under {BUNCHED:.0%} of the usual {usual:.3g} s (the "
+        f"smallest: {np.min(steps):.3g} s): the recorder fell behind, derived velocities will suffer"
     ]
