@@ -65,7 +65,11 @@ def group_moments(samples: Samples) -> Float[np.ndarray, "g r r"]:
 
 
 def fit_null_space(
-    samples: Samples, start: Float[np.ndarray, "s r"], velocity: Velocity | None = None, tolerance: float = 1e-14
+    samples: Samples,
+    start: Float[np.ndarray, "s r"],
+    velocity: Velocity | None = None,
+    tolerance: float = 1e-14,
+    max_iterations: int = MAX_ITERATIONS,
 ) -> NullSpaceFit:
     """Gauss-Newton on the Grassmann manifold for equation (10), E = sum w^T A^+ A w, from a start.
 
@@ -78,12 +82,13 @@ def fit_null_space(
         start: Lambda in whitened coordinates.
         velocity: The null-space part w of a block; the recorded u by default.
         tolerance: Step length at which to stop.
+        max_iterations: Largest number of steps; 0 judges the start as it is.
     """
     Lambda = orthonormal_rows(start)
     s, r = Lambda.shape
     state = _moments(samples, Lambda, velocity)
     damping, iterations = 0.0, 0
-    while iterations < MAX_ITERATIONS and s < r:
+    while iterations < max_iterations and s < r:
         iterations += 1
         gradient, H = state.scores.sum(axis=0), state.curvatures.sum(axis=0)
         scale = max(float(np.trace(H)) / H.shape[0], np.finfo(np.float64).tiny)

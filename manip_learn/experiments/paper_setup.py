@@ -1,0 +1,151 @@
+"""The paper's simulated demonstrations: a 3-link planar arm that reaches for points.
+
+Links 1 m, gains 1, explicit Euler steps of 0.02 s, no noise, every step kept; the rows of Phi are x, y and the heading
+theta = q1 + q2 + q3 of the tip. The published file of the authors' group follows the same recipe.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.constraint import Constraint
+from manip_learn.demonstrations import Demonstrations, Trajectory
+from manip_learn.features.frame_jacobian import FrameJacobian
+from manip_learn.linalg import orthonormal_rows
+from manip_learn.robot.loading import load_robot
+from manip_learn.robot.robot import Robot
+
+STEP = 0.02  # [s]
+REST = np.deg2rad([10.0, -10.0, 10.0])  # psi*, where the null-space policy leads [rad]
+START_LOW, START_HIGH = np.deg2rad([0.0, 90.0, 0.0]), np.deg2rad([10.0, 100.0, 10.0])
+TARGET_LOW, TARGET_HIGH = np.array([-1.0, 0.0, 0.0]), np.array([1.0, 2.0, np.pi])  # x, y [m], theta [rad]
+AXES = "x y rz"
+SELECTIONS = ("x y", "x rz", "y rz")
+
+PolicyName = Literal["attractor", "sinusoidal", "zero", "own"]
+
+
+@final
+@dataclass(frozen=True)
+class Setup:
+    """What is demonstrated.
+
+    Attributes:
+        rows: Constrained rows, words of `"x y rz"`; `"oblique"` draws two random directions each time.
+        trajectories: Number of demonstrations.
+        points: Consecutive samples of each.
+        noise: Standard deviation of the noise on the action, relative to the root mean square of each joint's action.
+        policy: Null-space policy: the paper's attractor; a sinusoid of the posture; none; or an attractor to each
+            demonstrator's own rest posture.
+        length: Length of a link [m]; 0.01 and 100 stand for other units.
+    """
+
+    rows: str = "x y"
+    trajectories: int = 100
+    points: int = 10
+    noise: float = 0.0
+    policy: PolicyName = "attractor"
+    length: float = 1.0
+
+    def selection(self, rng: np.random.Generator) -> Float[np.ndarray, "s 3"]:
+        """True Lambda, orthonormal rows; drawn for `"oblique"`."""
+        if self.rows == "oblique":
+            return orthonormal_rows(rng.standard_normal((2, 3)))
+        return np.eye(3)[[AXES.split().index(name) for name in self.rows.split()]]
+
+
+@cache
+def planar_arm() -> Robot:
+    """The shipped 3-link arm, links 1 m."""
+    return load_robot("planar3")
+
+
+@cache
+def planar_features() -> FrameJacobian:
+    """Phi: rows x, y [m/s] and theta [rad/s] of the tip."""
+    return FrameJacobian(planar_arm(), "tip", AXES)
+
+
+def tip(q: Float[np.ndarray, "n 3"], length: float = 1.0) -> Float[np.ndarray, "n 3"]:
+    """x, y [m] and heading theta [rad] of the tip; theta counts turns."""
+    angles = np.cumsum(q, axis=1)
+    return np.column_stack([length * np.cos(angles).sum(1), length * np.sin(angles).sum(1), angles[:, -1]])
+
+
+def draw_starts(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
+    """Start postures [rad]."""
+    return rng.uniform(START_LOW, START_HIGH, size=(n, 3))
+
+
+def draw_targets(n: int, rng: np.random.Generator, length: float = 1.0) -> Float[np.ndarray, "n 3"]:
+    """Targets r* that the tip can reach with their heading: the wrist within two links of the base (3 % are redrawn)."""
+    out = np.empty((0, 3))
+    while len(out) < n:
+        tries = rng.uniform(TARGET_LOW, TARGET_HIGH, size=(2 * n, 3))
+        wrist = tries[:, :2] - np.column_stack([np.cos(tries[:, 2]), np.sin(tries[:, 2])])
+        out = np.concatenate([out, tries[np.linalg.norm(wrist, axis=1) <= 2.0]])
+    return out[:n] * [length, length, 1.0]
+
+
+def demonstrate(setup: Setup, Lambda: Float[np.ndarray, "s 3"], rng: np.random.Generator) -> Demonstrations:
+    """Reaching demonstrations with u = A^+ b + N pi, all trajectories stepped at once."""
+    n = setup.trajectories
+    q, targets = draw_starts(n, rng), draw_targets(n, rng, setup.length)
+    rest = REST if setup.policy != "own" else REST + rng.uniform(-0.5, 0.5, size=(n, 3))
+    postures, actions, null_parts = [], [], []
+    for _ in range(setup.points):
+        A = Lambda @ jacobian(q, setup.length)
+        inverse = np.linalg.pinv(A)
+        b = np.einsum("sp,np->ns", Lambda, targets - tip(q, setup.length))
+        pi = null_policy(setup.policy, q, rest)
+        w = pi - np.einsum("nvs,nsw,nw->nv", inverse, A, pi)
+        u = np.einsum("nvs,ns->nv", inverse, b) + w
+        postures.append(q)
+        actions.append(u)
+        null_parts.append(w)
+        q = q + STEP * u
+    return _recorded(np.array(postures), np.array(actions), setup.noise, rng)
+
+
+def null_policy(name: PolicyName, q: Float[np.ndarray, "n 3"], rest: np.ndarray) -> Float[np.ndarray, "n 3"]:
+    """pi(q) [rad/s]."""
+    if name == "zero":
+        return np.zeros_like(q)
+    if name == "sinusoidal":
+        return np.column_stack([np.sin(q[:, 1]), np.cos(q[:, 0]) * np.sin(q[:, 2]), -np.sin(q[:, 0] + q[:, 2])])
+    return rest - q
+
+
+def jacobian(q: Float[np.ndarray, "n 3"], length: float = 1.0) -> Float[np.ndarray, "n 3 3"]:
+    """Phi at many postures, for any length of the links."""
+    return planar_features().batch(q) * np.array([length, length, 1.0])[:, None]
+
+
+def null_parts(
+    demonstrations: Demonstrations, Lambda: Float[np.ndarray, "s 3"], length: float = 1.0
+) -> Float[np.ndarray, "n 3"]:
+    """The true null-space part of every sample, w = N u."""
+    q = np.concatenate([t.q for t in demonstrations])
+    u = np.concatenate([t.u for t in demonstrations if t.u is not None])
+    A = Lambda @ jacobian(q, length)
+    return u - np.einsum("nvs,nsw,nw->nv", np.linalg.pinv(A), A, u)
+
+
+def true_constraint(rows: str = "x y") -> Constraint:
+    """The constraint of unit rows, links 1 m."""
+    return Constraint(Setup(rows).selection(np.random.default_rng(0)), planar_features())
+
+
+def _recorded(
+    q: Float[np.ndarray, "T n 3"], u: Float[np.ndarray, "T n 3"], noise: float, rng: np.random.Generator
+) -> Demonstrations:
+    if noise > 0.0:
+        u = u + noise * np.sqrt(np.mean(u**2, axis=(0, 1))) * rng.standard_normal(u.shape)
+    time = STEP * np.arange(len(q))
+    names = planar_arm().joint_names
+    return Demonstrations(Trajectory(time, q[:, i], u[:, i], names, f"trajectory {i}") for i in range(q.shape[1]))
