@@ -203,16 +203,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(command: Callable[[], Any]) -> int:
-    import click
-
+    # typer brings a click of its own or uses the public one, by version: either way this is click's UsageError
+    usage_error = typer.BadParameter.__mro__[1]
     try:
         outcome = command()
     except ManipLearnError as error:
         return _complain(str(error))
-    except click.UsageError as error:
-        where = f"manip-learn {error.ctx.info_name}" if error.ctx and error.ctx.parent else "manip-learn"
+    except usage_error as error:
+        context = getattr(error, "ctx", None)
+        where = f"manip-learn {context.info_name}" if context and context.parent else "manip-learn"
         return _complain(f"{error.format_message().rstrip('.')}: see `{where} --help`")
-    except (click.Abort, KeyboardInterrupt):
+    except (typer.Abort, KeyboardInterrupt):
         print("interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:

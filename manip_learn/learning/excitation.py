@@ -73,5 +73,6 @@ def _doubts(samples: Samples, joint_names: Sequence[str]) -> list[str]:
             "constraint; move all joints together"
         )
     if samples.n_groups < 5:
-        warnings.append(f"only {samples.n_groups} trajectory(ies): evidence from so few is thin; record 5 or more")
+        count = "one trajectory" if samples.n_groups == 1 else f"{samples.n_groups} trajectories"
+        warnings.append(f"only {count}: evidence from so few is thin; record 5 or more")
     return warnings

@@ -23,7 +23,7 @@ RANDOM_STARTS = 2
 WORTH = 0.8
 ROUNDING = 1e-24
 # models are compared on at most this many samples, and fitted with at most this many columns unless asked for
-COMPARE_LIMIT = 3_000
+COMPARE_LIMIT = 1_500
 MAX_COLUMNS = 120
 # enough steps to compare
 COMPARE: dict[str, Any] = {"max_iterations": 8, "gain": 1e-4}
