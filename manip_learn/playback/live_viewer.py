@@ -24,7 +24,7 @@ from manip_learn.playback.scene_data import scene_data
 from manip_learn.playback.tip_frame import tip_frame
 from manip_learn.robot.robot import Robot
 
-POSTURES_FOR_CAMERA = 30
+POSTURES_FOR_CAMERA = 119
 
 
 @final

@@ -89,13 +89,13 @@ class Chart {
     const w = this.element.clientWidth, h = this.element.clientHeight;
     if (w < 50 || h < 40) return;
     const curves = this.rollouts.filter((r) => r.visible && r.curve.length), strips = this.stripsToDraw();
-    const row = strips.length > 5 ? 7 : 10, stripsHeight = strips.length ? 4 + row * strips.length : 0;
+    const row = strips.length > 5 ? 7 : 10, stripsHeight = strips.length ? 8 + row * strips.length : 0;
     Object.assign(this, { left: 58, right: w - 14, top: 8, bottom: h - 24 - stripsHeight });
     this.range = this.findRange(curves);
     const root = svg("svg", { width: w, height: h, "aria-hidden": "true" });
     this.drawAxes(root, h, stripsHeight);
     curves.forEach((r) => this.drawCurve(root, r));
-    strips.forEach((r, i) => this.drawStrip(root, r, this.bottom + 5 + row * i, row - 3));
+    strips.forEach((r, i) => this.drawStrip(root, r, this.bottom + 9 + row * i, row - 3));
     this.cursor = svg("line", { y1: this.top, y2: this.bottom + stripsHeight + 2, stroke: "#17212b", "stroke-width": 1.5 }, root);
     this.knob = svg("path", { d: "M-6 0h12l-6 8z", fill: "#17212b" }, root);
     this.dots = curves.map((r) => [r, svg("circle", { r: 5, fill: r.colour, stroke: "#fff", "stroke-width": 2 }, root)]);
