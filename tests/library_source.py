@@ -39,6 +39,11 @@ class Source:
                 assert node.level == 0, f"{self.relative}:{node.lineno}: imports are absolute in this project"
                 yield from ((f"{node.module}.{alias.name}", node.lineno) for alias in node.names)
 
+    def typing_lines(self) -> set[int]:
+        """Lines under `if TYPE_CHECKING:`, which never run."""
+        guards = [n for n in ast.walk(self.tree) if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING"]
+        return {line for guard in guards for line in range(guard.lineno, (guard.end_lineno or guard.lineno) + 1)}
+
 
 @cache
 def library() -> tuple[Source, ...]:

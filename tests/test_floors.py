@@ -27,12 +27,15 @@ FLOORS = {
     "controller": "4'",
     "batch_manipulability": "4'",
     "velocity_room": "4'",
+    "step_kernel": "4'",
+    "compiled_controller": "4'",
     "rollout": "5",
     "metrics": "5",
     "io": "6",
     "playback": "6",
     "experiments": "6",
     "demo": "6",
+    "commands": "6",
     "cli": "6",
     "__main__": "6",
 }
@@ -42,15 +45,15 @@ ROOMS = {
     "coal": {"robot", "playback"},
     "meshcat": {"playback"},
     "trimesh": {"robot", "playback"},
-    "yourdfpy": {"robot", "playback", "cli"},
+    "yourdfpy": {"robot", "playback"},
     "defusedxml": {"robot", "playback"},
     "xacrodoc": {"robot"},
-    "numba": {"robot"},
+    "numba": {"robot", "step_kernel", "compiled_controller"},
     "rosbags": {"io"},
     "pyarrow": {"io"},
     "h5py": {"io"},
-    "typer": {"cli"},
-    "rich": {"cli", "experiments"},
+    "typer": {"cli", "commands"},
+    "rich": {"cli", "commands", "experiments"},
     "matplotlib": {"experiments"},
     "joblib": {"experiments", "learning"},
     "mujoco": {"experiments", "robot"},
@@ -60,6 +63,7 @@ ROOMS = {
 }
 MAX_LINES, MAX_FUNCTION_LINES = 300, 50
 # Each with the size that it may not outgrow. Robot has one state, Pinocchio's, that all of its methods share.
+LAST_LINES_OF_DEFENCE = ("cli.py",)  # a sentence and exit code 1 for our own failures, never a traceback
 LONG_FILES = {"robot/robot.py": 540}
 
 SOURCES = library()
@@ -99,9 +103,8 @@ def test_imports_only_go_down(source):
 
 
 def test_no_import_cycles():
-    """Files can be put in an order in which each imports only from those before it."""
-    graph = {s.name: {t for t, _ in own_imports(s) if t != s.name} for s in SOURCES if s.name}
-    # a package's front re-exports its members; that members import each other past it is no cycle
+    """Files can be put in an order in which each imports only from those before it (names for types alone aside)."""
+    graph = {s.name: {t for t, line in own_imports(s) if line not in s.typing_lines()} for s in SOURCES if s.name}
     order = list(TopologicalSorter(graph).static_order())
     assert len(order) >= len(graph)
 
@@ -144,7 +147,7 @@ def test_no_blanket_handlers_and_no_asserts(source):
     for node in ast.walk(source.tree):
         where = f"{source.relative}:{getattr(node, 'lineno', '')}"
         assert not isinstance(node, ast.Assert), f"{where}: no assert in the library"
-        if isinstance(node, ast.ExceptHandler):
+        if isinstance(node, ast.ExceptHandler) and source.relative not in LAST_LINES_OF_DEFENCE:
             caught = ast.unparse(node.type) if node.type else ""
             assert caught not in ("", "Exception", "BaseException"), f"{where}: which error is meant?"
         if isinstance(node, ast.Call) and ast.unparse(node.func) in ("hasattr", "eval", "exec", "np.random.seed"):

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import signal
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
+from peak_memory import peak_megabytes
 from urdf_corpus import corpus
 from urdf_corpus_case import Case
 
@@ -88,15 +88,6 @@ def main() -> None:
         megabytes = peak_megabytes()
         seconds = time.perf_counter() - start
         print(json.dumps({"case": index, "verdict": answer, "seconds": seconds, "megabytes": megabytes}), flush=True)
-
-
-def peak_megabytes() -> float:
-    """Most memory that this process has held; on Linux ru_maxrss would count what the parent held when it forked."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        high_water = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
-        return int(high_water.split()[1]) / 1e3
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ is written to stdout as a bare number, so that the last number names the mutant 
 from __future__ import annotations
 
 import json
-import resource
 import signal
 import sys
 import time
@@ -15,6 +14,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from peak_memory import peak_megabytes
 from urdf_mutants import mutant
 
 from manip_learn.errors import ManipLearnError, RobotError
@@ -62,7 +62,7 @@ def main() -> None:
             faults.append(f"{seed}: {type(error).__name__}: {error}")
         slowest = max(slowest, time.perf_counter() - start)
         signal.alarm(0)
-    megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+    megabytes = peak_megabytes()
     print(json.dumps({"seen": seen, "faults": faults, "slowest": slowest, "megabytes": megabytes}))
 
 
