@@ -151,13 +151,13 @@ def test_any_text_is_read_or_refused(content: str) -> None:
 
 
 def test_strictness_costs_no_patience(planar3: Robot, tmp_path: Path) -> None:
-    """100,000 rows within 2 s (0.1 s are usual)."""
+    """100,000 rows within 2 s of processor time (0.2 s are usual)."""
     import time
 
     rows = np.column_stack([np.arange(100_000) * 0.01, np.tile(TABLE[:50, 1:], (2000, 1))])
     rows[:, 1:] = np.column_stack([np.sin(0.1 * rows[:, 0] + i) for i in range(3)])
     path = written(tmp_path / "demo.csv", csv(rows))
-    start = time.perf_counter()
+    start = time.process_time()
     demos = load_demonstrations(path, planar3)
-    assert time.perf_counter() - start < 2.0
+    assert time.process_time() - start < 2.0
     assert demos.n_samples == 100_000
