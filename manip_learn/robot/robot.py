@@ -117,6 +117,7 @@ class Robot:
         self.blocks = tuple(blocks)
         self.nq, self.nv = nq, nv
         self.joint_names: tuple[str, ...] = tuple(n for b in blocks for n in b.coordinate_names)
+        self._followers: list[tuple[int, slice]] = []
         self._coupling = self._build_coupling() if self.mimics else None
         # a plain robot's configuration IS Pinocchio's: the hot path skips all conversions
         self._plain = nq == nv == model.nq and self._coupling is None
@@ -130,7 +131,9 @@ class Robot:
             lift[b.pin_v, b.v] = np.eye(b.v.stop - b.v.start)
         column = {b.name: b.v.start for b in self.blocks if b.v.stop - b.v.start == 1}
         for m in self.mimics:
-            row = model.joints[model.getJointId(m.joint)].idx_v
+            joint = model.joints[model.getJointId(m.joint)]
+            row = joint.idx_v
+            self._followers.append((row, slice(joint.idx_q, joint.idx_q + joint.nq)))
             lift[row, column[m.leader]] = m.multiplier
             offset[row] = m.offset
         return Coupling(lift, offset)
@@ -351,7 +354,7 @@ class Robot:
 
     def pinocchio_configuration(self, q: ArrayLike) -> Float[np.ndarray, " n"]:
         """Configuration of the underlying Pinocchio model, mimic joints included (for geometry and playback)."""
-        return self._expanded(self.configuration(q))
+        return self._pin_q(q)
 
     @property
     def coupling(self) -> Coupling | None:
@@ -363,17 +366,17 @@ class Robot:
         """The underlying Pinocchio model. It has mimic joints as joints of their own; do not change it."""
         return self._model
 
-    def _expanded(self, q: np.ndarray) -> np.ndarray:
+    def _expanded(self, q: np.ndarray, positions: np.ndarray | None = None) -> np.ndarray:
         if self._coupling is None:
             return q
-        full = pin.neutral(self._model)
+        full = np.empty(self._model.nq)
         for b in self.blocks:
             full[b.pin_q] = q[b.q]
-        positions = self._coupling.lift @ self.positions(q) + self._coupling.offset
-        for m in self.mimics:
-            joint = self._model.joints[self._model.getJointId(m.joint)]
-            x = positions[joint.idx_v]
-            full[joint.idx_q : joint.idx_q + joint.nq] = (np.cos(x), np.sin(x)) if joint.nq == 2 else x
+        everything = self._coupling.lift @ (self.positions(q) if positions is None else positions)
+        everything += self._coupling.offset
+        for row, place in self._followers:
+            x = everything[row]
+            full[place] = (np.cos(x), np.sin(x)) if place.stop - place.start == 2 else x
         return full
 
     # ---- kinematics -----------------------------------------------------------------------------------------------
@@ -387,7 +390,14 @@ class Robot:
             return self._local.data
 
     def _pin_q(self, q: ArrayLike) -> np.ndarray:
-        return self._finite_vector(q) if self._plain else self._expanded(self.configuration(q))
+        if self._plain:
+            return self._finite_vector(q)
+        return self.configuration(q) if self._coupling is None else self._coupled(q)
+
+    def _coupled(self, q: ArrayLike) -> np.ndarray:
+        vector = self._finite_vector(q)
+        # of joint positions the full turns count: a follower at half speed is elsewhere after one
+        return self._expanded(self.configuration(vector), vector if vector.shape[0] == self.nv else None)
 
     def pose(self, q: ArrayLike, frame: Frame) -> Float[np.ndarray, "4 4"]:
         """Homogeneous transform from the frame to the robot's base [m].

@@ -1,0 +1,105 @@
+"""The second opinion on forward kinematics."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+from urdf_corpus_case import ARM
+from urdf_corpus_joints import mimic_chain
+
+from manip_learn.errors import RobotError
+from manip_learn.robot.cross_check import cross_check
+from manip_learn.robot.loading import load_robot
+from manip_learn.robot.names import example_robots
+from manip_learn.robot.robot import Robot
+
+# Refused with good reason: velocity 0, limits 0 ... 0, limits left out, a mimic of nothing, no links.
+REFUSED = {
+    "alex_psyonic_hands": "mimic-unknown",
+    "centauro": "limit-missing",
+    "double_pendulum": "limit-order",
+    "double_pendulum_continuous": "velocity-limit",
+    "double_pendulum_simple": "limit-order",
+    "iris": "velocity-limit",
+    "quadruped": "limit-missing",
+    "romeo": "velocity-limit",
+}
+FILES = {str(path): name for name, path in sorted(example_robots().items())}
+NAMES = sorted(FILES.values())
+
+
+def test_enough_robots_are_compared():
+    """At least 40 files of example-robot-data, with mimic and continuous joints among them."""
+    assert len(NAMES) - len(REFUSED) >= 40
+    assert {"panda", "kinova", "pr2", "tiago", "talos_full"} <= set(example_robots())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_both_readers_agree(name, rng):
+    """Every link of every robot that loads is where yourdfpy has it, to 1e-9; the others are refused as known."""
+    if name in REFUSED:
+        with pytest.raises(RobotError) as caught:
+            load_robot(name)
+        assert caught.value.code == REFUSED[name]
+        return
+    check = cross_check(load_robot(name), rng, n=3)
+    assert check.largest_difference <= 1e-9, check
+    assert check.agrees and check.links == len(load_robot(name).pinocchio_model.frames[1:]) // 2 + 1
+
+
+def test_refused_robots_load_with_the_joint_locked(rng):
+    """What a refusal proposes works: lock the joints whose limits are unusable."""
+    robot = load_robot("romeo", locked=("LHand", "RHand"))
+    assert cross_check(robot, rng, n=3).agrees
+    robot = load_robot("centauro", locked=[f"j_wheel_{i}" for i in (1, 2, 3, 4)])
+    assert cross_check(robot, rng, n=3).agrees
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
+def test_chains_of_mimics_agree(order, tmp_path, rng):
+    """yourdfpy gets the chains shortened, since it would take a mimic of a mimic for one at rest."""
+    path = tmp_path / "chain.urdf"
+    path.write_bytes(mimic_chain(order))
+    assert cross_check(load_robot(path), rng).agrees
+
+
+def test_locked_joints_and_moving_bases_agree(tmp_path, rng):
+    """Locked joints stand where they are locked; a moving base is taken out."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM, encoding="utf-8")
+    assert cross_check(load_robot(path, locked={"elbow": 0.7}), rng).agrees
+    floating = cross_check(load_robot(path, base="floating"), rng)
+    assert floating.agrees and "root_joint" in floating.left_out
+
+
+def test_a_difference_is_found(rng):
+    """A robot whose description says something else than its model is found out, with the link."""
+    robot = load_robot("ur5")
+    moved = (robot.description or b"").replace(b'xyz="0.0 0.0 0.089159"', b'xyz="0.0 0.0 0.09"')
+    if moved == robot.description:
+        pytest.fail("the shoulder height of the UR5 is written otherwise now: adapt this test")
+    other = Robot(robot.pinocchio_model, description=moved, source=robot.source)
+    check = cross_check(other, rng)
+    assert not check.agrees and check.largest_difference == pytest.approx(0.09 - 0.089159)
+
+
+def test_without_a_description(rng):
+    """A robot built from a model has no second reader."""
+    with pytest.raises(RobotError, match="no second reader"):
+        cross_check(Robot(load_robot("ur5").pinocchio_model), rng)
+
+
+def test_the_other_reader_is_silent(tmp_path, rng, caplog, capfd):
+    """Its warnings do not reach the user, and its logger is left as it was."""
+    cross_check(load_robot("talos"), rng, n=1)
+    assert not caplog.records
+    assert capfd.readouterr() == ("", "")
+    assert not logging.getLogger("yourdfpy.urdf").disabled
+
+
+def test_same_random_numbers_same_answer():
+    """The generator is the caller's."""
+    robot = load_robot("panda")
+    assert cross_check(robot, np.random.default_rng(1)) == cross_check(robot, np.random.default_rng(1))

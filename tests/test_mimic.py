@@ -1,0 +1,201 @@
+"""Mimic joints: resolved into a linear map from the independent joints, wherever their leaders are."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from manip_learn.errors import RobotError
+from manip_learn.robot.coupling import Mimic
+from manip_learn.robot.loading import load_robot
+from manip_learn.robot.names import example_robots
+from manip_learn.robot.robot import Robot
+from manip_learn.robot.urdf_robot import robot_from_urdf
+
+TYPES = {"a": "revolute", "b": "prismatic", "c": "revolute", "d": "revolute"}
+AXES = {"a": "0 0 1", "b": "0.6 0.8 0", "c": "0 1 0", "d": "1 0 0"}
+WIDE = '<limit lower="-3" upper="3" velocity="2" effort="1"/>'
+
+
+def urdf(
+    mimics: dict[str, tuple[str, float, float]],
+    order: str = "abcd",
+    types: dict[str, str] | None = None,
+    limits: dict[str, str] | None = None,
+) -> bytes:
+    """A chain of the joints a, b, c, d; `mimics` maps a joint to (leader, multiplier, offset)."""
+    types, limits = TYPES | (types or {}), limits or {}
+    joints = {}
+    for i, name in enumerate("abcd"):
+        mimic = ""
+        if name in mimics:
+            leader, multiplier, offset = mimics[name]
+            mimic = f'<mimic joint="{leader}" multiplier="{multiplier}" offset="{offset}"/>'
+        joints[name] = (
+            f'<joint name="{name}" type="{types[name]}"><parent link="l{i}"/><child link="l{i + 1}"/>'
+            f'<origin xyz="0.2 0.1 0.{i}" rpy="0.{i} 0 0.2"/><axis xyz="{AXES[name]}"/>'
+            f"{limits.get(name, WIDE)}{mimic}</joint>"
+        )
+    links = "".join(f'<link name="l{i}"/>' for i in range(5))
+    return f'<robot name="chain">{links}{"".join(joints[n] for n in order)}</robot>'.encode()
+
+
+def load(mimics: dict[str, tuple[str, float, float]], **options) -> Robot:
+    """The chain."""
+    locked = options.pop("locked", ())
+    return robot_from_urdf(urdf(mimics, **options), Path("chain.urdf"), locked=locked)
+
+
+def free_pose(positions: dict[str, float], **options) -> np.ndarray:
+    """Pose of the last link when all joints are free, at given positions."""
+    model = pin.buildModelFromXML(urdf({}, **options).decode())
+    data, q = model.createData(), pin.neutral(model)
+    for name, x in positions.items():
+        joint = model.joints[model.getJointId(name)]
+        if joint.nv:
+            q[joint.idx_q : joint.idx_q + joint.nq] = (np.cos(x), np.sin(x)) if joint.nq == 2 else x
+    pin.framesForwardKinematics(model, data, q)
+    return data.oMf[model.getFrameId("l4")].homogeneous
+
+
+CHAIN = {"c": ("b", -2.0, 0.1), "b": ("a", 0.5, -0.3)}
+
+
+@pytest.mark.parametrize("order", ["".join(p) for p in itertools.permutations("abcd")][::3])
+def test_mimic_of_mimic_in_any_order(order, rng):
+    """c follows b follows a: one map from (a, d) to all four, wherever in the file the leaders come."""
+    robot = load(CHAIN, order=order)
+    assert robot.joint_names == ("a", "d")
+    b, c = sorted(robot.mimics, key=lambda m: m.joint)
+    assert b == Mimic("b", "a", 0.5, -0.3)
+    assert (c.joint, c.leader, c.multiplier) == ("c", "a", -1.0) and c.offset == pytest.approx(0.7)
+    a, d = rng.uniform(-1, 1, 2)
+    b = 0.5 * a - 0.3
+    expected = free_pose({"a": a, "b": b, "c": -2 * b + 0.1, "d": d})
+    np.testing.assert_allclose(robot.pose([a, d], robot.frame("l4")), expected, atol=1e-14)
+
+
+def test_a_leader_below_its_follower(rng):
+    """The leader may hang on the follower."""
+    robot = load({"a": ("d", 0.7, 0.2)})
+    q = rng.uniform(-1, 1, 3)
+    assert robot.joint_names == ("b", "c", "d")
+    expected = free_pose({"a": 0.7 * q[2] + 0.2, "b": q[0], "c": q[1], "d": q[2]})
+    np.testing.assert_allclose(robot.pose(q, robot.frame("l4")), expected, atol=1e-14)
+
+
+def test_a_fixed_leader_holds_its_followers(rng):
+    """What follows a fixed joint rests at its offset, also at second hand."""
+    robot = load({"b": ("a", 5.0, 0.4), "c": ("b", 0.5, 0.1)}, types={"a": "fixed"})
+    assert robot.joint_names == ("d",) and not robot.mimics
+    assert robot.locked == {"b": 0.4, "c": pytest.approx(0.3)}
+    assert sum("follows the fixed joint 'a'" in w for w in robot.warnings) == 2
+    expected = free_pose({"b": 0.4, "c": 0.3, "d": 0.6}, types={"a": "fixed"})
+    np.testing.assert_allclose(robot.pose([0.6], robot.frame("l4")), expected, atol=1e-14)
+
+
+def test_a_locked_leader_holds_its_followers():
+    """Locking the leader locks the chain, at the positions that follow."""
+    robot = load(CHAIN, locked={"a": 0.8})
+    assert robot.joint_names == ("d",)
+    assert robot.locked == {"a": 0.8, "b": pytest.approx(0.1), "c": pytest.approx(-0.1)}
+    expected = free_pose({"a": 0.8, "b": 0.1, "c": -0.1, "d": 0.2})
+    np.testing.assert_allclose(robot.pose([0.2], robot.frame("l4")), expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("leader", ["revolute", "continuous"])
+@pytest.mark.parametrize("follower", ["revolute", "continuous", "prismatic"])
+def test_continuous_leaders_and_followers(leader, follower, rng):
+    """Angles in, cos and sin inside: a continuous joint can lead and follow."""
+    types = {"a": leader, "b": follower}
+    robot = load({"b": ("a", 2.0, 0.3)}, types=types)
+    a, c, d = rng.uniform(-1, 1, 3)
+    expected = free_pose({"a": a, "b": 2 * a + 0.3, "c": c, "d": d}, types=types)
+    np.testing.assert_allclose(robot.pose([a, c, d], robot.frame("l4")), expected, atol=1e-14)
+
+
+def test_full_turns_reach_the_follower():
+    """Given as joint positions, a continuous leader's turns count: half the speed is 180 degrees after one turn."""
+    robot = load({"b": ("a", 0.5, 0.0)}, types={"a": "continuous", "b": "revolute"})
+    assert any("jumps" in w for w in robot.warnings)
+    a = 2 * np.pi + 0.4
+    expected = free_pose({"a": a, "b": a / 2, "c": 0.0, "d": 0.0}, types={"a": "continuous", "b": "revolute"})
+    np.testing.assert_allclose(robot.pose([a, 0, 0], robot.frame("l4")), expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("reference", ["world", "local"])
+@pytest.mark.parametrize(
+    "mimics", [CHAIN, {"a": ("d", 0.7, 0.2)}, {"d": ("a", -1.0, 0.0)}], ids=["chain", "up", "down"]
+)
+def test_jacobian_and_derivative_are_those_of_the_coupled_robot(mimics, reference, rng):
+    """J and dJ/dq against central differences along the independent joints."""
+    robot = load(mimics)
+    frame, h = robot.frame("l4"), 1e-5
+    q = rng.uniform(-1, 1, robot.nv)
+    J, H = robot.jacobian_and_derivative(q, frame, reference)
+    assert J.shape == (6, robot.nv) and H.shape == (6, robot.nv, robot.nv)
+    for k, step in enumerate(h * np.eye(robot.nv)):
+        numeric = (robot.jacobian(q + step, frame, reference) - robot.jacobian(q - step, frame, reference)) / (2 * h)
+        np.testing.assert_allclose(H[:, :, k], numeric, atol=1e-8)
+        if reference == "world":
+            moved = (robot.pose(q + step, frame)[:3, 3] - robot.pose(q - step, frame)[:3, 3]) / (2 * h)
+            np.testing.assert_allclose(J[:3, k], moved, atol=1e-8)
+
+
+def test_limits_of_followers_bind_the_leader():
+    """Position limits through the factor and offset, also a negative factor; velocity limits through its size."""
+    limits = {"b": '<limit lower="-0.4" upper="1" velocity="0.5" effort="1"/>'}
+    robot = load({"b": ("a", -2.0, 0.2)}, limits=limits)
+    assert robot.position_lower[0] == pytest.approx(-0.4) and robot.position_upper[0] == pytest.approx(0.3)
+    assert robot.velocity_limit[0] == pytest.approx(0.25)
+    assert any("limited to -0.4 ... 0.3 by its follower 'b'" in w for w in robot.warnings)
+
+
+def test_contradicting_limits_are_said_and_dropped():
+    """A follower that could never be inside its limits does not make the leader's interval empty."""
+    robot = load({"b": ("a", 0.1, 9.0)})
+    assert (robot.position_lower[0], robot.position_upper[0]) == (-3.0, 3.0)
+    assert any("the limits of 'b' are ignored" in w for w in robot.warnings)
+
+
+def test_limits_within_rounding_say_nothing():
+    """A follower's limits that are the leader's up to rounding are no news."""
+    limits = {"b": '<limit lower="-1.49999" upper="1.49999" velocity="2" effort="1"/>'}
+    robot = load({"b": ("a", 0.5, 0.0)}, limits=limits)
+    assert robot.warnings == () and robot.position_upper[0] == 3.0
+
+
+@pytest.mark.parametrize(
+    ("mimics", "code"),
+    [
+        ({"a": ("a", 1, 0)}, "mimic-cycle"),
+        ({"a": ("b", 1, 0), "b": ("c", 1, 0), "c": ("a", 1, 0)}, "mimic-cycle"),
+        ({"d": ("a", 1, 0), "a": ("b", 1, 0), "b": ("a", 1, 0)}, "mimic-cycle"),
+        ({"a": ("z", 1, 0)}, "mimic-unknown"),
+        ({"a": ("b", 1e5, 0), "b": ("c", 1e5, 0)}, "mimic-multiplier"),
+    ],
+)
+def test_what_cannot_be_resolved_is_refused(mimics, code):
+    """Circles, also those entered from outside, and leaders that do not exist."""
+    with pytest.raises(RobotError) as caught:
+        load(mimics)
+    assert caught.value.code == code
+
+
+@pytest.mark.parametrize("name", ["panda", "baxter", "pr2", "talos_full", "tiago_pro"])
+def test_no_real_robot_ignores_its_mimics(name, rng):
+    """Degrees of freedom are those of the file without its mimic joints, and every follower follows."""
+    robot = load_robot(name)
+    text = example_robots()[name].read_text(encoding="utf-8")
+    reference = pin.buildModelFromXML(text)
+    followers = {m.joint for m in robot.mimics}
+    assert followers and robot.nv == reference.nv - len(followers)
+    full = robot.pinocchio_configuration(robot.random_configuration(rng))
+    model = robot.pinocchio_model
+    for m in robot.mimics:
+        x, leader = (full[model.joints[model.getJointId(n)].idx_q] for n in (m.joint, m.leader))
+        assert x == pytest.approx(m.multiplier * leader + m.offset, abs=1e-15)
