@@ -57,8 +57,8 @@ SCENES = {
         frame="right_gripper_tip",
         axes="xyz",
         title="a drawer, learnt from 50 guided motions",
-        # upright but for half a milliradian: no joint can move the tip up or down
-        start=(0.0, -1.57, 0.0, 0.0, 0.0, 0.0, 0.0),
+        # upright but for a milliradian: no joint can move the tip up or down
+        start=(1.2, -1.57, 0.0, 0.0, 0.0, 0.0, 0.0),
         # the middle of the recorded drawers, and the mean recorded posture
         target=(0.6, 0.27, 0.35),
         rest=(-0.13, -0.974, 0.386, 2.142, -0.372, -1.105, 3.227),
