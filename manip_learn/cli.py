@@ -108,8 +108,12 @@ def learn(
 def control(
     robot: RobotName,
     constraint: Annotated[str, typer.Argument(metavar="CONSTRAINT.JSON", help="Written by `learn --out`.")],
-    start: Annotated[str | None, typer.Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the rest posture.")] = None,
-    target: Annotated[str | None, typer.Option(help="Where the frame shall go, one number an axis; default: hold.")] = None,
+    start: Annotated[
+        str | None, typer.Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the rest posture.")
+    ] = None,
+    target: Annotated[
+        str | None, typer.Option(help="Where the frame shall go, one number an axis; default: hold.")
+    ] = None,
     policy: Annotated[str, typer.Option(help="manipulability, zero or attractor.")] = "manipulability",
     rest: Annotated[str | None, typer.Option(help="Rest posture of the attractor [rad].")] = None,
     gain: Annotated[float, typer.Option(help="Gain of the policy.")] = 1.0,
@@ -149,7 +153,9 @@ def control(
 @app.command()
 def replay(
     robot: RobotName,
-    rollouts: Annotated[list[str], typer.Argument(metavar="ROLLOUT...", help="Written by `control --out`; or recordings.")],
+    rollouts: Annotated[
+        list[str], typer.Argument(metavar="ROLLOUT...", help="Written by `control --out`; or recordings.")
+    ],
     html: Annotated[Path, typer.Option(help="File to write.")] = Path("replay.html"),
     open_browser: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
     tip: Annotated[str | None, typer.Option(help="Frame whose path is drawn.")] = None,
@@ -172,7 +178,9 @@ def replay(
 
 @app.command()
 def reproduce(
-    experiment: Annotated[str, typer.Argument(help="table, rmse, singular-start, near-singular-start, sawyer, beyond or all.")],
+    experiment: Annotated[
+        str, typer.Argument(help="table, rmse, singular-start, near-singular-start, sawyer, beyond or all.")
+    ],
     trials: Annotated[int | None, typer.Option(help="Repetitions; default: as in the paper.")] = None,
     seed: Annotated[int, typer.Option(help="Same seed, same numbers.")] = 0,
     out: Annotated[Path, typer.Option(help="Folder for tables, figures and replays.")] = Path("reproduction_out"),
@@ -297,7 +305,12 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None]]:
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f}%"),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=_console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=1.0)
         yield lambda step, share: bar.update(task, description=step, completed=share)

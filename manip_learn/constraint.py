@@ -158,7 +158,7 @@ class Constraint:
             features = _build(content["features"], robot)
             return Constraint(content["selection"], features, content.get("provenance"))
         except (KeyError, TypeError, AttributeError) as error:
-            raise ConstraintMismatchError(f"{path}: the constraint file is damaged ({error!r}); save it again") from error
+            raise ConstraintMismatchError(f"{path}: the file is damaged ({error!r}); save it again") from error
         except ConstraintMismatchError:
             raise
         except ManipLearnError as error:
@@ -225,14 +225,15 @@ def _check_robot(path: Path, content: dict[str, Any], robot: Robot, same_urdf: b
         raise ConstraintMismatchError(f"{path} names no robot: the file is damaged; save it again")
     if list(saved.get("joint_names", [])) != list(robot.joint_names):
         raise ConstraintMismatchError(
-            f"{path} was made for robot {saved.get('name')!r} with the joints {', '.join(saved.get('joint_names', []))}; "
+            f"{path} was made for robot {saved.get('name')!r} with the joints "
+            f"{', '.join(saved.get('joint_names', []))}; "
             f"{robot.name!r} has {', '.join(robot.joint_names)}: load that robot, with the same locked joints"
         )
     if same_urdf and saved.get("fingerprint") != robot.fingerprint:
         raise ConstraintMismatchError(
             f"{path} was made for another version of robot {saved.get('name')!r} (hash "
-            f"{str(saved.get('fingerprint'))[:12]}, this one {robot.fingerprint[:12]}): learn it again, or load it with "
-            "same_urdf=False if only looks have changed"
+            f"{str(saved.get('fingerprint'))[:12]}, this one {robot.fingerprint[:12]}): learn it again, or load it "
+            "with same_urdf=False if only looks have changed"
         )
 
 

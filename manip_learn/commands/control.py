@@ -111,7 +111,8 @@ def robot_of_constraint(robot_name: str, constraint_file: str, package_dirs: lis
     held = {name: position for name, position in locked.items() if name in plain.joint_names}
     if any(j not in plain.joint_names for j in joints):
         raise ConstraintMismatchError(
-            f"{constraint_file} was made for robot {described.get('name')!r} with the joints {', '.join(map(str, joints))}; "
+            f"{constraint_file} was made for robot {described.get('name')!r} with the joints "
+            f"{', '.join(map(str, joints))}; "
             f"{plain.name!r} has {', '.join(plain.joint_names)}: name the robot that it was learnt on"
         )
     return load_for_joints(robot_name, joints, held, package_dirs)

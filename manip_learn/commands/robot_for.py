@@ -25,8 +25,8 @@ def choose_frame(robot: Robot, frame: str | None) -> str:
     if len(tips) == 1:
         return tips[0]
     raise ManipLearnError(
-        f"which frame of {robot.name!r} does the task hold? Name it with --frame; likely ones: {', '.join(tips) or 'none'}"
-        f" (`manip-learn inspect {robot.name}` lists all)"
+        f"which frame of {robot.name!r} does the task hold? Name it with --frame; likely ones: "
+        f"{', '.join(tips) or 'none'} (`manip-learn inspect {robot.name}` lists all)"
     )
 
 

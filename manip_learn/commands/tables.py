@@ -24,7 +24,9 @@ def print_learnt(console: Console, learnt: Learnt) -> None:
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     rank = "clear" if report.gap >= CLEAR_GAP else "weak"
     table.add_row("estimator", f"{report.estimator} ({report.kind})")
-    table.add_row("constraints", f"{report.n_constraints} of {len(report.row_names)} rows, gap {report.gap:.3g} ({rank})")
+    table.add_row(
+        "constraints", f"{report.n_constraints} of {len(report.row_names)} rows, gap {report.gap:.3g} ({rank})"
+    )
     if report.reference:
         table.add_row("reference", report.reference)
     if report.policy_model:
@@ -33,7 +35,9 @@ def print_learnt(console: Console, learnt: Learnt) -> None:
         table.add_row("left-out trajectories", f"{100 * report.held_out_residual:.2g} % of the motion unexplained")
     if report.uncertainty_deg is not None:
         table.add_row("uncertainty", f"{report.uncertainty_deg:.2g} degrees (68 %, bootstrap over trajectories)")
-    table.add_row("learnt from", f"{report.n_samples} samples of {report.n_trajectories} trajectories in {report.seconds:.2g} s")
+    table.add_row(
+        "learnt from", f"{report.n_samples} samples of {report.n_trajectories} trajectories in {report.seconds:.2g} s"
+    )
     console.print(table)
     for note in (*learnt.notes, *report.notes):
         console.print(f"[dim]note: {escape(note)}[/dim]", highlight=False)
@@ -70,7 +74,9 @@ def print_demo(console: Console, demo: Demo) -> None:
     start = next(iter(demo.rollouts.values())).rollout.manipulability[0]
     console.print(f"from a start with mu = {start:.1g} (min mu: after the first {UNDER_WAY:g} s)", highlight=False)
     console.print(rollout_table(demo.rollouts))
-    console.print(f"replay: {escape(str(demo.page.html))} ({demo.page.bytes / 1e6:.1f} MB)", highlight=False, soft_wrap=True)
+    console.print(
+        f"replay: {escape(str(demo.page.html))} ({demo.page.bytes / 1e6:.1f} MB)", highlight=False, soft_wrap=True
+    )
 
 
 def print_robot(console: Console, summary: RobotSummary) -> None:
@@ -87,7 +93,10 @@ def print_robot(console: Console, summary: RobotSummary) -> None:
         )
     console.print(table)
     for mimic in summary.mimics:
-        console.print(f"mimic: {escape(mimic.joint)} = {mimic.multiplier:g} {escape(mimic.leader)} + {mimic.offset:g}", highlight=False)
+        console.print(
+            f"mimic: {escape(mimic.joint)} = {mimic.multiplier:g} {escape(mimic.leader)} + {mimic.offset:g}",
+            highlight=False,
+        )
     for name, position in summary.locked.items():
         console.print(f"locked: {escape(name)} at {position:g}", highlight=False)
     console.print(f"likely tips: {escape(', '.join(summary.tips) or 'none')}", highlight=False)
@@ -106,8 +115,8 @@ def print_controlled(console: Console, controlled: Controlled) -> None:
     console.print(f"steps: {counts}", highlight=False)
     if not controlled.reached:
         console.print(
-            f"[yellow]the target was not reached: {controlled.final_error:.3g} left after {controlled.rollout.time[-1]:g} s; "
-            "try a longer --duration, or another start[/yellow]",
+            f"[yellow]the target was not reached: {controlled.final_error:.3g} left after "
+            f"{controlled.rollout.time[-1]:g} s; try a longer --duration, or another start[/yellow]",
             highlight=False,
         )
     if controlled.out is not None:

@@ -57,10 +57,11 @@ def check_samples(samples: Samples, joint_names: Sequence[str], n_constraints: i
 def _doubts(samples: Samples, joint_names: Sequence[str]) -> list[str]:
     warnings = []
     share = excitation(samples)
-    still = [joint_names[j] for j in np.flatnonzero(share < STILL_SHARE)]
+    still = [name for name, part in zip(joint_names, share, strict=True) if part < STILL_SHARE]
     if still and len(still) < samples.nv:
         warnings.append(
-            f"joint(s) {', '.join(still)} hardly moved: what the arm did not try cannot be told from what it could not do"
+            f"joint(s) {', '.join(still)} hardly moved: what the arm did not try cannot be told from what it could "
+            "not do"
         )
     squares = samples.u**2
     norm = squares.sum(axis=1)

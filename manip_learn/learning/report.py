@@ -15,7 +15,8 @@ class LearningReport:
     Attributes:
         sentence: The result in words.
         estimator: `"null-space"`, `"joint"` or `"separate"`.
-        kind: `"motion-constrained"` (b = 0: the world holds the rows) or `"self-imposed"` (the demonstrator moves them).
+        kind: `"motion-constrained"` (b = 0: the world holds the rows) or `"self-imposed"` (the demonstrator moves
+            them).
         n_constraints: Number of rows s.
         row_names: Names of the feature rows.
         reference: `"world"`, `"local"`, or None for features without a frame.
