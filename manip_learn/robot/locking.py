@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
 
 from manip_learn.errors import RobotError, UnknownNameError
 from manip_learn.robot.mimic import Mimics
+from manip_learn.robot.pose_matrix import as_matrix, as_pose
 from manip_learn.robot.urdf_elements import UrdfFile, UrdfJoint
 
 Locked = Sequence[str] | Mapping[str, float]
@@ -76,3 +81,23 @@ def _position(joint: UrdfJoint, value: float | None) -> float:
             code="locked-position",
         )
     return position
+
+
+def with_fixed(urdf: UrdfFile, still: Mapping[str, float]) -> UrdfFile:
+    """The same robot with those joints fixed where they stand.
+
+    Pinocchio's own reduction of a model leaves frames with parents that lead in a circle.
+    """
+    return replace(urdf, joints=tuple(_fixed(j, still[j.name]) if j.name in still else j for j in urdf.joints))
+
+
+def _fixed(joint: UrdfJoint, position: float) -> UrdfJoint:
+    pose = joint.pose
+    if position != 0.0 and joint.nv == 1:
+        motion, axis = np.eye(4), np.array(joint.axis)
+        if joint.type == "prismatic":
+            motion[:3, 3] = position * axis
+        else:
+            motion[:3, :3] = pin.exp3(position * axis)
+        pose = as_pose(as_matrix(joint.pose) @ motion)
+    return replace(joint, type="fixed", pose=pose, limit=None, mimic=None)

@@ -11,13 +11,12 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.robot.gate_log import GateLog
-from manip_learn.robot.urdf_elements import Pose
+from manip_learn.robot.pose_matrix import Matrix
 from manip_learn.robot.urdf_numbers import vector
 from manip_learn.robot.xml_node import XmlNode
 
 ORIENTATIONS = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}
 FARTHEST = 1e6  # [m]
-Matrix = Float[np.ndarray, "4 4"]
 
 
 @final
@@ -81,19 +80,6 @@ def pose_of(node: XmlNode, units: MjcfUnits, where: str, log: GateLog) -> Matrix
         numbers = np.array(vector(node, given[0], ORIENTATIONS[given[0]], where, log))
         T[:3, :3] = _rotation(given[0], numbers, units, node, where, log)
     return T
-
-
-def as_pose(T: Matrix) -> Pose:
-    """The same as xyz and roll, pitch, yaw."""
-    x, y, z = (float(c) for c in T[:3, 3])
-    R = T[:3, :3]
-    # atan2 throughout: exact also where the pitch is a quarter turn
-    pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
-    if math.hypot(R[0, 0], R[1, 0]) > 1e-9:
-        yaw, roll = math.atan2(R[1, 0], R[0, 0]), math.atan2(R[2, 1], R[2, 2])
-    else:
-        yaw, roll = math.atan2(-R[0, 1], R[1, 1]), 0.0
-    return Pose((x, y, z), (roll, pitch, yaw))
 
 
 def _rotation(

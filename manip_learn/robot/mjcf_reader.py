@@ -10,8 +10,9 @@ import pinocchio as pin
 
 from manip_learn.robot.gate_log import GateLog, shortened
 from manip_learn.robot.mjcf_defaults import MAIN, MjcfDefaults, read_defaults
-from manip_learn.robot.mjcf_pose import Matrix, MjcfUnits, as_pose, pose_of, read_units
+from manip_learn.robot.mjcf_pose import MjcfUnits, pose_of, read_units
 from manip_learn.robot.mjcf_shapes import geom_visual, mesh_files
+from manip_learn.robot.pose_matrix import Matrix, as_pose
 from manip_learn.robot.urdf_elements import UrdfInertial, UrdfJoint, UrdfLimit, UrdfLink, UrdfMimic, Vector
 from manip_learn.robot.urdf_numbers import number, vector
 from manip_learn.robot.urdf_reader import read_name, unit_axis

@@ -9,7 +9,8 @@ import pinocchio as pin
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.gate_log import GateLog
-from manip_learn.robot.mjcf_pose import Matrix, MjcfUnits, as_pose, pose_of
+from manip_learn.robot.mjcf_pose import MjcfUnits, pose_of
+from manip_learn.robot.pose_matrix import Matrix, as_pose
 from manip_learn.robot.urdf_numbers import vector
 from manip_learn.robot.xml_node import XmlNode
 

@@ -25,25 +25,30 @@ NOT_A_TIP = re.compile(
 def likely_tips(robot: Robot) -> tuple[str, ...]:
     """Links that may be the tip, the most likely first; more than one is a question to the user, not an answer.
 
-    Looked at are links that move, named like a tool centre point, else like a tool, else like a hand, and not above
-    another link of that kind; without such names, the ends of the chains that count the most joints.
+    Looked at are links that move, named like a tool centre point, else like a tool, else like a hand; without such
+    names, the ends of the chains that count the most joints. A link above another one of them, or moved by some of its
+    joints only, is no candidate.
     """
-    depth = _moving_joints_above(robot)
-    moving = {name: d for name, d in depth.items() if d > 0 and not NOT_A_TIP.search(name.lower())}
+    movers = _joints_above(robot)
+    moving = [n for n, joints in movers.items() if joints and not NOT_A_TIP.search(n.lower())]
+    candidates: list[str] = []
     for kind in KINDS:
         # between two finger tips is better than on one of them
-        named = [n for n in moving if kind.search(n.lower()) and "finger" not in n.lower()]
-        if named:
-            return _sorted(_lowest(robot, named), moving)
-    ends = _lowest(robot, list(moving))
-    deepest = max((moving[n] for n in ends), default=0)
-    return _sorted([n for n in ends if moving[n] == deepest], moving)
+        candidates = candidates or [n for n in moving if kind.search(n.lower()) and "finger" not in n.lower()]
+    if not candidates:
+        candidates = _lowest(robot, moving)
+        deepest = max((len(movers[n]) for n in candidates), default=0)
+        candidates = [n for n in candidates if len(movers[n]) == deepest]
+    candidates = _lowest(robot, candidates)
+    free = [n for n in candidates if not any(movers[n] < movers[other] for other in candidates)]
+    return tuple(sorted(free, key=lambda n: (-len(movers[n]), n)))
 
 
-def _moving_joints_above(robot: Robot) -> dict[str, int]:
+def _joints_above(robot: Robot) -> dict[str, frozenset[int]]:
+    """Of each link the joints that move it."""
     model = robot.pinocchio_model
     return {
-        f.name: len(model.supports[f.parentJoint]) - 1
+        f.name: frozenset(model.supports[f.parentJoint]) - {0}
         for f in model.frames
         if f.type == pin.FrameType.BODY and f.name in robot.frame_names
     }
@@ -60,7 +65,3 @@ def _lowest(robot: Robot, names: list[str]) -> list[str]:
                 above.add(frames[index].name)
             index = frames[index].parentFrame
     return [n for n in names if n not in above]
-
-
-def _sorted(names: list[str], depth: dict[str, int]) -> tuple[str, ...]:
-    return tuple(sorted(names, key=lambda n: (-depth[n], n)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from manip_learn.robot.c_stderr import captured_c_stderr
 from manip_learn.robot.coupling import Mimic
 from manip_learn.robot.gate import Passed, check_urdf
 from manip_learn.robot.kinematic_urdf import LARGE, kinematic_urdf
-from manip_learn.robot.locking import Locked, locked_positions, names_of
+from manip_learn.robot.locking import Locked, locked_positions, names_of, with_fixed
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.urdf_elements import UrdfFile
 
@@ -67,12 +67,10 @@ def robot_from_parts(
             path=path,
         )
     still = locked_positions(urdf, passed.mimics, locked)
-    text = kinematic_urdf(urdf)
+    text = kinematic_urdf(with_fixed(urdf, still))
     model = _built(text, root_joint, path, warnings)
-    _check_counts(model, urdf, root_joint, path)
+    _check_counts(model, urdf, still, root_joint, path)
     _set_unlimited(model)
-    if still:
-        model = _reduced(model, still)
     return Robot(
         model,
         name=urdf.name,
@@ -98,7 +96,9 @@ def _built(text: str, root_joint: pin.JointModel | None, path: Path, warnings: l
     return model
 
 
-def _check_counts(model: pin.Model, urdf: UrdfFile, root_joint: pin.JointModel | None, path: Path) -> None:
+def _check_counts(
+    model: pin.Model, urdf: UrdfFile, still: Collection[str], root_joint: pin.JointModel | None, path: Path
+) -> None:
     """Everything in the file must be in the model, and nothing else."""
     extra = 0 if root_joint is None else 1
     kinds = [f.type for f in model.frames][1:]  # the first is the universe
@@ -110,7 +110,7 @@ def _check_counts(model: pin.Model, urdf: UrdfFile, root_joint: pin.JointModel |
     wanted = {
         "links": len(urdf.links),
         "joints": len(urdf.joints),
-        "degrees of freedom": sum(j.nv for j in urdf.joints),
+        "degrees of freedom": sum(j.nv for j in urdf.joints if j.name not in still),
     }
     for what, number in wanted.items():
         if seen[what] != number:
@@ -126,19 +126,6 @@ def _set_unlimited(model: pin.Model) -> None:
     velocity = np.array(model.velocityLimit)
     lower[lower <= -LARGE], upper[upper >= LARGE], velocity[velocity >= LARGE] = -np.inf, np.inf, np.inf
     model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit = lower, upper, velocity
-
-
-def _reduced(model: pin.Model, still: dict[str, float]) -> pin.Model:
-    q = pin.neutral(model)
-    indices = []
-    for name, position in still.items():
-        index = model.getJointId(name)
-        joint = model.joints[index]
-        indices.append(index)
-        if joint.nv == 1:
-            x = (np.cos(position), np.sin(position)) if joint.nq == 2 else position
-            q[joint.idx_q : joint.idx_q + joint.nq] = x
-    return pin.buildReducedModel(model, indices, q)
 
 
 def _fingerprint(

@@ -13,9 +13,9 @@ from jaxtyping import Float
 from manip_learn.errors import RobotError
 from manip_learn.robot.mesh_paths import find_mesh, mesh_roots
 from manip_learn.robot.mesh_reader import Mesh, read_meshes
+from manip_learn.robot.pose_matrix import as_matrix
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.shapes import Box, Capsule, Colour, Cylinder, Shape, Sphere, Triangles, Visual
-from manip_learn.robot.urdf_elements import Pose
 from manip_learn.robot.visual_elements import MeshElement, VisualElement, visual_elements
 
 STAND_IN: Colour = (0.55, 0.60, 0.68, 1.0)
@@ -94,7 +94,7 @@ def visual_shapes(robot: Robot, meshes: bool = True) -> tuple[Visual, ...]:
                 visuals += _sticks(robot, [e.link], why)
             continue
         frame = robot.pinocchio_model.frames[robot.frame(e.link).index]
-        placement = frame.placement.homogeneous @ _matrix(e.pose)
+        placement = frame.placement.homogeneous @ as_matrix(e.pose)
         visuals.append(Visual(e.link, int(frame.parentJoint), placement, shape, e.colour))
     return tuple(visuals)
 
@@ -160,10 +160,4 @@ def _along(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "4 4"]:
     T = np.eye(4)
     turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), b - a)
     T[:3, :3], T[:3, 3] = turn.toRotationMatrix(), 0.5 * (a + b)
-    return T
-
-
-def _matrix(pose: Pose) -> Float[np.ndarray, "4 4"]:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(*pose.rpy), pose.xyz
     return T
