@@ -9,35 +9,57 @@ from manip_learn.learning.samples import Samples
 from manip_learn.linalg import complement_rows, orthonormal_rows, row_space_angle
 
 
+# a trajectory that alone determines a direction has no say about it when it is left out
+LEVERAGE_FLOOR = 1e-3
+
+
 def bootstrap_angle_deg(
     samples: Samples,
     Lambda: Float[np.ndarray, "s r"],
-    gradients: Float[np.ndarray, "g m"],
-    hessians: Float[np.ndarray, "g m m"],
+    gradients: Float[np.ndarray, "g d"],
+    hessians: Float[np.ndarray, "g d d"],
     rng: np.random.Generator,
     repetitions: int = 200,
     quantile: float = 0.68,
 ) -> float | None:
     """Angle [deg] within which a share of the repetitions keeps the row space of Lambda.
 
-    Each repetition draws trajectories with replacement and takes one Gauss-Newton step from the optimum with their
-    gradients and Hessians; trajectories are the unit because samples of one trajectory are not independent.
+    Each repetition draws trajectories with replacement, because samples of one trajectory are not independent, and
+    moves Lambda by the sum of their influences. The influence of a trajectory is the Gauss-Newton step that Lambda
+    makes when it is left out: its residual in the fit to all data would be too small, the more so the fewer
+    trajectories there are and the more freedom the policy model has.
+
+    Args:
+        samples: What was recorded.
+        Lambda: The optimum, in whitened coordinates.
+        gradients, hessians: Of each trajectory (or set of them) at the optimum; the last s (p'-s) unknowns are those of
+            Lambda, others before them are eliminated.
+        rng: For the draws.
+        repetitions: How many.
+        quantile: Share of the repetitions.
 
     Returns:
         The angle; None with fewer than two trajectories or no freedom.
     """
-    n_groups, m = gradients.shape
-    if n_groups < 2 or m == 0:
-        return None
     s, r = Lambda.shape
-    weights = rng.multinomial(n_groups, np.full(n_groups, 1.0 / n_groups), size=repetitions).astype(np.float64)
-    H = np.einsum("bg,gij->bij", weights, hessians, optimize=True)
-    g = weights @ gradients
-    scale = np.trace(hessians.sum(axis=0)) / m
-    steps = -np.linalg.solve(H + 1e-12 * scale * np.eye(m), g[:, :, None])[:, :, 0]
+    n, m = gradients.shape[0], s * (r - s)
+    if n < 2 or m == 0:
+        return None
+    influence = _influences(gradients, hessians)[:, -m:]
+    weights = rng.multinomial(n, np.full(n, 1.0 / n), size=repetitions) - 1.0
     perp, selection = complement_rows(Lambda), samples.selection(Lambda)
     angles = []
-    for step in steps:
+    for step in -weights @ influence:
         moved = orthonormal_rows(Lambda + step.reshape(s, r - s) @ perp)
         angles.append(row_space_angle(samples.selection(moved), selection))
     return float(np.degrees(np.quantile(angles, quantile)))
+
+
+def _influences(gradients: Float[np.ndarray, "g d"], hessians: Float[np.ndarray, "g d d"]) -> Float[np.ndarray, "g d"]:
+    """Step from the optimum when each is left out, centred: their covariance is the jackknife's."""
+    n, d = gradients.shape
+    total = hessians.sum(axis=0)
+    size = np.sqrt(np.maximum(np.diag(total), np.finfo(np.float64).tiny))
+    rest = (total - hessians) / np.outer(size, size) + LEVERAGE_FLOOR / n * np.eye(d)
+    steps = np.linalg.solve(rest, (gradients / size)[:, :, None])[:, :, 0] / size
+    return np.sqrt((n - 1.0) / n) * (steps - steps.mean(axis=0))

@@ -24,6 +24,9 @@ from manip_learn.linalg import batch_row_spaces, complement_rows, orthonormal_ro
 
 MAX_ITERATIONS = 30
 RANK_TOLERANCE = 1e-13
+# directions of the policy that the data determine well enough to matter for the uncertainty
+BASIS_TOLERANCE = 1e-10
+MAX_SETS = 100
 
 
 @final
@@ -91,38 +94,49 @@ def fit_joint(
     return JointFit(Lambda, theta, cost, energy, iterations, model)
 
 
-def scores(
-    samples: Samples, fit: JointFit
-) -> tuple[Float[np.ndarray, "g m"], Float[np.ndarray, "g m m"]]:
-    """Gradient and Gauss-Newton Hessian of each trajectory at the optimum, the policy eliminated; m = s (p'-s)."""
+def scores(samples: Samples, fit: JointFit) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
+    """Gradient and Gauss-Newton Hessian of each set of trajectories at the optimum; d = k' + m, m = s (p'-s).
+
+    The last m unknowns are those of Lambda, the first k' those of the policy, in an orthonormal basis of what the data
+    determine: whoever leaves a trajectory out must let the policy move too. Beyond MAX_SETS trajectories several of
+    them make a set.
+    """
     s, r = fit.selection.shape
-    m = s * (r - s)
+    m, z = s * (r - s), samples.nv - s
     R = _triangle(_joint_rows(samples, fit.selection, fit.theta, fit.model))
     width = R.shape[1] - m - 1
     projection = _solve(R[:, :width], R[:, width : width + m])
-    gradients, hessians = np.zeros((samples.n_groups, m)), np.zeros((samples.n_groups, m, m))
-    z = samples.nv - s
-    for block, rows in zip(
-        samples.blocks(), _joint_rows(samples, fit.selection, fit.theta, fit.model), strict=True
-    ):
-        J = (rows[:, width : width + m] - rows[:, :width] @ projection).reshape(len(block.u), z, m)
-        residual = rows[:, -1].reshape(len(block.u), z)
-        np.add.at(gradients, block.group, np.einsum("nzm,nz->nm", J, residual, optimize=True))
-        np.add.at(hessians, block.group, np.einsum("nza,nzb->nab", J, J, optimize=True))
+    _, T, pivots = qr(R[:, :width], mode="economic", pivoting=True, check_finite=False)
+    diagonal = np.abs(np.diag(T))
+    k = int(np.count_nonzero(diagonal > BASIS_TOLERANCE * diagonal[0])) if diagonal.size else 0
+    n_sets = min(samples.n_groups, MAX_SETS)
+    gradients, hessians = np.zeros((n_sets, k + m)), np.zeros((n_sets, k + m, k + m))
+    for block, rows in zip(samples.blocks(), _joint_rows(samples, fit.selection, fit.theta, fit.model), strict=True):
+        K = solve_triangular(T[:k, :k], rows[:, pivots[:k]].T, trans="T", check_finite=False).T
+        J = np.concatenate([K, rows[:, width : width + m] - rows[:, :width] @ projection], axis=1)
+        set_of_row = np.repeat(block.group % n_sets, z)
+        for i in np.unique(set_of_row):
+            part = J[set_of_row == i]
+            gradients[i] += part.T @ rows[set_of_row == i, -1]
+            hessians[i] += part.T @ part
     return gradients, hessians
 
 
-def held_out_cost(samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel, n_folds: int) -> float:
+def held_out_cost(
+    samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel, n_folds: int, *, by_sample: bool = False
+) -> float:
     """Mean of |Z^T (u - pi)|^2 on trajectories that pi was not fitted to, Lambda kept: cross-validation of the model.
 
-    Each fold of trajectories is boiled down to a triangle once; leaving it out means solving with the others'.
+    `by_sample` leaves out every n-th sample instead, for models with parameters of each trajectory. Each fold is boiled
+    down to a triangle once; leaving it out means solving with the others'.
     """
     triangles: list[np.ndarray | None] = [None] * n_folds
     for block in samples.blocks():
         Z, _, _ = _bases(block, Lambda)
         target = np.einsum("nvz,nv->nz", Z, block.u, optimize=True)
-        rows = np.concatenate([_policy_columns(Z, model(block.x)), target.reshape(-1, 1)], axis=1)
-        fold_of_row = np.repeat(block.group % n_folds, Z.shape[2])
+        rows = np.concatenate([_policy_columns(Z, model(block.x, block.group)), target.reshape(-1, 1)], axis=1)
+        folds = np.arange(len(block.u)) if by_sample else block.group
+        fold_of_row = np.repeat(folds % n_folds, Z.shape[2])
         for fold in np.unique(fold_of_row):
             before = triangles[fold]
             new = rows[fold_of_row == fold]
@@ -155,7 +169,7 @@ def _policy(samples: Samples, Lambda: np.ndarray, model: PolicyModel) -> tuple[n
             Z, _, _ = _bases(block, Lambda)
             target = np.einsum("nvz,nv->nz", Z, block.u, optimize=True)
             energy += float(np.sum(target**2))
-            yield np.concatenate([_policy_columns(Z, model(block.x)), target.reshape(-1, 1)], axis=1)
+            yield np.concatenate([_policy_columns(Z, model(block.x, block.group)), target.reshape(-1, 1)], axis=1)
 
     R = _triangle(rows())
     nv = samples.nv
@@ -172,14 +186,12 @@ def _policy_columns(Z: np.ndarray, beta: np.ndarray) -> Float[np.ndarray, "rows 
     return columns.reshape(n * z, beta.shape[1] * nv)
 
 
-def _joint_rows(
-    samples: Samples, Lambda: np.ndarray, theta: np.ndarray, model: PolicyModel
-) -> Iterator[np.ndarray]:
+def _joint_rows(samples: Samples, Lambda: np.ndarray, theta: np.ndarray, model: PolicyModel) -> Iterator[np.ndarray]:
     """Rows [d residual / d Theta | d residual / d B | residual], block by block; the residual is Z^T (u - pi)."""
     perp = complement_rows(Lambda)
     for block in samples.blocks():
         Z, Q1, R = _bases(block, Lambda)
-        beta = model(block.x)
+        beta = model(block.x, block.group)
         y = block.u - beta @ theta
         n, _, z = Z.shape
         a = np.einsum("nij,nvj,nv->ni", inverse_triangles(R), Q1, y, optimize=True)  # A^{+T} y
@@ -222,4 +234,3 @@ def _solve(K: np.ndarray, y: np.ndarray) -> np.ndarray:
     if rank:
         out[pivots[:rank]] = solve_triangular(R[:rank, :rank], Q[:, :rank].T @ y, check_finite=False)
     return out
-

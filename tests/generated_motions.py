@@ -1,0 +1,142 @@
+"""Motions with known truth, made as the tests need them: nothing here was used to tune the library."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from manip_learn.constraint import Constraint
+from manip_learn.demonstrations import Demonstrations, Trajectory
+from manip_learn.features import FeatureMap, FrameJacobian
+from manip_learn.robot.loading import load_robot
+from manip_learn.robot.robot import Robot
+
+PLANAR_ROWS = {"xy": [0, 1], "x-theta": [0, 2], "y-theta": [1, 2]}
+Velocity = Callable[[np.ndarray, float], np.ndarray]
+
+
+def planar_features() -> FrameJacobian:
+    """x, y and the angle of the tip of the paper's arm: three links of 1 m."""
+    return FrameJacobian(load_robot("planar3"), "tip", "planar")
+
+
+def arm_features(axes: str = "xyz", reference: str = "world") -> FrameJacobian:
+    """Rows of the Sawyer-like arm's tip."""
+    return FrameJacobian(load_robot("sawyer"), "right_gripper_tip", axes, reference)
+
+
+def with_noise(u: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
+    """u with Gaussian noise of a share of its root mean square."""
+    return u + share * np.sqrt(np.mean(u**2)) * rng.standard_normal(u.shape)
+
+
+def paper_motions(
+    rows: list[int],
+    rng: np.random.Generator,
+    n_trajectories: int = 100,
+    n_points: int = 10,
+    noise: float = 0.0,
+    policy: Callable[[np.ndarray], np.ndarray] | None = None,
+    gain: float = 1.0,
+) -> tuple[Demonstrations, Constraint]:
+    """The paper's planar reaching: u = A^+ b + N pi, Euler steps of 0.02 s; gain 0 makes it motion-constrained."""
+    features = planar_features()
+    truth = Constraint(np.eye(3)[rows], features)
+    rest = np.radians([10.0, -10.0, 10.0])
+    trajectories = []
+    while len(trajectories) < n_trajectories:
+        target = np.array([rng.uniform(-1, 1), rng.uniform(0, 2), rng.uniform(0, np.pi)])
+        if np.hypot(target[0] - np.cos(target[2]), target[1] - np.sin(target[2])) > 2.0:
+            continue
+        q = np.radians([rng.uniform(0, 10), rng.uniform(90, 100), rng.uniform(0, 10)])
+        positions, velocities = [], []
+        for _ in range(n_points):
+            A, r = truth(q), np.append(features.robot.pose(q, features.frame)[:2, 3], q.sum())
+            pi = rest - q if policy is None else policy(q)
+            inverse = np.linalg.pinv(A)
+            u = inverse @ (gain * (target - r)[rows]) + pi - inverse @ (A @ pi)
+            positions.append(q)
+            velocities.append(u)
+            q = q + 0.02 * u
+        u = with_noise(np.array(velocities), noise, rng)
+        trajectories.append(
+            Trajectory(0.02 * np.arange(n_points), positions, u, features.robot.joint_names, f"reach {len(trajectories)}")
+        )
+    return Demonstrations(trajectories), truth
+
+
+def random_posture(robot: Robot, rng: np.random.Generator, share: float = 0.5) -> np.ndarray:
+    """A posture in the middle part of the joint ranges."""
+    middle = 0.5 * (robot.position_lower + robot.position_upper)
+    half = 0.5 * (robot.position_upper - robot.position_lower)
+    return middle + share * half * rng.uniform(-1.0, 1.0, robot.nv)
+
+
+def smooth_drive(n: int, rng: np.random.Generator, speed: float = 0.6) -> Callable[[float], np.ndarray]:
+    """Sums of three slow sines a joint [rad/s]: what an operator's hand does to an arm."""
+    rate = 2 * np.pi * rng.uniform(0.1, 0.7, (3, n))
+    phase = rng.uniform(0, 2 * np.pi, (3, n))
+    size = speed * rng.uniform(0.3, 1.0, (3, n))
+    return lambda t: np.sum(size * np.sin(rate * t + phase), axis=0)
+
+
+def guided_motions(
+    features: FeatureMap,
+    selection: np.ndarray,
+    rng: np.random.Generator,
+    n_trajectories: int = 12,
+    n_points: int = 60,
+    dt: float = 0.02,
+    noise: float = 0.0,
+    task_speed: float = 0.0,
+) -> tuple[Demonstrations, Constraint]:
+    """An arm pushed about while the world holds the rows Lambda Phi (task_speed 0), or moves them as it likes.
+
+    Integrated with the classic Runge-Kutta scheme, so that positions and velocities belong together to 1e-8.
+    """
+    robot = features.robot
+    truth = Constraint(selection, features)
+    trajectories = []
+    for k in range(n_trajectories):
+        push, pull = smooth_drive(robot.nv, rng), smooth_drive(truth.n_constraints, rng, max(task_speed, 1e-12))
+
+        def velocity(q: np.ndarray, t: float, push=push, pull=pull) -> np.ndarray:
+            A = truth(q)
+            X = np.linalg.solve(A @ A.T, A)
+            pi = push(t)
+            return pi + ((pull(t) if task_speed else 0.0) - A @ pi) @ X
+
+        time, q, u = integrated(velocity, random_posture(robot, rng), n_points, dt)
+        trajectories.append(Trajectory(time, q, with_noise(u, noise, rng), robot.joint_names, f"motion {k}"))
+    return Demonstrations(trajectories), truth
+
+
+def integrated(
+    velocity: Velocity, q: np.ndarray, n_points: int, dt: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time, positions and velocities of dq/dt = velocity(q, t), for robots without wrapping joints."""
+    time, positions, velocities = dt * np.arange(n_points), [], []
+    for t in time:
+        k1 = velocity(q, t)
+        positions.append(q)
+        velocities.append(k1)
+        k2 = velocity(q + 0.5 * dt * k1, t + 0.5 * dt)
+        k3 = velocity(q + 0.5 * dt * k2, t + 0.5 * dt)
+        k4 = velocity(q + dt * k3, t + dt)
+        q = q + dt / 6.0 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return time, np.array(positions), np.array(velocities)
+
+
+def oblique(s: int, p: int, rng: np.random.Generator) -> np.ndarray:
+    """s random orthonormal rows of length p."""
+    return np.linalg.qr(rng.standard_normal((p, s)))[0].T
+
+
+def angle_deg(learnt: Constraint, truth: Constraint) -> float:
+    """Largest principal angle between two row spaces [deg], written down anew."""
+    P = truth.selection
+    if learnt.selection.shape != P.shape:
+        return 90.0
+    outside = learnt.selection - (learnt.selection @ P.T) @ P
+    return float(np.degrees(np.arcsin(min(1.0, np.linalg.norm(outside, 2)))))
