@@ -168,7 +168,7 @@ def mimic_cases() -> list[Case]:
         ("fixed follower", "warn", following("", '<mimic joint="elbow"/>', (SHOULDER, fixed))),
         ("floating leader", "refuse:mimic-type", following(plain, "", (SHOULDER, fixed.replace("fixed", "floating")))),
         ("planar follower", "refuse:mimic-type", following("", plain.replace("shoulder", "elbow"), _planar())),
-        ("continuous leader", "accept", following(plain, "", (SHOULDER, turning))),
+        ("continuous leader", "warn", following(plain, "", (SHOULDER, turning))),
         (
             "continuous leader, half speed",
             "warn",
