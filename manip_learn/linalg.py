@@ -14,7 +14,7 @@ from scipy.linalg.lapack import dgesdd, dposv, dsyev  # pyright: ignore[reportAt
 
 Inverse = Literal["exact", "truncated", "damped"]
 EPS = float(np.finfo(np.float64).eps)
-WELL_CONDITIONED = 0.02  # smallest over largest singular value
+WELL_CONDITIONED = 0.04  # smallest over largest singular value
 
 
 def pseudo_inverse(

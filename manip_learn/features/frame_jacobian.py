@@ -70,7 +70,7 @@ class FrameJacobian(FeatureMap):
         self.nv = robot.nv
         rows = [AXES.index(n) for n in self.row_names]
         self._row_numbers = tuple(rows)
-        self._only_linear = reference == "world" and max(rows) < 3
+        self.only_linear = reference == "world" and max(rows) < 3
         # a slice makes views where fancy indexing would copy
         contiguous = rows == list(range(rows[0], rows[0] + len(rows)))
         self._rows: Any = slice(rows[0], rows[0] + len(rows)) if contiguous else np.array(rows)
@@ -150,7 +150,7 @@ class FrameJacobian(FeatureMap):
             TargetError: Wrong size, not finite, or a local map that needs all of x y z (or rx ry rz) or a pose.
         """
         goal = np.asarray(target, dtype=np.float64)
-        if self._only_linear and goal.shape == (self.n_rows,):
+        if self.only_linear and goal.shape == (self.n_rows,):
             # the usual reaching task, many times a second: no orientation is needed
             displacement = goal - self.robot.pose(q, self.frame)[self._rows, 3]
             if math.isfinite(sum(displacement.tolist())):

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, final
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
+from manip_learn.errors import ConfigurationError
 from manip_learn.robot.batch_postures import checked_postures, positions_of
 from manip_learn.robot.chain import Chain, chain_to
 from manip_learn.robot.chain_columns import ChainColumns
@@ -90,9 +91,9 @@ class BatchKinematics:
             return self._looped(postures, reference, rows)[0]
         if numba_kernels is not None and self._columns.public is not None:
             J = self._new_table(len(postures), len(rows), self._robot.nv)
-            chain = numba_kernels.kernel_chain(self._chain, self._columns.public, reference)
+            table = self.chain_table(reference)
             positions = positions_of(self._robot, postures)
-            numba_kernels.jacobians(chain, positions, np.array(rows), self._columns.public, J)
+            numba_kernels.jacobians(table, positions, np.array(rows), self._columns.public, J)
             return J
         out = self._new_table(len(rows), self._robot.nv, len(postures))
         for part, motion in self._motions(postures, reference, CHUNK):
@@ -120,9 +121,9 @@ class BatchKinematics:
         p, n, nv = len(rows), len(postures), self._robot.nv
         if numba_kernels is not None and self._columns.public is not None:
             J, H = self._new_table(n, p, nv), self._new_table(n, p, nv, nv)
-            chain = numba_kernels.kernel_chain(self._chain, self._columns.public, reference)
+            table = self.chain_table(reference)
             positions = positions_of(self._robot, postures)
-            numba_kernels.jacobians_and_derivatives(chain, positions, np.array(rows), self._columns.public, J, H)
+            numba_kernels.jacobians_and_derivatives(table, positions, np.array(rows), self._columns.public, J, H)
             return J, H
         J, H = self._new_table(p, nv, n), self._new_table(p, nv, nv, n)
         for part, motion in self._motions(postures, reference, DERIVATIVE_CHUNK):
@@ -165,6 +166,23 @@ class BatchKinematics:
             weights[list(rows)] = self._columns.gather(weigh(J, part))
             self._columns.scatter(contracted(motion, weights), out[:, part])
         return out.T
+
+    @property
+    def public_columns(self) -> Int[np.ndarray, " j"] | None:
+        """Public column of each joint that carries the frame, base first; None with mimic joints or a loop."""
+        return self._columns.public if self.fast else None
+
+    def chain_table(self, reference: Reference) -> Float[np.ndarray, "rows 12"]:
+        """The chain as compiled code reads it (needs numba).
+
+        Raises:
+            ConfigurationError: Pinocchio's loop is what serves this frame, there is no chain.
+        """
+        from manip_learn.robot.chain_table import chain_table
+
+        if self.public_columns is None:
+            raise ConfigurationError(f"frame {self._frame.name!r} of {self._robot.name!r} has no compiled kinematics")
+        return chain_table(self._chain, self.public_columns, reference)
 
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
         """Homogeneous transforms from the frame to the robot's base [m].
