@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from manip_learn.constraint import Constraint
 from manip_learn.demonstrations import Demonstrations, Trajectory
+from manip_learn.features.feature_map import FeatureMap
 from manip_learn.features.frame_jacobian import FrameJacobian
 from manip_learn.linalg import orthonormal_rows
 from manip_learn.robot.loading import load_robot
@@ -83,7 +84,7 @@ def draw_starts(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
 
 
 def draw_targets(n: int, rng: np.random.Generator, length: float = 1.0) -> Float[np.ndarray, "n 3"]:
-    """Targets r* that the tip can reach with their heading: the wrist within two links of the base (3 % are redrawn)."""
+    """Targets r* that the tip can reach with their heading: the wrist within two links (3 % are drawn again)."""
     out = np.empty((0, 3))
     while len(out) < n:
         tries = rng.uniform(TARGET_LOW, TARGET_HIGH, size=(2 * n, 3))
@@ -97,17 +98,16 @@ def demonstrate(setup: Setup, Lambda: Float[np.ndarray, "s 3"], rng: np.random.G
     n = setup.trajectories
     q, targets = draw_starts(n, rng), draw_targets(n, rng, setup.length)
     rest = REST if setup.policy != "own" else REST + rng.uniform(-0.5, 0.5, size=(n, 3))
-    postures, actions, null_parts = [], [], []
+    postures, actions = [], []
     for _ in range(setup.points):
         A = Lambda @ jacobian(q, setup.length)
         inverse = np.linalg.pinv(A)
         b = np.einsum("sp,np->ns", Lambda, targets - tip(q, setup.length))
         pi = null_policy(setup.policy, q, rest)
-        w = pi - np.einsum("nvs,nsw,nw->nv", inverse, A, pi)
-        u = np.einsum("nvs,ns->nv", inverse, b) + w
+        # N pi + A^+ b
+        u = pi + np.einsum("nvs,ns->nv", inverse, b - np.einsum("nsv,nv->ns", A, pi))
         postures.append(q)
         actions.append(u)
-        null_parts.append(w)
         q = q + STEP * u
     return _recorded(np.array(postures), np.array(actions), setup.noise, rng)
 
@@ -127,12 +127,12 @@ def jacobian(q: Float[np.ndarray, "n 3"], length: float = 1.0) -> Float[np.ndarr
 
 
 def null_parts(
-    demonstrations: Demonstrations, Lambda: Float[np.ndarray, "s 3"], length: float = 1.0
+    features: FeatureMap, demonstrations: Demonstrations, Lambda: Float[np.ndarray, "s 3"]
 ) -> Float[np.ndarray, "n 3"]:
     """The true null-space part of every sample, w = N u."""
     q = np.concatenate([t.q for t in demonstrations])
     u = np.concatenate([t.u for t in demonstrations if t.u is not None])
-    A = Lambda @ jacobian(q, length)
+    A = Lambda @ features.batch(q)
     return u - np.einsum("nvs,nsw,nw->nv", np.linalg.pinv(A), A, u)
 
 

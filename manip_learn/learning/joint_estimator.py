@@ -12,6 +12,7 @@ from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.conditional_pca import conditional_pca
 from manip_learn.learning.estimate import Estimate
 from manip_learn.learning.joint import JointFit, fit_joint, held_out_cost, scores
+from manip_learn.learning.own_offsets import estimate_own_offsets
 from manip_learn.learning.policy_model import PolicyModel, PolynomialModel, RadialModel
 from manip_learn.learning.rank import GapTable, gaps_of_residuals
 from manip_learn.learning.samples import Samples
@@ -22,6 +23,7 @@ RANDOM_STARTS = 2
 # a richer model must lower the held-out cost by this factor to be worth its parameters
 WORTH = 0.8
 ROUNDING = 1e-24
+VANISHING = 1e-16
 # models are compared on at most this many samples, and fitted with at most this many columns unless asked for
 COMPARE_LIMIT = 1_500
 MAX_COLUMNS = 120
@@ -47,7 +49,8 @@ def estimate_joint(
         samples: What was recorded.
         n_constraints: Number of rows; found from the data by default.
         rng: For k-means and the random starts.
-        policy_model: `"auto"`, `"constant"`, `"affine"`, `"quadratic"`, `"cubic"` or `"rbf"`.
+        policy_model: `"auto"`, `"constant"`, `"affine"`, `"quadratic"`, `"cubic"` or `"rbf"`; or `"own"`: affine, with a
+            constant of its own for each trajectory, where demonstrators rest in different postures.
 
     Raises:
         NotIdentifiableError: One trajectory only, or too few samples for even the smallest model.
@@ -58,6 +61,8 @@ def estimate_joint(
             "starts to different targets",
             code="one-trajectory",
         )
+    if policy_model == "own":
+        return estimate_own_offsets(samples, n_constraints, rng)
     few = _few(samples)
     models = _models(few, rng, policy_model)
     scan = {s: _best(few, s, models[:2]) for s in _counts(samples)}
@@ -77,14 +82,19 @@ def estimate_joint(
         "joint",
         fit.selection,
         table,
-        fit.cost / fit.energy,
-        chosen.held_out / chosen.fit.energy,
+        fit.cost / _null_energy(samples, fit),
+        chosen.held_out / _null_energy(samples, chosen.fit),
         gradients,
         hessians,
         fit.model.name,
         residuals,
         noise=chosen.held_out / (samples.nv - s),
     )
+
+
+def _null_energy(samples: Samples, fit: JointFit) -> float:
+    """Energy that there is to explain; without any null-space motion, rounding is not held against the model."""
+    return max(fit.energy, VANISHING * samples.energy)
 
 
 def _few(samples: Samples) -> Samples:
@@ -103,7 +113,7 @@ def _models(samples: Samples, rng: np.random.Generator, name: str) -> list[Polic
     if name != "auto":
         if name not in PolynomialModel.NAMES:
             raise NotIdentifiableError(
-                f"unknown policy model {name!r}: use 'auto', 'rbf' or one of {', '.join(PolynomialModel.NAMES)}",
+                f"unknown policy model {name!r}: use 'auto', 'rbf', 'own' or one of {', '.join(PolynomialModel.NAMES)}",
                 code="policy-model",
             )
         return [PolynomialModel(PolynomialModel.NAMES.index(name), m)]
@@ -156,14 +166,14 @@ def _chosen(
     samples: Samples, s: int, models: list[PolicyModel], first: Candidate
 ) -> tuple[Candidate, dict[str, float]]:
     """Climb to richer models as long as they are worth it; held-out share of every model that was tried."""
-    best, residuals = first, {first.fit.model.name: first.held_out / first.fit.energy}
+    best, residuals = first, {first.fit.model.name: first.held_out / _null_energy(samples, first.fit)}
     for model in models:
         if model.name in residuals or best.held_out <= ROUNDING * best.fit.energy:
             continue
         candidate = _candidate(samples, s, model, best.fit.selection)
         if candidate is None:
             continue
-        residuals[model.name] = candidate.held_out / candidate.fit.energy
+        residuals[model.name] = candidate.held_out / _null_energy(samples, candidate.fit)
         if candidate.held_out < WORTH * best.held_out:
             best = candidate
     return best, residuals

@@ -7,7 +7,7 @@ from itertools import combinations_with_replacement
 from typing import final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.cluster.vq import kmeans2
 
 
@@ -23,8 +23,10 @@ class PolicyModel(ABC):
     n_terms: int
 
     @abstractmethod
-    def __call__(self, x: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n k"]:
-        """beta(x), one row a posture."""
+    def __call__(
+        self, x: Float[np.ndarray, "n m"], group: Int[np.ndarray, " n"] | None = None
+    ) -> Float[np.ndarray, "n k"]:
+        """beta(x), one row a posture; `group` is the trajectory that it belongs to."""
 
 
 @final
@@ -39,7 +41,9 @@ class PolynomialModel(PolicyModel):
         self._terms = [c for d in range(1, degree + 1) for c in combinations_with_replacement(range(m), d)]
         self.n_terms = 1 + len(self._terms)
 
-    def __call__(self, x: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n k"]:
+    def __call__(
+        self, x: Float[np.ndarray, "n m"], group: Int[np.ndarray, " n"] | None = None
+    ) -> Float[np.ndarray, "n k"]:
         """1, x_i, x_i x_j, ..."""
         out = np.empty((x.shape[0], self.n_terms))
         out[:, 0] = 1.0
@@ -69,9 +73,39 @@ class RadialModel(PolicyModel):
         self.width = width * max(nearest, 1e-6)
         self.n_terms = int(self.centres.shape[0])
 
-    def __call__(self, x: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n k"]:
+    def __call__(
+        self, x: Float[np.ndarray, "n m"], group: Int[np.ndarray, " n"] | None = None
+    ) -> Float[np.ndarray, "n k"]:
         """Shares of the centres, each row summing to 1."""
         d2 = np.sum((x[:, None, :] - self.centres[None]) ** 2, axis=2) / (2.0 * self.width**2)
         d2 -= d2.min(axis=1, keepdims=True)  # the nearest centre always counts: no 0 / 0 far away
         phi = np.exp(-d2)
         return phi / phi.sum(axis=1, keepdims=True)
+
+
+@final
+class OwnOffsetModel(PolicyModel):
+    """Another model, with a constant of its own for each trajectory: demonstrators who rest in different postures.
+
+    Args:
+        shared: What all trajectories have in common.
+        n_groups: Number of trajectories.
+    """
+
+    def __init__(self, shared: PolicyModel, n_groups: int):
+        self.shared = shared
+        self.n_groups = n_groups
+        self.name = f"{shared.name}-own"
+        self.n_terms = shared.n_terms + n_groups
+
+    def __call__(
+        self, x: Float[np.ndarray, "n m"], group: Int[np.ndarray, " n"] | None = None
+    ) -> Float[np.ndarray, "n k"]:
+        """The shared regressors, then one indicator a trajectory; without `group` the offsets are left out.
+
+        The shared constant and the indicators are dependent; least squares by rank-revealing QR takes care of that.
+        """
+        own = np.zeros((len(x), self.n_groups))
+        if group is not None:
+            own[np.arange(len(x)), group] = 1.0
+        return np.concatenate([self.shared(x, group), own], axis=1)

@@ -5,8 +5,8 @@ Towell, Howard and Vijayakumar (2010), equation (8) of Manavalan and Howard:
     min over the parameters of w~ of  sum_n ( w^_n . u_n - |w~_n| )^2,   w^ = w~ / |w~|
 
 v is orthogonal to w, so that u shows the length of w along its direction, whatever the task did. A low cost does not
-certify w~: w~ -> 0 costs nothing, and where the null space has more than one dimension so does any w~ on the sphere over w
-in it. Such a w~ still serves to find Lambda, but it is no policy.
+certify w~: w~ -> 0 costs nothing, and where the null space has more than one dimension so does any w~ on the sphere
+over w in it. Such a w~ still serves to find Lambda, but it is no policy.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from typing import final
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from manip_learn.learning.policy_model import PolicyModel
 
 MAX_ITERATIONS = 200
-# directions of the regressors' space below this share of the strongest take no part; from coarse to fine, for the descent
-# from the regression alone ends in a poor minimum now and then
+# directions of the regressors' space below this share of the strongest take no part; from coarse to fine, for the
+# descent from the regression alone ends in a poor minimum now and then
 STAGES = (1e-6, 1e-8, 1e-10)
 NO_GAIN = 1e-7  # relative decrease of the cost in a step below which to stop
 STALLED = 5  # so many steps of little gain in a row end a stage
@@ -88,7 +88,12 @@ def _descend(
         iterations += 1
         H, g = J.T @ J, J.T @ residual
         scale = np.maximum(np.diag(H), 1e-12 * np.max(np.diag(H)))
-        step = -cho_solve(cho_factor(H + damping * np.diag(scale), lower=True, check_finite=False), g)
+        try:
+            factor = cho_factor(H + damping * np.diag(scale), lower=True, check_finite=False)
+        except LinAlgError:  # rounding has eaten a direction without curvature
+            damping = max(damping * 100.0, 1e-8)
+            continue
+        step = -cho_solve(factor, g)
         moved = weights + step.reshape(weights.shape)
         trial, trial_J = residual_and_jacobian(basis, moved, u)
         trial_cost = float(trial @ trial)

@@ -45,8 +45,8 @@ def estimate_separate(
     separation, w = separated(samples, rng)
     if float(np.mean(w**2)) * samples.nv < VANISHED * samples.energy:
         raise NotIdentifiableError(
-            "the separation finds no null-space motion: what is left of the recorded motion after the task is nothing to "
-            "learn from; use estimator='joint'",
+            "the separation finds no null-space motion: what is left of the motion after the task is nothing to learn "
+            "from; use estimator='joint'",
             code="no-null-motion",
         )
     null_motion = dataclasses.replace(samples, u=w)

@@ -1,0 +1,125 @@
+"""One trial of the learning experiments: draw demonstrations, learn Lambda in several ways, compare manipulabilities."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.demonstrations import Demonstrations
+from manip_learn.errors import NotIdentifiableError
+from manip_learn.experiments.paper_setup import Setup, demonstrate, null_parts, planar_features
+from manip_learn.experiments.scaled_rows import ScaledRows
+from manip_learn.features.feature_map import FeatureMap
+from manip_learn.learning.joint_estimator import estimate_joint
+from manip_learn.learning.learner import ConstraintLearner
+from manip_learn.learning.null_space import fit_null_space, levels
+from manip_learn.learning.samples import Samples
+from manip_learn.learning.separation_estimator import estimate_separate
+from manip_learn.linalg import row_space_angle
+
+Matrix = Float[np.ndarray, "s p"]
+
+
+@final
+@dataclass(frozen=True)
+class LearningCase:
+    """What is learnt from what.
+
+    Attributes:
+        setup: The demonstrations.
+        estimators: Names of `ESTIMATORS`.
+    """
+
+    setup: Setup
+    estimators: tuple[str, ...]
+
+
+def learning_trial(case: LearningCase, rng: np.random.Generator) -> dict[str, Any]:
+    """Train on one set of demonstrations, judge on it and on another one.
+
+    Returns:
+        Estimator -> `train` and `test` NMIE, `scale_free` NMIE on the test set, `angle_deg` between the row spaces,
+        `rows` found and `seconds`; or `refused`, the reason.
+    """
+    setup = case.setup
+    Lambda = setup.selection(rng)
+    train, test = demonstrate(setup, Lambda, rng), demonstrate(dataclasses.replace(setup, noise=0.0), Lambda, rng)
+    features: FeatureMap = planar_features()
+    if setup.length != 1.0:
+        features = ScaledRows(features, [setup.length, setup.length, 1.0])
+    seen = [np.concatenate([t.q for t in demos]) for demos in (train, test)]
+    out: dict[str, Any] = {}
+    for name in case.estimators:
+        own = np.random.default_rng(rng.integers(2**63))
+        started = time.perf_counter()
+        try:
+            learnt = ESTIMATORS[name](features, train, Lambda, own)
+        except NotIdentifiableError as error:
+            out[name] = {"refused": error.code}
+            continue
+        seconds = time.perf_counter() - started
+        out[name] = _judged(features, Lambda, learnt, seen) | {"seconds": seconds}
+    return out
+
+
+def manipulabilities(features: FeatureMap, selection: Matrix, q: Float[np.ndarray, "n nq"]) -> Float[np.ndarray, " n"]:
+    """mu of a selection at many postures."""
+    return np.prod(np.linalg.svd(selection @ features.batch(q), compute_uv=False), axis=1)
+
+
+def _judged(features: FeatureMap, true: Matrix, learnt: Matrix, seen: list[np.ndarray]) -> dict[str, Any]:
+    out: dict[str, Any] = {"rows": len(learnt), "angle_deg": float(np.degrees(row_space_angle(true, learnt)))}
+    for name, q in zip(("train", "test"), seen, strict=True):
+        mu, other = manipulabilities(features, true, q), manipulabilities(features, learnt, q)
+        out[name] = float(np.mean((mu - other) ** 2) / np.var(mu))
+        factor = float(mu @ other) / max(float(other @ other), np.finfo(np.float64).tiny)
+        out["scale_free"] = float(np.mean((mu - factor * other) ** 2) / np.var(mu))
+    return out
+
+
+def _joint(model: str) -> Callable[..., Matrix]:
+    def learn(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Matrix:
+        samples = Samples.collect(features, demos)
+        return samples.selection(estimate_joint(samples, len(true), rng, model).selection)
+
+    return learn
+
+
+def _separate(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Matrix:
+    samples = Samples.collect(features, demos)
+    return samples.selection(estimate_separate(samples, len(true), rng).selection)
+
+
+def _row_by_row(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Matrix:
+    samples = Samples.collect(features, demos)
+    return samples.selection(estimate_separate(samples, len(true), rng, "row-by-row").selection)
+
+
+def _true_null_part(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Matrix:
+    samples = Samples.collect(features, demos)
+    motion = dataclasses.replace(samples, u=null_parts(features, demos, true))
+    return samples.selection(fit_null_space(motion, levels(motion)[1][: len(true)]).selection)
+
+
+def _auto(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Matrix:
+    return ConstraintLearner(features, seed=int(rng.integers(2**31))).fit(demos).constraint_.selection
+
+
+# name -> (features, demonstrations, true Lambda, rng) -> learnt Lambda. All but `auto` are told the number of rows.
+ESTIMATORS: dict[str, Callable[..., Matrix]] = {
+    "joint-affine": _joint("affine"),
+    "joint-quadratic": _joint("quadratic"),
+    "joint-cubic": _joint("cubic"),
+    "joint-rbf": _joint("rbf"),
+    "joint-own": _joint("own"),
+    "separate": _separate,
+    "separate-row-by-row": _row_by_row,
+    "true-w": _true_null_part,
+    "auto": _auto,
+}

@@ -1,0 +1,82 @@
+"""Joint estimation where each demonstrator rests in a posture of their own: pi(q) = Theta^T (q, 1) + c_trajectory.
+
+A constant a trajectory makes the cost bumpy: the search begins from many starts on a few trajectories, and the best goes
+on with all of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.errors import NotIdentifiableError
+from manip_learn.learning.conditional_pca import conditional_pca
+from manip_learn.learning.estimate import Estimate
+from manip_learn.learning.joint import JointFit, fit_joint, held_out_cost, scores
+from manip_learn.learning.policy_model import OwnOffsetModel, PolynomialModel
+from manip_learn.learning.rank import gaps_of_residuals
+from manip_learn.learning.samples import Samples
+
+FEW = 16  # trajectories on which the starts are compared
+STARTS = 24
+ROUNDING = 1e-24
+N_FOLDS = 5
+
+
+def estimate_own_offsets(samples: Samples, n_constraints: int | None, rng: np.random.Generator) -> Estimate:
+    """Lambda with an affine policy that has a constant of its own for each trajectory.
+
+    Args:
+        samples: What was recorded.
+        n_constraints: Number of rows; by leaving out samples (not trajectories: their constants would be unknown).
+        rng: For the starts.
+
+    Raises:
+        NotIdentifiableError: Too few samples a trajectory.
+    """
+    few = samples.subset(samples.group < FEW)
+    if len(few) < 2 * samples.nv * _model(few).n_terms:
+        raise NotIdentifiableError(
+            f"{len(samples)} samples of {samples.n_groups} trajectories are too few for a policy with a constant of each "
+            f"trajectory's own: about {2 * samples.nv * (1 + samples.nv)} samples a trajectory are needed",
+            code="too-few-samples",
+        )
+    counts = range(min(samples.n_rows, samples.nv - 1) + 1)
+    fits = {s: _best_of_starts(few, s, rng) for s in counts}
+    held_out = {s: held_out_cost(few, f.selection, f.model, N_FOLDS, by_sample=True) for s, f in fits.items()}
+    residuals = {s: float(np.sqrt(c / (samples.nv - s))) for s, c in held_out.items()}
+    table = gaps_of_residuals(residuals, 1e-15 * float(np.sqrt(samples.energy)), len(few))
+    s = n_constraints or table.best
+    fit = fit_joint(samples, fits[s].selection, _model(samples))
+    gradients, hessians = scores(samples, fit)
+    share = held_out[s] / fits[s].energy
+    return Estimate(
+        "joint",
+        fit.selection,
+        table,
+        fit.cost / fit.energy,
+        share,
+        gradients,
+        hessians,
+        fit.model.name,
+        {fit.model.name: share},
+        noise=held_out[s] / (samples.nv - s),
+    )
+
+
+def _model(samples: Samples) -> OwnOffsetModel:
+    return OwnOffsetModel(PolynomialModel(1, samples.q.shape[1]), samples.n_groups)
+
+
+def _best_of_starts(samples: Samples, s: int, rng: np.random.Generator) -> JointFit:
+    model, r = _model(samples), samples.n_rows
+    first = conditional_pca(samples, PolynomialModel(1, samples.q.shape[1]))[1][:s]
+    if s in (0, r):
+        return fit_joint(samples, first, model)
+    best = fit_joint(samples, first, model)
+    for _ in range(STARTS):
+        if best.cost <= ROUNDING * best.energy:
+            break
+        start: Float[np.ndarray, "s r"] = rng.standard_normal((s, r))
+        best = min(best, fit_joint(samples, start, model), key=lambda fit: fit.cost)
+    return best
