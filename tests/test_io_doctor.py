@@ -61,10 +61,11 @@ def test_degrees_are_always_caught(name: str, robot_of, rng: np.random.Generator
     """By the limits, without velocities, 20 of 20; with the way out, which gives the radians back."""
     robot = robot_of(name)
     for _ in range(20):
-        time, q, _ = guided(robot, rng)
+        time, q, u = guided(robot, rng)
         assert refused(robot, tmp_path, time, np.degrees(q)).code == "degrees"
-    demos = load(robot, tmp_path, time, np.degrees(q), degrees=True)
+    demos = load(robot, tmp_path, time, np.degrees(q), np.degrees(u), degrees=True)
     np.testing.assert_allclose(demos[0].q, q, rtol=1e-12)
+    np.testing.assert_allclose(demos[0].u, u, rtol=1e-12)
     assert demos.notes == ("demo.npz: degrees converted to radians, as asked",)
 
 
@@ -131,6 +132,15 @@ def test_slopes_survive_jitter_noise_and_gaps(sawyer: Robot, rng) -> None:
     match = compare_velocities(time, q, u)
     np.testing.assert_allclose(match.slope, 1.0, atol=0.05)
     assert np.all(np.diag(match.correlation) > 0.97)
+
+
+def test_slopes_survive_the_noise_of_a_fast_recorder(sawyer: Robot, rng, tmp_path: Path) -> None:
+    """At 1 kHz the encoder's noise is larger than the motion in a step; still no fault, and a sign is still found."""
+    time, q, u = guided(sawyer, rng, n=4000, dt=0.001)
+    q += 5e-4 * rng.normal(size=q.shape)
+    assert load(sawyer, tmp_path, time, q, u).notes == ()
+    u[:, 3] *= -1
+    assert refused(sawyer, tmp_path, time, q, u).code == "sign"
 
 
 def test_slow_stamps_are_taken_for_milliseconds(sawyer: Robot, rng, tmp_path: Path) -> None:

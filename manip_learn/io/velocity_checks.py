@@ -15,7 +15,7 @@ from manip_learn.io.time_checks import GAP_FACTOR, unit_refusal
 DEGREE = math.degrees(1.0)
 MOVED = 0.02  # [rad or m] a joint must move to be judged
 SURE, UNSURE, OTHER_JOINT = 0.9, 0.5, 0.98  # correlations
-FEWEST = 8  # samples
+FEWEST, LONGEST_WINDOW = 8, 50  # samples
 TIME_SLOPES = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 
 
@@ -44,7 +44,7 @@ def compare_velocities(
     Windows, not single steps: jitter of the stamps and encoder noise spoil dq/dt from one sample to the next.
     """
     steps = np.diff(time)
-    width = int(np.clip(time.shape[0] // 20, 1, 10))
+    width = int(np.clip(time.shape[0] // 20, 1, LONGEST_WINDOW))
     travel = np.vstack([np.zeros(u.shape[1]), np.cumsum(0.5 * (u[1:] + u[:-1]) * steps[:, None], axis=0)])
     gaps = np.concatenate([[0], np.cumsum(steps > GAP_FACTOR * np.median(steps))])
     whole = gaps[width:] == gaps[:-width]
