@@ -106,6 +106,13 @@ def test_a_model_that_lost_something_is_refused(monkeypatch):
     assert caught.value.code == "counts"
 
 
+def test_warnings_have_an_end():
+    """A file full of oddities gives a hundred sentences and the number of the rest, at once."""
+    junk = "".join(f"<x{i}/>" for i in range(100_000))
+    warnings = check_urdf(edited(('<link name="base"/>', f'<link name="base">{junk}</link>')), PATH).warnings
+    assert len(warnings) == 101 and warnings[-1] == "99900 more warnings are left out"
+
+
 def test_nothing_is_said_about_a_sound_robot():
     """A robot without oddities has no warnings."""
     assert check_urdf(ARM.encode(), PATH).warnings == ()

@@ -209,6 +209,19 @@ def test_fingerprint_is_of_the_kinematics(tmp_path, arm):
     assert len(different | {fingerprint}) == 6
 
 
+def test_fingerprint_ignores_the_last_digit(tmp_path, arm):
+    """Numbers that another machine or program rounds otherwise are the same robot; a micrometre is not."""
+    texts = {
+        name: ARM.replace('xyz="0 0 0.3"', f'xyz="0 0 {x}"')
+        for name, x in {"same": "0.30000000000000004", "other": "0.300001"}.items()
+    }
+    for name, text in texts.items():
+        (tmp_path / f"{name}.urdf").write_text(text, encoding="utf-8")
+    fingerprint = load_robot(arm).fingerprint
+    assert load_robot(tmp_path / "same.urdf").fingerprint == fingerprint
+    assert load_robot(tmp_path / "other.urdf").fingerprint != fingerprint
+
+
 def test_fingerprint_is_the_same_in_another_process(arm):
     """Nothing in it depends on hashing seeds or memory."""
     script = f"from manip_learn.robot.loading import load_robot; print(load_robot({str(arm)!r}).fingerprint)"

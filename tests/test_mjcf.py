@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from urdf_corpus_case import ARM
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.cross_check import cross_check
@@ -162,3 +163,16 @@ def test_locking_and_fingerprint(tmp_path):
     assert (free.nv, held.nv) == (2, 1)
     assert held.locked == {"k": 0.4}
     assert free.fingerprint != held.fingerprint
+
+
+def test_an_mjcf_file_is_known_by_its_content(tmp_path):
+    """Not by its extension: a long licence comes first, and a URDF may have MuJoCo's settings inside."""
+    text = mjcf(body("a", "", JOINT))
+    licence = f"<?xml version='1.0'?>\n<!-- not a <robot> {'licence ' * 2000}-->\n"
+    for name in ("a.xml", "a.urdf", "a.mjcf"):
+        (tmp_path / name).write_text(licence + text, encoding="utf-8")
+        assert load_robot(tmp_path / name).joint_names == ("j",)
+    (tmp_path / "b.xml").write_text(
+        ARM.replace('<link name="base"/>', '<mujoco/><link name="base"/>'), encoding="utf-8"
+    )
+    assert load_robot(tmp_path / "b.xml").joint_names == ("shoulder", "elbow")

@@ -70,7 +70,7 @@ def pass_parts(
             check_limits(joint, log)
     if not any(j.nv for j in joints):
         log.warn(None, "no joint moves")
-    return Passed(urdf, mimics, tuple(log.warnings))
+    return Passed(urdf, mimics, log.warnings)
 
 
 def check_root(root: XmlNode, log: GateLog) -> None:
@@ -96,7 +96,7 @@ def check_root(root: XmlNode, log: GateLog) -> None:
         if node.tag not in KNOWN_CHILDREN:
             ignored.setdefault(node.tag, node.line)
     for tag, line in list(ignored.items())[:20]:
-        near = closest_names(tag.lower(), ("link", "joint"), n=1)
+        near = closest_names(shortened(tag).lower(), ("link", "joint"), n=1)
         hint = f"; did you mean <{near[0]}>?" if near else ""
         log.warn(line, f"<{shortened(tag)}> is ignored{hint}")
 

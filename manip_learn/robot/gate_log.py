@@ -9,6 +9,7 @@ from typing import final
 from manip_learn.errors import RobotError
 
 SHOWN = 4
+MAX_WARNINGS = 100
 
 
 @final
@@ -17,12 +18,23 @@ class GateLog:
 
     Attributes:
         path: The file.
-        warnings: Sentences, in the order found.
     """
 
     def __init__(self, path: Path):
         self.path = path
-        self.warnings: list[str] = []
+        self._warnings: list[str] = []
+        self._left_out = 0
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences, in the order found; after a hundred only their number."""
+        more = (f"{self._left_out} more warnings are left out",) if self._left_out else ()
+        return (*self._warnings, *more)
+
+    @property
+    def is_full(self) -> bool:
+        """True when further warnings are only counted."""
+        return len(self._warnings) >= MAX_WARNINGS
 
     def refusal(self, code: str, line: int | None, where: str, seen: str, wanted: str, fix: str) -> RobotError:
         """The error to raise: `<file>:<line>: <where>: <seen>; wanted: <wanted>; fix: <fix>`."""
@@ -31,7 +43,10 @@ class GateLog:
 
     def warn(self, line: int | None, sentence: str) -> None:
         """Keep a sentence for `Robot.warnings`."""
-        self.warnings.append(f"line {line}: {sentence}" if line is not None else sentence)
+        if self.is_full:
+            self._left_out += 1
+        else:
+            self._warnings.append(f"line {line}: {sentence}" if line is not None else sentence)
 
 
 def quoted(names: Sequence[str]) -> str:

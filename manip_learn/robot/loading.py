@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -37,7 +38,8 @@ def load_robot(
         name: `"planar3"`, `"sawyer"`, a robot of example-robot-data such as `"panda"`, or the path of a URDF or MJCF
             file. What exists as a file, or ends in .urdf, .xml, .mjcf or .xacro, is a path.
         package_dirs: Folders that contain the packages of `package://` meshes. Kinematics needs none.
-        locked: Joints to hold still, at zero or the limit nearest to it; or a mapping joint -> position [rad or m].
+        locked: Joints to hold still, at zero or the limit nearest to it; or a mapping joint -> position [rad or m],
+            None for that same place.
         base: Whether the root link is `"fixed"`, or free to move in space (`"floating"`) or in the plane (`"planar"`).
         xacro: Whether a .xacro file may be expanded. Off by default, since expanding runs its author's expressions.
 
@@ -80,5 +82,5 @@ def _path(name: str | os.PathLike[str]) -> Path:
 
 
 def _is_mjcf(content: bytes) -> bool:
-    head = content[:4096]
-    return b"<mujoco" in head and b"<robot" not in head
+    head = re.sub(rb"<!--.*?-->|<\?.*?\?>", b"", content[:100_000], flags=re.DOTALL)
+    return head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<mujoco")

@@ -14,7 +14,7 @@ from manip_learn.robot.mimic import Mimics
 from manip_learn.robot.pose_matrix import as_matrix, as_pose
 from manip_learn.robot.urdf_elements import UrdfFile, UrdfJoint
 
-Locked = Sequence[str] | Mapping[str, float]
+Locked = Sequence[str] | Mapping[str, float | None]
 
 
 def names_of(locked: Locked) -> tuple[str, ...]:

@@ -236,6 +236,6 @@ def _warn_unknown_children(node: XmlNode, known: set[str], where: str, log: Gate
     for child in node.children:
         if child.tag in known:
             continue
-        near = closest_names(child.tag.lower(), known, n=1)
+        near = [] if log.is_full else closest_names(shortened(child.tag).lower(), known, n=1)
         hint = f"; did you mean <{near[0]}>?" if near else ""
         log.warn(child.line, f"{where}: <{shortened(child.tag)}> is ignored{hint}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from manip_learn.robot.kinematic_urdf import LARGE, kinematic_urdf
 from manip_learn.robot.locking import Locked, locked_positions, names_of, with_fixed
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.urdf_elements import UrdfFile
+
+DECIMAL = re.compile(r'(?<=["\s])-?\d+(\.\d+)?(e[+-]?\d+)?(?=["\s])')
 
 
 def robot_from_urdf(
@@ -67,8 +70,7 @@ def robot_from_parts(
             path=path,
         )
     still = locked_positions(urdf, passed.mimics, locked)
-    text = kinematic_urdf(with_fixed(urdf, still))
-    model = _built(text, root_joint, path, warnings)
+    model = _built(kinematic_urdf(with_fixed(urdf, still)), root_joint, path, warnings)
     _check_counts(model, urdf, still, root_joint, path)
     _set_unlimited(model)
     return Robot(
@@ -77,7 +79,7 @@ def robot_from_parts(
         source=path,
         description=content,
         package_dirs=package_dirs,
-        fingerprint=_fingerprint(text, still, passed.mimics.followers, root_joint),
+        fingerprint=_fingerprint(urdf, still, passed.mimics.followers, root_joint),
         mimics=[m for m in passed.mimics.followers if m.joint not in still],
         locked=still,
         warnings=warnings,
@@ -129,11 +131,14 @@ def _set_unlimited(model: pin.Model) -> None:
 
 
 def _fingerprint(
-    text: str, still: dict[str, float], followers: Sequence[Mimic], root_joint: pin.JointModel | None
+    urdf: UrdfFile, still: dict[str, float], followers: Sequence[Mimic], root_joint: pin.JointModel | None
 ) -> str:
-    """Hash of the kinematics: comments, meshes, colours and the order of elements do not count."""
-    lines = sorted(text.splitlines())
-    lines += sorted(f"locked {name} {position!r}" for name, position in still.items())
-    lines += sorted(f"mimic {m.joint} {m.leader} {m.multiplier!r} {m.offset!r}" for m in followers)
+    """Hash of kinematics and masses: comments, meshes, colours, the order of elements and the last digit, which
+    differs between machines, do not count.
+    """
+    lines = sorted(kinematic_urdf(urdf).splitlines())
+    lines += sorted(f'locked {name} "{position!r}"' for name, position in still.items())
+    lines += sorted(f'mimic {m.joint} {m.leader} "{m.multiplier!r} {m.offset!r}"' for m in followers)
     lines.append(f"base {'fixed' if root_joint is None else root_joint.shortname()}")
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+    text = DECIMAL.sub(lambda found: repr(round(float(found.group()), 12) + 0.0), "\n".join(lines))
+    return hashlib.sha256(text.encode()).hexdigest()
