@@ -20,10 +20,13 @@ from manip_learn.learning.joint_estimator import estimate_joint
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.learning.null_space import fit_null_space, levels
 from manip_learn.learning.samples import Samples
-from manip_learn.learning.separation_estimator import estimate_separate
+from manip_learn.learning.separation_estimator import Learner, estimate_separate
 from manip_learn.linalg import row_space_angle
 
 Matrix = Float[np.ndarray, "s p"]
+Learnt = tuple[np.ndarray, dict[str, Any]]
+# (features, demonstrations, true Lambda, rng) -> learnt Lambda and remarks
+Way = Callable[[FeatureMap, Demonstrations, np.ndarray, np.random.Generator], Learnt]
 
 
 @final
@@ -45,7 +48,7 @@ def learning_trial(case: LearningCase, rng: np.random.Generator) -> dict[str, An
 
     Returns:
         Estimator -> `train` and `test` NMIE, `scale_free` NMIE on the test set, `angle_deg` between the row spaces,
-        `rows` found and `seconds`; or `refused`, the reason.
+        `rows` found, `seconds`, and for `auto` whether it `warned`; or `refused`, the reason.
     """
     setup = case.setup
     Lambda = setup.selection(rng)
@@ -59,12 +62,12 @@ def learning_trial(case: LearningCase, rng: np.random.Generator) -> dict[str, An
         own = np.random.default_rng(rng.integers(2**63))
         started = time.perf_counter()
         try:
-            learnt = ESTIMATORS[name](features, train, Lambda, own)
+            learnt, remarks = ESTIMATORS[name](features, train, Lambda, own)
         except NotIdentifiableError as error:
             out[name] = {"refused": error.code}
             continue
         seconds = time.perf_counter() - started
-        out[name] = _judged(features, Lambda, learnt, seen) | {"seconds": seconds}
+        out[name] = _judged(features, Lambda, learnt, seen) | {"seconds": seconds} | remarks
     return out
 
 
@@ -83,43 +86,42 @@ def _judged(features: FeatureMap, true: Matrix, learnt: Matrix, seen: list[np.nd
     return out
 
 
-def _joint(model: str) -> Callable[..., Matrix]:
-    def learn(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Matrix:
+def _joint(model: str) -> Way:
+    def learn(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
         samples = Samples.collect(features, demos)
-        return samples.selection(estimate_joint(samples, len(true), rng, model).selection)
+        return samples.selection(estimate_joint(samples, len(true), rng, model).selection), {}
 
     return learn
 
 
-def _separate(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Matrix:
-    samples = Samples.collect(features, demos)
-    return samples.selection(estimate_separate(samples, len(true), rng).selection)
+def _separate(learner: Learner) -> Way:
+    def learn(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
+        samples = Samples.collect(features, demos)
+        return samples.selection(estimate_separate(samples, len(true), rng, learner).selection), {}
+
+    return learn
 
 
-def _row_by_row(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Matrix:
-    samples = Samples.collect(features, demos)
-    return samples.selection(estimate_separate(samples, len(true), rng, "row-by-row").selection)
-
-
-def _true_null_part(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Matrix:
+def _true_null_part(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
     samples = Samples.collect(features, demos)
     motion = dataclasses.replace(samples, u=null_parts(features, demos, true))
-    return samples.selection(fit_null_space(motion, levels(motion)[1][: len(true)]).selection)
+    return samples.selection(fit_null_space(motion, levels(motion)[1][: len(true)]).selection), {}
 
 
-def _auto(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Matrix:
-    return ConstraintLearner(features, seed=int(rng.integers(2**31))).fit(demos).constraint_.selection
+def _auto(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
+    learner = ConstraintLearner(features, seed=int(rng.integers(2**31))).fit(demos)
+    return learner.constraint_.selection, {"warned": bool(learner.report_.warnings)}
 
 
-# name -> (features, demonstrations, true Lambda, rng) -> learnt Lambda. All but `auto` are told the number of rows.
-ESTIMATORS: dict[str, Callable[..., Matrix]] = {
+# name -> way to learn. All but `auto` are told the number of rows.
+ESTIMATORS: dict[str, Way] = {
     "joint-affine": _joint("affine"),
     "joint-quadratic": _joint("quadratic"),
     "joint-cubic": _joint("cubic"),
     "joint-rbf": _joint("rbf"),
     "joint-own": _joint("own"),
-    "separate": _separate,
-    "separate-row-by-row": _row_by_row,
+    "separate": _separate("gauss-newton"),
+    "separate-row-by-row": _separate("row-by-row"),
     "true-w": _true_null_part,
     "auto": _auto,
 }
