@@ -56,7 +56,7 @@ def examine(recording: Recording, request: ReadRequest) -> Examined:
     notes += said
     if u is None:
         doubt_slow_time(recording, request, time, q)
-    elif time.shape[0] >= FEWEST:
+    elif time.shape[0] >= FEWEST and not recording.trusted:
         notes += check_velocities(recording, robot.joint_names, angular, compare_velocities(time, q, u))
     notes += check_limits(recording, request, angular, time, q)
     return _split(recording, robot, time, q, u, notes)

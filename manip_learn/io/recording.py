@@ -28,7 +28,7 @@ class Recording:
         velocities: shape (T, k), or None.
         strict_columns: True where people wrote the names (a surplus name is a mistake), False where a machine did.
         in_seconds: True if the format itself says that `time` is in seconds.
-        trusted: True for our own rollouts: limits are not used to doubt their units.
+        trusted: True for our own rollouts: limits and slopes are not used to doubt their units.
         line_of: Sample -> line in the file, where there are lines.
         notes: What the reader noticed or did.
     """

@@ -1,0 +1,81 @@
+"""Promise: an hour of joint states at 100 Hz is read within 5 s, from any bag; a table of a million rows as well."""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manip_learn.io import load_demonstrations
+from manip_learn.robot import load_robot
+
+SAMPLES = 360_000
+PROMISED = 5.0  # [s]
+START = 1_700_000_000 * 10**9
+JOINTS = ("joint1", "joint2", "joint3")
+JOINT_STATE = "sensor_msgs/msg/JointState"
+
+
+def motion(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities of a slow swing."""
+    t = 0.01 * np.arange(n)[:, None]
+    return np.sin(0.3 * t + np.arange(3)), 0.3 * np.cos(0.3 * t + np.arange(3))
+
+
+def write_bag(path: Path, kind: str) -> Path:
+    """An hour of one publisher; one message is serialised by the library, the others differ in stamp and numbers."""
+    pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_typestore
+
+    ros1 = kind == "ros1"
+    types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
+    stamp = types.types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    extra = {"seq": 0} if ros1 else {}
+    header = types.types["std_msgs/msg/Header"](stamp=stamp, frame_id="base", **extra)
+    marks = np.array([-1.25e300, -1.5e300, -1.75e300])
+    message = types.types[JOINT_STATE](header, list(JOINTS), marks, -marks, np.zeros(3))
+    raw = bytearray(types.serialize_ros1(message, JOINT_STATE) if ros1 else types.serialize_cdr(message, JOINT_STATE))
+    q_at, u_at = raw.index(marks.tobytes()), raw.index((-marks).tobytes())
+    q, u = motion(SAMPLES)
+    plugin = StoragePlugin.SQLITE3 if kind == "sqlite" else StoragePlugin.MCAP
+    with Writer1(path) if ros1 else Writer2(path, version=9, storage_plugin=plugin) as writer:
+        connection = writer.add_connection("/joint_states", JOINT_STATE, typestore=types)
+        for i in range(SAMPLES):
+            at = START + i * 10_000_000
+            struct.pack_into("<II", raw, 4, at // 10**9, at % 10**9)
+            raw[q_at : q_at + 24], raw[u_at : u_at + 24] = q[i].tobytes(), u[i].tobytes()
+            writer.write(connection, at, bytes(raw))
+    return path
+
+
+def write_table(path: Path, kind: str) -> Path:
+    """A million rows of text."""
+    n = 1_000_000
+    q, _ = motion(n)
+    table = np.column_stack([0.01 * np.arange(n), q])
+    np.savetxt(path, table, fmt="%.7g", delimiter=",", header=",".join(("time", *JOINTS)), comments="")
+    return path
+
+
+@pytest.mark.bench
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(
+    ("kind", "write"), [("ros1", write_bag), ("sqlite", write_bag), ("mcap", write_bag), ("table", write_table)]
+)
+def test_recordings_are_read_within_five_seconds(kind: str, write: Callable[[Path, str], Path], tmp_path: Path) -> None:
+    """360,000 messages, or a million rows, are read, checked and right within 5 s."""
+    robot = load_robot("planar3")
+    path = write(tmp_path / "hour.bag", kind)
+    start = time.perf_counter()
+    demos = load_demonstrations(path, robot)
+    seconds = time.perf_counter() - start
+    print(f"{kind}: {demos.n_samples:,} samples in {seconds:.2f} s")
+    np.testing.assert_allclose(demos[0].q, motion(demos.n_samples)[0], rtol=0, atol=1e-6)
+    assert seconds < PROMISED
