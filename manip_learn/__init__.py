@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from manip_learn.io import load_demonstrations
     from manip_learn.learning import ConstraintLearner
     from manip_learn.manipulability_measure import log_manipulability_gradient, manipulability, manipulability_gradient
-    from manip_learn.playback import replay
+    from manip_learn.playback import LiveViewer, replay
     from manip_learn.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
+    from manip_learn.preparation import resample, thin, trim_standstill
     from manip_learn.robot import Robot, load_robot
     from manip_learn.rollout import Rollout, simulate
     from manip_learn.tasks import Hold, PointAttractor, Task, Track
@@ -39,6 +40,7 @@ _HOMES = {
     "FrameJacobian": "features",
     "Hold": "tasks",
     "JointAttractor": "policies",
+    "LiveViewer": "playback",
     "ManipLearnError": "errors",
     "ManipulabilityAscent": "policies",
     "NullSpacePolicy": "policies",
@@ -59,7 +61,10 @@ _HOMES = {
     "manipulability": "manipulability_measure",
     "manipulability_gradient": "manipulability_measure",
     "replay": "playback",
+    "resample": "preparation",
     "simulate": "rollout",
+    "thin": "preparation",
+    "trim_standstill": "preparation",
 }
 __all__ = [
     "CentreOfMass",
@@ -72,6 +77,7 @@ __all__ = [
     "FrameJacobian",
     "Hold",
     "JointAttractor",
+    "LiveViewer",
     "ManipLearnError",
     "ManipulabilityAscent",
     "NullSpacePolicy",
@@ -91,7 +97,10 @@ __all__ = [
     "manipulability",
     "manipulability_gradient",
     "replay",
+    "resample",
     "simulate",
+    "thin",
+    "trim_standstill",
 ]
 
 

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from manip_learn.commands.terminal import console, finite, progress, waiting
+from manip_learn.commands.vectors import joined_vectors, vector
 from manip_learn.errors import ManipLearnError
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 app = typer.Typer(
     name="manip-learn",
@@ -31,9 +28,6 @@ RobotName = Annotated[str, typer.Argument(metavar="ROBOT", help="A name (sawyer,
 Lock = Annotated[list[str] | None, typer.Option("--lock", help="Joint to hold still; may be given several times.")]
 Packages = Annotated[list[str] | None, typer.Option("--package-dir", help="Folder that contains mesh packages.")]
 
-# options whose value is a vector: `--start 0.1 -0.2 0.3` means `--start 0.1,-0.2,0.3`
-VECTORS = ("--start", "--target", "--rest")
-
 
 @app.command()
 def demo(
@@ -45,7 +39,7 @@ def demo(
     """Learn from shipped recordings, compare three policies, write the replay."""
     from manip_learn.commands.demo import demo as run
 
-    with _progress(as_json) as report:
+    with progress(as_json) as report:
         result = run(robot, out, browser and not as_json, report)
     _answer(as_json, result.to_dict(), "print_demo", result)
 
@@ -74,6 +68,7 @@ def learn(
     package_dir: Packages = None,
     degrees: Annotated[bool, typer.Option("--degrees", help="The recordings are in degrees.")] = False,
     ignore_column: Annotated[list[str] | None, typer.Option(help="Column that is not to be read.")] = None,
+    points: Annotated[int | None, typer.Option(help="Use at most this many samples a trajectory.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap and of random starts.")] = 0,
     as_json: Json = False,
 ) -> None:
@@ -86,7 +81,7 @@ def learn(
         options["degrees"] = True
     if ignore_column:
         options["ignore_columns"] = ignore_column
-    with _waiting(as_json, "learning"):
+    with waiting(as_json, "learning"):
         learnt = run(
             robot,
             recordings,
@@ -99,6 +94,7 @@ def learn(
             locked=lock,
             package_dirs=package_dir,
             seed=seed,
+            points=points,
             options=options,
         )
     _answer(as_json, learnt.to_dict(), "print_learnt", learnt)
@@ -129,14 +125,14 @@ def control(
     """Simulate a controller that does the task and climbs its manipulability."""
     from manip_learn.commands.control import control as run
 
-    with _progress(as_json) as report:
+    with progress(as_json) as report:
         result = run(
             robot,
             constraint,
-            start=_vector("--start", start),
-            target=_vector("--target", target),
+            start=vector("--start", start),
+            target=vector("--target", target),
             policy=policy,
-            rest=_vector("--rest", rest),
+            rest=vector("--rest", rest),
             gain=gain,
             task_gain=task_gain,
             duration=duration,
@@ -165,7 +161,7 @@ def replay(
     """Write a browser replay with the manipulability plot: one file, no server, no network."""
     from manip_learn.commands.show import show
 
-    with _waiting(as_json, "writing the replay"):
+    with waiting(as_json, "writing the replay"):
         page = show(robot, rollouts, html=html, open_browser=open_browser, tip=tip, package_dirs=package_dir)
     answer = {"html": str(page.html), "bytes": page.bytes, "notes": list(page.notes)}
     if as_json:
@@ -189,7 +185,7 @@ def reproduce(
     """Run the experiments of "Learning Singularity Avoidance", the printed numbers beside ours."""
     from manip_learn.commands.reproduce import reproduce as run
 
-    with _progress(as_json) as report:
+    with progress(as_json) as report:
         result = run(experiment, trials=trials, seed=seed, out=out, progress=report)
     _answer(as_json, result.to_dict(), "print_reproduction", result)
 
@@ -201,7 +197,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns 0, 2 for bad input, 1 for our own failure, 130 for Ctrl-C. No traceback."""
     from typer.main import get_command
 
-    arguments = _joined_vectors(list(sys.argv[1:] if argv is None else argv))
+    arguments = joined_vectors(list(sys.argv[1:] if argv is None else argv))
     if not arguments:
         return _complain("no command given: try `manip-learn demo`, or `manip-learn --help` for all commands")
     code = _run(lambda: get_command(app).main(arguments, prog_name="manip-learn", standalone_mode=False))
@@ -237,92 +233,13 @@ def _complain(sentence: str) -> int:
     return 2
 
 
-def _joined_vectors(arguments: list[str]) -> list[str]:
-    out: list[str] = []
-    numbers: list[str] | None = None  # open while the values of a vector option follow
-    for argument in arguments:
-        if numbers is not None and _is_vector(argument):
-            numbers.append(argument)
-            continue
-        if numbers:
-            out.append(",".join(numbers))
-        numbers = [] if argument in VECTORS else None
-        out.append(argument)
-    return [*out, ",".join(numbers)] if numbers else out
-
-
-def _is_vector(text: str) -> bool:
-    try:
-        [float(part) for part in text.replace(",", " ").split()]
-    except ValueError:
-        return False
-    return bool(text.strip())
-
-
-def _vector(option: str, text: str | None) -> list[float] | None:
-    if text is None:
-        return None
-    try:
-        numbers = [float(part) for part in text.strip("[]() ").replace(",", " ").split()]
-    except ValueError as error:
-        raise ManipLearnError(f"{option} must be numbers such as 0.1,-0.2,0.3, got {text!r}") from error
-    if not numbers or not all(map(math.isfinite, numbers)):
-        raise ManipLearnError(f"{option} must be finite numbers such as 0.1,-0.2,0.3, got {text!r}")
-    return numbers
-
-
 def _answer(as_json: bool, content: dict[str, Any], printer: str = "", value: Any = None) -> None:
     if as_json:
-        print(json.dumps(_finite(content), indent=2, allow_nan=False))
+        print(json.dumps(finite(content), indent=2, allow_nan=False))
         return
     from manip_learn.commands import tables
 
-    getattr(tables, printer)(_console(), value)
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no NaN: null stands for what could not be measured."""
-    if isinstance(value, dict):
-        return {str(k): _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def _console(stderr: bool = False) -> Console:
-    from rich.console import Console
-
-    return Console(stderr=stderr)
-
-
-@contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[str, float], None]]:
-    """A progress bar on standard error; nothing where nobody looks."""
-    if quiet or not sys.stderr.isatty():
-        yield lambda _step, _share: None
-        return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f}%"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=_console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=1.0)
-        yield lambda step, share: bar.update(task, description=step, completed=share)
-
-
-@contextmanager
-def _waiting(quiet: bool, what: str) -> Iterator[None]:
-    if quiet or not sys.stderr.isatty():
-        yield
-        return
-    with _console(stderr=True).status(what):
-        yield
+    getattr(tables, printer)(console(), value)
 
 
 if __name__ == "__main__":

@@ -223,10 +223,11 @@ def _check_robot(path: Path, content: dict[str, Any], robot: Robot, same_urdf: b
     saved = content.get("robot")
     if not isinstance(saved, dict):
         raise ConstraintMismatchError(f"{path} names no robot: the file is damaged; save it again")
-    if list(saved.get("joint_names", [])) != list(robot.joint_names):
+    joints = saved.get("joint_names")
+    if not isinstance(joints, list) or joints != list(robot.joint_names):
+        named = ", ".join(map(str, joints)) if isinstance(joints, list) else repr(joints)
         raise ConstraintMismatchError(
-            f"{path} was made for robot {saved.get('name')!r} with the joints "
-            f"{', '.join(saved.get('joint_names', []))}; "
+            f"{path} was made for robot {saved.get('name')!r} with the joints {named}; "
             f"{robot.name!r} has {', '.join(robot.joint_names)}: load that robot, with the same locked joints"
         )
     if same_urdf and saved.get("fingerprint") != robot.fingerprint:

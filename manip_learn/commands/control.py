@@ -101,7 +101,11 @@ def control(
 
 
 def robot_of_constraint(robot_name: str, constraint_file: str, package_dirs: list[str]) -> Robot:
-    """The robot with the joints locked that were locked when the constraint was learnt."""
+    """The robot with the joints locked that were locked when the constraint was learnt.
+
+    Raises:
+        ConstraintMismatchError: The constraint was learnt on another robot.
+    """
     try:
         described = json.loads(Path(constraint_file).read_bytes()).get("robot") or {}
         joints, locked = list(described["joint_names"]), dict(described.get("locked", {}))

@@ -8,12 +8,15 @@ from typing import Any, final
 
 from manip_learn.commands.robot_for import load_for_recordings
 from manip_learn.constraint import Constraint
+from manip_learn.demonstrations import Demonstrations
 from manip_learn.errors import FeatureError
 from manip_learn.features import FrameJacobian
 from manip_learn.io.load_demonstrations import ReadOptions
 from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.learner import EstimatorName
+from manip_learn.preparation import thin
 from manip_learn.robot.robot import Reference
+from manip_learn.velocities import with_velocities
 
 REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": ("local",), "auto": ("world", "local")}
 
@@ -56,18 +59,22 @@ def learn(
     locked: list[str] | None = None,
     package_dirs: list[str] | None = None,
     seed: int = 0,
+    points: int | None = None,
     options: ReadOptions | None = None,
 ) -> Learnt:
     """Learn a constraint from recordings and write it to a file if one is named.
 
     Raises:
-        ManipLearnError: Anything that is wrong with the robot, the recordings, the settings or the output.
+        FeatureError: Unknown axes or reference.
+        ManipLearnError: Anything else that is wrong with the robot, the recordings, the settings or the output.
     """
     if reference not in REFERENCES:
         raise FeatureError(f"reference must be world, local or auto, not {reference!r}")
     robot, demos, chosen, notes = load_for_recordings(
         robot_name, recordings, frame, locked or [], package_dirs or [], options
     )
+    if points is not None:
+        demos = Demonstrations([thin(t, points) for t in with_velocities(demos, robot)], demos.notes)
     candidates = [FrameJacobian(robot, chosen, axes, r) for r in REFERENCES[reference]]
     learner = ConstraintLearner(candidates, n_constraints, _estimator(estimator), seed=seed).fit(demos)
     written = learner.constraint_.save(out) if out is not None else None

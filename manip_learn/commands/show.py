@@ -27,7 +27,8 @@ def show(
     """Write a replay of rollouts (NPZ of `control`) or of recordings.
 
     Raises:
-        ManipLearnError: Anything that is wrong with the robot, the files or the output.
+        RecordingError: No files, or files that are neither rollouts nor recordings.
+        ManipLearnError: Anything else that is wrong with the robot or the output.
     """
     dirs = package_dirs or []
     named: dict[str, Rollout | Trajectory] = {}

@@ -180,7 +180,7 @@ def _policy(samples: Samples, Lambda: np.ndarray, model: PolicyModel) -> tuple[n
     return theta.reshape(-1, nv), cost / n, energy / n
 
 
-def _policy_columns(Z: np.ndarray, beta: np.ndarray) -> Float[np.ndarray, "rows k*nv"]:
+def _policy_columns(Z: np.ndarray, beta: np.ndarray) -> Float[np.ndarray, "rows c"]:
     n, nv, z = Z.shape
     columns = beta[:, None, :, None] * Z.transpose(0, 2, 1)[:, :, None, :]
     return columns.reshape(n * z, beta.shape[1] * nv)

@@ -1,0 +1,232 @@
+"""The command line: answers, one JSON document, and one sentence with exit code 2 for whatever is wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manip_learn.cli import main
+from manip_learn.commands.vectors import joined_vectors
+
+DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
+DRAWER = sorted(map(str, (DATA / "sawyer_drawer").glob("*.csv")))[:6]
+FRAME = ("--frame", "right_gripper_tip")
+
+
+@pytest.fixture
+def run(capsys, monkeypatch, tmp_path):
+    """Run one command line in an empty folder: exit code, standard output, standard error."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        code = main([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def learnt(tmp_path_factory):
+    """A constraint file and a rollout file of the shipped drawer."""
+    folder = tmp_path_factory.mktemp("learnt")
+    constraint, rollout = folder / "drawer.json", folder / "run.npz"
+    assert main(["learn", "sawyer", *DRAWER, *FRAME, "--out", str(constraint), "--json"]) == 0
+    control = ["control", "sawyer", str(constraint), "--start", "0,-1,0,1.5,0,1,0", "--target", "0.6,0.27,0.35"]
+    assert main([*control, "--duration", "3", "--out", str(rollout), "--json"]) == 0
+    return constraint, rollout
+
+
+def test_learn_answers_with_one_json_document(run):
+    """All keys of the contract are there, the drawer's two held rows are found, and nothing else is printed."""
+    code, out, err = run("learn", "sawyer", *DRAWER, *FRAME, "--json")
+    answer = json.loads(out)
+    assert (code, err) == (0, "")
+    keys = "selection n_constraints axes reference free_directions estimator gap held_out_residual uncertainty_deg"
+    assert {*keys.split(), "warnings"} <= set(answer)
+    assert (answer["n_constraints"], answer["reference"], answer["estimator"]) == (2, "world", "null-space")
+    (free,) = answer["free_directions"]
+    truth = [np.cos(np.radians(25)), np.sin(np.radians(25)), 0.0]
+    assert np.degrees(np.arccos(min(1.0, abs(np.dot(free, truth))))) < 0.1
+
+
+def test_learn_speaks_in_words(run):
+    """Without --json the sentence, the gap and the file that was written are shown."""
+    code, out, err = run("learn", "sawyer", *DRAWER, *FRAME, "--out", "drawer.json")
+    assert code == 0, err
+    assert "moves freely along (0.91, 0.42, 0.00)" in " ".join(out.split())
+    assert "gap" in out
+    assert Path("drawer.json").is_file()
+
+
+def test_control_answers(run, learnt):
+    """The keys of the contract are there and the target is reached."""
+    constraint, _ = learnt
+    start = ("--start", "0", "-1", "0", "1.5", "0", "1", "0")
+    code, out, err = run("control", "sawyer", constraint, *start, "--target", "0.6,0.27,0.35", "--json")
+    answer = json.loads(out)
+    assert (code, err) == (0, "")
+    assert answer["reached"] is True
+    assert answer["final_error"] < 0.01
+    assert 0.0 < answer["min_manipulability"] <= answer["mean_manipulability"]
+    assert answer["max_velocity"] > 0.0
+    assert sum(answer["status_counts"].values()) == 501
+
+
+def test_replay_writes_one_file(run, learnt):
+    """One HTML file, its size as said, below 3 MB."""
+    code, out, err = run("replay", "sawyer", learnt[1], "--html", "run.html", "--json")
+    answer = json.loads(out)
+    assert code == 0, err
+    assert Path(answer["html"]).stat().st_size == answer["bytes"] < 3e6
+
+
+def test_inspect_answers(run):
+    """Joints with their limits, frames, warnings, and a second opinion."""
+    code, out, err = run("inspect", "sawyer", "--json")
+    answer = json.loads(out)
+    assert code == 0, err
+    assert (answer["name"], answer["nq"], answer["nv"]) == ("sawyer", 7, 7)
+    assert [j["name"] for j in answer["joints"]] == [f"right_j{i}" for i in range(7)]
+    assert "right_gripper_tip" in answer["frames"]
+    assert answer["warnings"] == []
+
+
+def test_demo_answers(run):
+    """The main job on the small robot: constraint, three rollouts that arrive, and the replay."""
+    code, out, err = run("demo", "--robot", "planar3", "--out", "here", "--no-browser", "--json")
+    answer = json.loads(out)
+    assert code == 0, err
+    assert answer["constraint"]["n_constraints"] == 2
+    assert set(answer["rollouts"]) == {"manipulability", "attractor", "zero"}
+    assert all(r["reached"] for r in answer["rollouts"].values())
+    assert Path(answer["html"]).is_file()
+
+
+def test_unrecorded_fingers_are_locked(run, tmp_path):
+    """A Panda's recordings without its fingers are enough, and `control` knows the same seven joints again."""
+    pytest.importorskip("pinocchio")
+    rows = np.cumsum(np.random.default_rng(0).uniform(0.5, 1.0, (60, 7)) * 0.004, axis=0)
+    header = ",".join(["time", *(f"panda_joint{i}" for i in range(1, 8))])
+    start = [0.0, -0.5, 0.0, -2.0, 0.0, 1.5, 0.7]
+    table = np.column_stack([np.arange(60) * 0.01, rows + start])
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header=header, comments="", fmt="%.7g")
+    learn = ("learn", "panda", "a.csv", "--frame", "panda_hand_tcp", "--constraints", "1", "--json", "--out", "c.json")
+    code, out, err = run(*learn)
+    assert code == 0, err
+    assert any("panda_finger_joint1" in note and "locked" in note for note in json.loads(out)["notes"])
+    code, out, err = run("control", "panda", "c.json", "--duration", "0.1", "--json")
+    assert code == 0, err
+
+
+BAD = {
+    "no arguments": [],
+    "unknown command": ["lern"],
+    "unknown option": ["inspect", "sawyer", "--jsn"],
+    "unknown robot": ["inspect", "sawyr"],
+    "robot is a folder": ["inspect", "."],
+    "robot file is missing": ["inspect", "nothing.urdf"],
+    "robot is not XML": ["inspect", "text.urdf"],
+    "no recording named": ["learn", "sawyer", *FRAME],
+    "recording is missing": ["learn", "sawyer", "nothing.csv", *FRAME],
+    "folder without recordings": ["learn", "sawyer", ".", *FRAME],
+    "unknown frame": ["learn", "sawyer", DRAWER[0], "--frame", "right_griper_tip"],
+    "unknown axes": ["learn", "sawyer", DRAWER[0], *FRAME, "--axes", "x w"],
+    "unknown reference": ["learn", "sawyer", DRAWER[0], *FRAME, "--reference", "tool"],
+    "unknown estimator": ["learn", "sawyer", DRAWER[0], *FRAME, "--estimator", "best"],
+    "too many constraints": ["learn", "sawyer", DRAWER[0], *FRAME, "--constraints", "4"],
+    "recordings of another robot": ["learn", "planar3", DRAWER[0], "--frame", "tip"],
+    "constraint is missing": ["control", "sawyer", "nothing.json"],
+    "constraint is no constraint": ["control", "sawyer", "text.urdf"],
+    "constraint of another robot": ["control", "planar3", "{constraint}"],
+    "target of the wrong size": ["control", "sawyer", "{constraint}", "--target", "0.1,0.2,0.3,0.4"],
+    "target is text": ["control", "sawyer", "{constraint}", "--target", "there"],
+    "start of the wrong size": ["control", "sawyer", "{constraint}", "--start", "0,0"],
+    "start outside the limits": ["control", "sawyer", "{constraint}", "--start", "90,0,0,0,0,0,0"],
+    "unknown policy": ["control", "sawyer", "{constraint}", "--policy", "up"],
+    "negative duration": ["control", "sawyer", "{constraint}", "--duration", "-1"],
+    "zero step": ["control", "sawyer", "{constraint}", "--dt", "0"],
+    "output is a folder": ["learn", "sawyer", *DRAWER, *FRAME, "--out", "."],
+    "rollout is missing": ["replay", "sawyer", "nothing.npz"],
+    "rollout is text": ["replay", "sawyer", "text.urdf"],
+    "rollout of another robot": ["replay", "planar3", "{rollout}"],
+    "unknown demo": ["demo", "--robot", "panda", "--no-browser"],
+    "output below a file": ["demo", "--out", "text.urdf/here", "--no-browser"],
+}
+
+
+@pytest.mark.parametrize("arguments", BAD.values(), ids=BAD.keys())
+def test_bad_input_gives_one_sentence(run, learnt, arguments):
+    """Exit code 2, one line on standard error, nothing on standard output, no traceback, no file left behind."""
+    Path("text.urdf").write_text("this is no robot\n", encoding="utf-8")
+    constraint, rollout = learnt
+    code, out, err = run(*(a.format(constraint=constraint, rollout=rollout) for a in arguments))
+    assert code == 2, err
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith("manip-learn: ")
+    assert "Traceback" not in err
+    assert "internal error" not in err
+    assert {p.name for p in Path().iterdir()} <= {"text.urdf"}
+
+
+CSV = "time,joint1,joint2,joint3\n"
+GOOD = [f"{0.02 * i:.2f},{0.01 * i:.4f},{1.5 + 0.013 * i * i:.4f},{0.2 - 0.02 * i:.4f}" for i in range(20)]
+BAD_RECORDINGS = {
+    "missing joint": ("time,joint1,joint3\n0,0,0\n0.1,0.1,0.1\n", "joint2"),
+    "extra column": ("time,joint1,joint2,joint3,force\n0,0,0,0,1\n0.1,0.1,0.1,0.1,1\n", "force"),
+    "text in a number": (CSV + "\n".join([*GOOD[:5], "0.10,0.1,abc,0.1"]), "abc"),
+    "NaN": (CSV + "\n".join([*GOOD[:5], "0.10,0.1,nan,0.1"]), "nan"),
+    "one row": (CSV + GOOD[0] + "\n", ""),
+    "decreasing time": (CSV + "\n".join([*GOOD[:5], GOOD[2], *GOOD[5:]]), "time"),
+    "degrees": (CSV + "\n".join(f"{0.02 * i:.2f},{10 + i},{90 + 2 * i},{-30 - i}" for i in range(20)), "degrees"),
+    "empty": ("", ""),
+}
+
+
+@pytest.mark.parametrize(("content", "word"), BAD_RECORDINGS.values(), ids=BAD_RECORDINGS.keys())
+def test_bad_recording_is_named(run, content, word):
+    """The sentence names the file, and the joint, value or fault."""
+    Path("demo.csv").write_text(content, encoding="utf-8")
+    code, out, err = run("learn", "planar3", "demo.csv", "--frame", "tip", "--axes", "planar")
+    assert (code, out) == (2, ""), err
+    assert err.count("\n") == 1
+    assert "demo.csv" in err
+    assert word in err
+
+
+def test_vectors_may_be_written_with_spaces():
+    """Numbers behind a vector option belong to it, negative ones too, up to the next option or word."""
+    assert joined_vectors(["--start", "0.1", "-0.2", "--target", "-1,2", "--json"]) == [
+        "--start",
+        "0.1,-0.2",
+        "--target",
+        "-1,2",
+        "--json",
+    ]
+    assert joined_vectors(["control", "--start", "1", "2"]) == ["control", "--start", "1,2"]
+
+
+def test_our_own_failure_is_no_traceback(run, monkeypatch):
+    """A bug of ours gives exit code 1 and a sentence."""
+
+    def broken(*_arguments, **_options):
+        raise ZeroDivisionError("oh")
+
+    monkeypatch.setattr("manip_learn.commands.inspect.inspect_robot", broken)
+    code, out, err = run("inspect", "sawyer")
+    assert (code, out) == (1, "")
+    assert "internal error" in err
+    assert "Traceback" not in err
+
+
+def test_module_runs_as_a_program():
+    """`python -m manip_learn` is the same program."""
+    done = subprocess.run([sys.executable, "-m", "manip_learn", "--help"], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0
+    assert "reproduce" in done.stdout
