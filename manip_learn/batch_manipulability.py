@@ -56,8 +56,8 @@ def manipulability_batch(constraint: Constraint, q: ArrayLike) -> Manipulability
 
     def weigh(Phi: np.ndarray, part: slice) -> np.ndarray:
         A = np.tensordot(selection, Phi, axes=1)
-        mu[part], cofactor, ill[part] = volume_and_cofactor(A)
-        return np.tensordot(selection.T, cofactor, axes=1)
+        X, mu[part], ill[part] = row_inverses(A)
+        return np.tensordot(selection.T, X * mu[part], axes=1)
 
     gradient = features.batch_contraction(postures, weigh)
     bad = np.flatnonzero(ill)
@@ -67,10 +67,10 @@ def manipulability_batch(constraint: Constraint, q: ArrayLike) -> Manipulability
     return ManipulabilityBatch(mu, gradient, floor)
 
 
-def volume_and_cofactor(
+def row_inverses(
     A: Float[np.ndarray, "s nv n"],
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "s nv n"], Bool[np.ndarray, " n"]]:
-    """mu, mu A^{+T} and whether they are too inaccurate to use, postures last.
+) -> tuple[Float[np.ndarray, "s nv n"], Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """A^{+T}, mu, and whether they are too inaccurate to use, postures last.
 
     With A = L Q (rows orthogonalised one after the other): mu = prod L_ii and A^{+T} = L^{-T} Q.
     """
@@ -90,8 +90,7 @@ def volume_and_cofactor(
         for j in range(i + 1, s):
             Q[i] -= L[j, i] * Q[j]
         Q[i] /= safe[i]
-    Q *= mu
-    return mu, Q, ill
+    return Q, mu, ill
 
 
 def _constraint_matrices(constraint: Constraint, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

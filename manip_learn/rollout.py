@@ -8,13 +8,14 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, final
+from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
+from manip_learn.batch_rollout import run_batch
 from manip_learn.constraint import Constraint
 from manip_learn.controller import Command, ResolvedRateController
 from manip_learn.demonstrations import Trajectory
@@ -28,6 +29,7 @@ DAMAGE = (
     *(OSError, ValueError, KeyError, AttributeError, TypeError, EOFError, NotImplementedError, RuntimeError),
     *(MemoryError, zipfile.BadZipFile, zlib.error),
 )
+MOVING_BASES = ("floating", "planar", "other")  # joints whose positions do not simply add up
 Progress = Callable[[float], None]
 
 
@@ -136,13 +138,13 @@ def simulate(
     method: Literal["euler", "rk4"] = "euler",
     *,
     progress: Progress | None = None,
-) -> Rollout:
+) -> Any:
     """Integrate the controller on the configuration manifold.
 
     Args:
         robot: The robot; None for a system whose state is a plain vector.
         controller: What commands it.
-        q0: Start posture; the rollout's postures are the same kind of vector.
+        q0: Start posture; the rollout's postures are the same kind of vector. Or a table of starts, one a row.
         duration: [s].
         dt: Step [s].
         method: `"euler"` holds each command for a step, as a real arm's interface does; `"rk4"` approximates the
@@ -150,7 +152,8 @@ def simulate(
         progress: Called with the share done, 0 to 1.
 
     Returns:
-        round(duration / dt) + 1 samples, the start included.
+        A `Rollout` of round(duration / dt) + 1 samples, the start included; a tuple of them, one a start, for a table
+        of starts (they are rolled out together, several times as fast as one by one).
 
     Raises:
         ConfigurationError: The start has the wrong size or is not finite; a step or duration that is not positive.
@@ -160,6 +163,8 @@ def simulate(
     if method not in ("euler", "rk4"):
         raise ConfigurationError(f"method must be 'euler' or 'rk4', not {method!r}")
     steps = round(duration / dt)
+    if np.ndim(q0) == 2:
+        return _simulate_all(robot, controller, np.asarray(q0), steps, dt, method, progress)
     q = np.array(q0, dtype=np.float64) if robot is None else np.array(robot.checked_posture(q0))
     postures = np.empty((steps + 1, q.shape[0]))
     commands: list[Command] = []
@@ -183,6 +188,25 @@ def simulate(
         robot.joint_names if robot is not None else tuple(f"q{i}" for i in range(controller.constraint.nv)),
         errors,
     )
+
+
+def _simulate_all(
+    robot: Robot | None,
+    controller: ResolvedRateController,
+    starts: np.ndarray,
+    steps: int,
+    dt: float,
+    method: Literal["euler", "rk4"],
+    progress: Progress | None,
+) -> tuple[Rollout, ...]:
+    if robot is None or controller.robot is not robot or any(b.kind in MOVING_BASES for b in robot.blocks):
+        return tuple(simulate(robot, controller, start, steps * dt, dt, method, progress=progress) for start in starts)
+    run = run_batch(robot, controller, starts, steps, dt, method)
+    if progress is not None:
+        progress(1.0)
+    time = np.arange(steps + 1) * dt
+    rows = zip(run.q, run.u, run.mu, run.status, run.error, strict=True)
+    return tuple(Rollout(time, q, u, mu, tuple(status), robot.joint_names, error) for q, u, mu, status, error in rows)
 
 
 def _stepped(

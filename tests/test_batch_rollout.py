@@ -1,0 +1,120 @@
+"""Rollouts from many starts must be the rollouts from each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from conftest import tip_of
+
+from manip_learn.batch_rollout import run_batch
+from manip_learn.constraint import Constraint
+from manip_learn.controller import ResolvedRateController
+from manip_learn.errors import ConfigurationError, ConstraintError
+from manip_learn.features import CentreOfMass, CustomFeatures, FrameJacobian
+from manip_learn.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
+from manip_learn.robot.robot import Robot
+from manip_learn.rollout import Rollout, simulate
+from manip_learn.tasks import Hold, PointAttractor, Track
+
+RobotOf = Callable[[str], Robot]
+
+
+def same(many: tuple[Rollout, ...], singles: list[Rollout]) -> None:
+    assert len(many) == len(singles)
+    for a, b in zip(many, singles, strict=True):
+        for name in ("time", "q", "u", "manipulability", "task_error"):
+            np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-9, err_msg=name)
+        assert a.status == b.status and a.joint_names == b.joint_names
+
+
+def starts_of(robot: Robot, rng: np.random.Generator, n: int) -> np.ndarray:
+    return np.stack([0.8 * robot.positions(robot.random_configuration(rng)) for _ in range(n)])
+
+
+@pytest.mark.parametrize("method", ["euler", "rk4"])
+@pytest.mark.parametrize("name", ["planar3", "sawyer", "wrist", "gantry", "mimic", "tree"])
+def test_many_starts_are_single_starts(name: str, method: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Postures, velocities, mu, distances and statuses to 1e-9 at the end of a second, for every task and policy."""
+    robot = robot_of(name)
+    starts = starts_of(robot, rng, 3)
+    features = FrameJacobian(robot, tip_of(name), "x y")
+    target = features.coordinates(robot.random_configuration(rng))
+    oblique, plain = Constraint([[0.6, 0.8]], features), Constraint(np.eye(2), features)
+    for controller in (
+        ResolvedRateController(oblique, PointAttractor(target), ManipulabilityAscent(oblique, 0.3)),
+        ResolvedRateController(
+            plain, PointAttractor(target, 2.0, 0.1), ManipulabilityAscent(oblique, 1.0, logarithmic=False)
+        ),
+        ResolvedRateController(oblique, Hold(), JointAttractor(starts[0], 1.0), limits=False),
+        ResolvedRateController(oblique, Track(lambda t: target + 0.1 * t), JointAttractor(starts[0], 1.0, robot)),
+        ResolvedRateController(plain, PointAttractor(target), ZeroPolicy(robot.nv), "damped", threshold=0.3),
+    ):
+        singles = [simulate(robot, controller, q, 0.4, 0.02, method) for q in starts]
+        same(simulate(robot, controller, starts, 0.4, 0.02, method), singles)
+
+
+def test_singular_starts(robot_of: RobotOf) -> None:
+    """Arms that start stretched out are asked one by one and join the others later."""
+    robot = robot_of("planar3")
+    features = FrameJacobian(robot, "tip", "x y")
+    constraint = Constraint(np.eye(2), features)
+    controller = ResolvedRateController(constraint, PointAttractor([0.5, 1.0]), ManipulabilityAscent(constraint, 0.2))
+    starts = np.array([[0.3, 0.0, 0.0], [0.3, 0.8, -0.5], [0.1, 1e-9, 0.0]])
+    many = simulate(robot, controller, starts, 0.5, 0.01)
+    same(many, [simulate(robot, controller, q, 0.5, 0.01) for q in starts])
+    assert many[0].status[0] == "singular" and many[0].status[-1] != "singular"
+
+
+@pytest.mark.parametrize("method", ["euler", "rk4"])
+def test_compiled_or_not(method: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """The compiled engine and the NumPy engine give the same rollouts."""
+    pytest.importorskip("numba", reason="the extra 'fast' is not installed")
+    robot = robot_of("kinova")
+    features = FrameJacobian(robot, tip_of("kinova"), "xyz")
+    constraint = Constraint(np.eye(3)[:2], features)
+    target = features.coordinates(robot.random_configuration(rng))
+    controller = ResolvedRateController(constraint, PointAttractor(target), ManipulabilityAscent(constraint, 0.2))
+    starts = starts_of(robot, rng, 4)
+    a = run_batch(robot, controller, starts, 40, 0.02, method, compiled=True)
+    b = run_batch(robot, controller, starts, 40, 0.02, method, compiled=False)
+    for x, y in zip(a[:4], b[:4], strict=True):
+        np.testing.assert_allclose(x, y, rtol=0, atol=1e-9)
+    assert np.array_equal(a.status, b.status)
+    with pytest.raises(ConstraintError, match="CentreOfMass"):
+        com = ResolvedRateController(Constraint(np.eye(3), CentreOfMass(robot_of("tree"))))
+        run_batch(robot_of("tree"), com, np.zeros((2, robot_of("tree").nv)), 3, 0.01, compiled=True)
+
+
+def test_configurations_come_back_as_configurations(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Starts as (cos, sin) of continuous joints give postures of the same kind."""
+    robot = robot_of("wrist")
+    constraint = Constraint(np.eye(3)[:1], FrameJacobian(robot, "tip"))
+    controller = ResolvedRateController(constraint, null_policy=ManipulabilityAscent(constraint))
+    starts = np.stack([robot.configuration(q) for q in starts_of(robot, rng, 3)])
+    same(simulate(robot, controller, starts, 0.2, 0.02), [simulate(robot, controller, q, 0.2, 0.02) for q in starts])
+
+
+def test_systems_that_are_rolled_out_one_by_one(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Floating bases and plain vectors take a table of starts too."""
+    robot = robot_of("humanoid")
+    constraint = Constraint(np.eye(3)[:2], FrameJacobian(robot, "tip"))
+    controller = ResolvedRateController(constraint, null_policy=ManipulabilityAscent(constraint, 0.1))
+    starts = np.stack([robot.random_configuration(rng) for _ in range(2)])
+    same(simulate(robot, controller, starts, 0.1, 0.02), [simulate(robot, controller, q, 0.1, 0.02) for q in starts])
+    plain = Constraint([[1.0]], CustomFeatures(lambda q: q[None, :] + 1.0, ("a",), 2))
+    controller = ResolvedRateController(plain)
+    starts = np.array([[0.1, 0.2], [0.3, 0.4]])
+    same(simulate(None, controller, starts, 0.1, 0.02), [simulate(None, controller, q, 0.1, 0.02) for q in starts])
+
+
+def test_no_start_and_bad_starts(robot_of: RobotOf) -> None:
+    """An empty table gives no rollout; NaN names its row and joint."""
+    robot = robot_of("sawyer")
+    controller = ResolvedRateController(Constraint(np.eye(3), FrameJacobian(robot, "right_hand")))
+    assert simulate(robot, controller, np.zeros((0, 7)), 0.1, 0.02) == ()
+    starts = np.zeros((3, 7))
+    starts[1, 4] = np.nan
+    with pytest.raises(ConfigurationError, match=f"row 1, joint '{robot.joint_names[4]}'"):
+        simulate(robot, controller, starts, 0.1, 0.02)
