@@ -61,7 +61,7 @@ def test_refused_robots_load_with_the_joint_locked(rng):
 def test_chains_of_mimics_agree(order, tmp_path, rng):
     """yourdfpy gets the chains shortened, since it would take a mimic of a mimic for one at rest."""
     path = tmp_path / "chain.urdf"
-    path.write_bytes(mimic_chain(order))
+    path.write_bytes(mimic_chain(order).replace(b'multiplier="-0.5"', b'multiplier="-0.5" offset="0.2"'))
     assert cross_check(load_robot(path), rng).agrees
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -195,6 +197,19 @@ def test_the_real_child_limits_its_memory(tmp_path):
     assert isinstance(answers[path], RobotError) and answers[path].code in ("mesh-parser", "mesh-time")
     assert not isinstance(answers[good], RobotError)
     assert time.perf_counter() - start < 15
+
+
+def test_the_limits_are_real():
+    """After limiting itself, the child cannot have a gigabyte, and its processor time ends."""
+    script = (
+        "import importlib.util, resource, sys\n"
+        f"spec = importlib.util.spec_from_file_location('child', {str(mesh_reader.CHILD)!r})\n"
+        "child = importlib.util.module_from_spec(spec); spec.loader.exec_module(child); child.limit_self()\n"
+        "assert resource.getrlimit(resource.RLIMIT_CPU)[0] <= 60\n"
+        "try: bytearray(1_000_000_000)\n"
+        "except MemoryError: sys.exit(7)\n"
+    )
+    assert subprocess.run([sys.executable, "-I", "-c", script], check=False).returncode == 7
 
 
 def test_side_files_cannot_be_reached(tmp_path):
