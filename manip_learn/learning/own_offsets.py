@@ -6,6 +6,8 @@ on with all of them.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 
@@ -19,6 +21,8 @@ from manip_learn.learning.samples import Samples
 
 FEW = 16  # trajectories on which the starts are compared
 STARTS = 24
+POLISHED = 10
+LOOK: dict[str, Any] = {"max_iterations": 5, "gain": 1e-3}
 ROUNDING = 1e-24
 N_FOLDS = 5
 
@@ -73,10 +77,11 @@ def _best_of_starts(samples: Samples, s: int, rng: np.random.Generator) -> Joint
     first = conditional_pca(samples, PolynomialModel(1, samples.q.shape[1]))[1][:s]
     if s in (0, r):
         return fit_joint(samples, first, model)
-    best = fit_joint(samples, first, model)
-    for _ in range(STARTS):
+    starts: list[Float[np.ndarray, "s r"]] = [first, *(rng.standard_normal((s, r)) for _ in range(STARTS))]
+    fits = sorted((fit_joint(samples, start, model, **LOOK) for start in starts), key=lambda fit: fit.cost)
+    best = fits[0]
+    for fit in fits[:POLISHED]:
+        best = min(best, fit_joint(samples, fit.selection, model), key=lambda f: f.cost)
         if best.cost <= ROUNDING * best.energy:
             break
-        start: Float[np.ndarray, "s r"] = rng.standard_normal((s, r))
-        best = min(best, fit_joint(samples, start, model), key=lambda fit: fit.cost)
     return best
