@@ -114,7 +114,7 @@ def _unknown(recording: Recording, robot: Robot, name: str) -> RecordingError:
     return recording.refusal(
         "unknown-column",
         f"no joint of robot {robot.name!r} explains this column{hint}: correct the name, or pass "
-        f"ignore_columns=({name!r},)",
+        f"ignore_columns=({name!r},) (--ignore-column {name})",
         column=name,
     )
 

@@ -75,7 +75,11 @@ def _refuse_degrees(
     i = int(np.argmax(np.where(suspects, largest, 0.0)))
     sample = int(np.argmax(np.abs(q[:, i])))
     whole_file = 2 * np.count_nonzero(largest[angular] > np.pi) >= np.count_nonzero(angular)
-    advice = "pass degrees=True, or convert the file to radians" if whole_file else "convert this column to radians"
+    advice = (
+        "pass degrees=True (--degrees), or convert the file to radians"
+        if whole_file
+        else "convert this column to radians"
+    )
     raise recording.refusal(
         "degrees",
         f"positions look like degrees: {q[sample, i]:.6g} where the limits are [{robot.position_lower[i]:.4g}, "
