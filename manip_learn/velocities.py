@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -13,14 +14,23 @@ from manip_learn.robot.robot import Robot
 
 VelocityMethod = Literal["auto", "midpoint", "smooth"]
 
-# half widths of the smoothing window [samples] among which "auto" chooses
+# half widths of the smoothing window [samples] and degrees of its polynomial among which "auto" chooses
 HALF_WIDTHS = (2, 3, 5, 7, 10, 15, 20, 30)
+DEGREES = (2, 3, 5)
+# noise averages out over the samples of a recording, bias does not
+BIAS_WEIGHT = 4.0
 # noise below this share of the motion's own step is what printing to 7 digits leaves: no smoothing needed
 CLEAN_SHARE = 1e-3
+# fewer samples leave no room for a window, or, if they are clean, for one that beats midpoints
+SHORT, SHORT_AND_CLEAN = 8, 24
 
 
 def derive_velocities(
-    trajectory: Trajectory, robot: Robot, method: VelocityMethod = "auto", half_width: int | None = None
+    trajectory: Trajectory,
+    robot: Robot,
+    method: VelocityMethod = "auto",
+    half_width: int | None = None,
+    degree: int | None = None,
 ) -> Trajectory:
     """The same motion with velocities, at the postures where they are known best.
 
@@ -30,11 +40,12 @@ def derive_velocities(
     Args:
         trajectory: Positions at increasing times; recorded velocities are not used.
         robot: The robot; its continuous joints may wrap.
-        method: `"midpoint"`: ((q_t + q_t+1) / 2, dq / dt), for clean positions; `"smooth"`: a parabola fitted to the
-            samples of a window by least squares (Savitzky and Golay, 1964, here with true time stamps), value and
-            slope at its middle; `"auto"`: midpoint for clean positions, else smooth.
-        half_width: Half width of the window [samples]; found from the data by default: the one whose estimated
-            variance plus squared bias (against a quartic) is smallest.
+        method: `"midpoint"`: ((q_t + q_t+1) / 2, dq / dt); `"smooth"`: a polynomial fitted to the samples of a window
+            by least squares (Savitzky and Golay, 1964, here with true time stamps), value and slope at its middle;
+            `"auto"`: smooth, but midpoint for very short trajectories and for short ones that are clean.
+        half_width: Half width of the window [samples]; found from the data by default, together with the degree: those
+            whose estimated variance plus squared bias (against a polynomial of two degrees more) is smallest.
+        degree: Degree of the polynomial: 2, 3 or 5 by default.
 
     Returns:
         A trajectory with u; shorter by one sample (midpoint) or by a half width at both ends (smooth).
@@ -44,33 +55,47 @@ def derive_velocities(
     """
     if len(trajectory) < 3:
         raise RecordingError(
-            f"{trajectory.name}: {len(trajectory)} sample(s) are too few to derive velocities from; at least 3 are needed",
+            f"{trajectory.name}: {len(trajectory)} sample(s) are too few to derive velocities from, 3 are the least",
             code="too-short",
         )
+    if method not in ("auto", "midpoint", "smooth"):
+        raise RecordingError(f"velocities must be 'auto', 'midpoint' or 'smooth', not {method!r}", code="method")
     x = positions_along(trajectory, robot)
     if x is None:  # a floating or planar base: differences on the manifold only
         return _manifold_midpoints(trajectory, robot)
+    time, T = trajectory.time, len(trajectory)
     if method == "auto":
-        method = "midpoint" if len(trajectory) < 8 or _is_clean(trajectory.time, x) else "smooth"
+        midpoint = T < SHORT or (T < SHORT_AND_CLEAN and _is_clean(time, x))
+        method = "midpoint" if midpoint and half_width is None else "smooth"
     if method == "midpoint":
-        dt = np.diff(trajectory.time)
+        slope = np.diff(x, axis=0) / np.diff(time)[:, None]
         return Trajectory(
-            0.5 * (trajectory.time[1:] + trajectory.time[:-1]),
-            0.5 * (x[1:] + x[:-1]),
-            np.diff(x, axis=0) / dt[:, None],
-            trajectory.joint_names,
-            trajectory.name,
+            0.5 * (time[1:] + time[:-1]), 0.5 * (x[1:] + x[:-1]), slope, trajectory.joint_names, trajectory.name
         )
-    if method != "smooth":
-        raise RecordingError(f"velocities must be 'auto', 'midpoint' or 'smooth', not {method!r}", code="method")
-    m = half_width or best_half_width(trajectory.time, x)
-    if len(trajectory) < 2 * m + 1:
+    m, d = _window(trajectory, x, half_width, degree)
+    value, slope = local_fit(time, x, m, d)
+    return Trajectory(time[m : T - m], value, slope, trajectory.joint_names, trajectory.name)
+
+
+def _window(trajectory: Trajectory, x: np.ndarray, half_width: int | None, degree: int | None) -> tuple[int, int]:
+    T = len(trajectory)
+    widths = HALF_WIDTHS if half_width is None else (half_width,)
+    degrees = DEGREES if degree is None else (degree,)
+    if half_width is not None and T < 2 * half_width + 1:
         raise RecordingError(
-            f"{trajectory.name}: {len(trajectory)} samples are fewer than the smoothing window of {2 * m + 1}",
+            f"{trajectory.name}: {T} samples are fewer than the smoothing window of {2 * half_width + 1}",
             code="too-short",
         )
-    value, slope = local_fit(trajectory.time, x, m, degree=2)
-    return Trajectory(trajectory.time[m : len(trajectory) - m], value, slope, trajectory.joint_names, trajectory.name)
+    if half_width is not None and degree is not None and 1 <= degree <= 2 * half_width:
+        return half_width, degree
+    longest = max(5, T // 3) if half_width is None else T
+    if T < 5 or not any(_fits(m, d, longest) for m in widths for d in degrees):
+        raise RecordingError(
+            f"{trajectory.name}: no window of degree {' or '.join(map(str, degrees))} and half width "
+            f"{' or '.join(map(str, widths))} fits {T} samples: leave the choice to the data, or use 'midpoint'",
+            code="too-short",
+        )
+    return best_window(trajectory.time, x, widths, degrees, longest)
 
 
 def with_velocities(
@@ -86,7 +111,16 @@ def with_velocities(
     if robot is None:
         raise RecordingError("trajectories without velocities need a robot: give features of one", code="no-velocities")
     derived = [t if t.u is not None else derive_velocities(t, robot, method) for t in demonstrations]
-    return Demonstrations(derived, (*demonstrations.notes, "velocities were derived from the positions"))
+    return Demonstrations(derived, (*demonstrations.notes, _note(demonstrations, derived)))
+
+
+def _note(before: Sequence[Trajectory], after: Sequence[Trajectory]) -> str:
+    lost = sum(len(t) for t in before) - sum(len(t) for t in after)
+    total, n = sum(len(t) for t in before), sum(t.u is None for t in before)
+    return (
+        f"velocities of {n} trajectory(ies) were derived from the positions; {lost} of {total} samples at the ends, "
+        "where they are not well known, were left out"
+    )
 
 
 def positions_along(trajectory: Trajectory, robot: Robot) -> Float[np.ndarray, "T nv"] | None:
@@ -124,24 +158,38 @@ def _local_weights(time: np.ndarray, half_width: int, degree: int) -> Float[np.n
     return weights
 
 
-def best_half_width(time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"]) -> int:
-    """Half width [samples] whose slope has the smallest estimated mean squared error, all joints together."""
+def best_window(
+    time: Float[np.ndarray, " T"],
+    x: Float[np.ndarray, "T nv"],
+    half_widths: Sequence[int] = HALF_WIDTHS,
+    degrees: Sequence[int] = DEGREES,
+    longest: int | None = None,
+) -> tuple[int, int]:
+    """Half width [samples] and degree whose slope has the smallest estimated error, all joints together."""
     noise2 = _noise_variance(time, x)
-    best, best_error = HALF_WIDTHS[0], np.inf
-    for m in HALF_WIDTHS:
-        if 2 * m + 1 > max(5, x.shape[0] // 3):
-            break
-        parabola = _local_weights(time, m, 2)[:, 1]
-        quartic = _local_weights(time, m, 4)[:, 1]
-        windows = np.lib.stride_tricks.sliding_window_view(x, 2 * m + 1, axis=0)
-        difference = np.einsum("nw,njw->nj", quartic - parabola, windows, optimize=True)
-        # the difference of the two fits holds the bias and its own share of the noise: take that off again
-        own = np.mean(np.sum((quartic - parabola) ** 2, axis=1)) * noise2
-        variance = np.mean(np.sum(parabola**2, axis=1)) * noise2
-        error = float(np.sum(np.maximum(np.mean(difference**2, axis=0) - own, 0.0) + variance))
-        if error < best_error:
-            best, best_error = m, error
+    best, best_error = (half_widths[0], degrees[0]), np.inf
+    for m in half_widths:
+        windows: np.ndarray | None = None
+        for degree in degrees:
+            if not _fits(m, degree, longest or x.shape[0]):
+                continue
+            if windows is None:
+                windows = np.lib.stride_tricks.sliding_window_view(x, 2 * m + 1, axis=0)
+            slope = _local_weights(time, m, degree)[:, 1]
+            richer = _local_weights(time, m, degree + 2)[:, 1] - slope
+            difference = np.einsum("nw,njw->nj", richer, windows, optimize=True)
+            # the difference of the two fits holds the bias and its own share of the noise: take that off again
+            own = np.mean(np.sum(richer**2, axis=1)) * noise2
+            bias2 = np.maximum(np.mean(difference**2, axis=0) - own, 0.0)
+            error = float(np.sum(BIAS_WEIGHT * bias2 + np.mean(np.sum(slope**2, axis=1)) * noise2))
+            if error < best_error:
+                best, best_error = (m, degree), error
     return best
+
+
+def _fits(half_width: int, degree: int, longest: int) -> bool:
+    """Whether the window is short enough, and has samples enough for the richer polynomial that judges it."""
+    return degree + 3 <= 2 * half_width + 1 <= longest
 
 
 def _noise_variance(time: np.ndarray, x: np.ndarray) -> Float[np.ndarray, " nv"]:
@@ -152,7 +200,7 @@ def _noise_variance(time: np.ndarray, x: np.ndarray) -> Float[np.ndarray, " nv"]
     fit = powers.transpose(0, 2, 1) @ np.linalg.solve(powers @ powers.transpose(0, 2, 1), powers)
     windows = np.lib.stride_tricks.sliding_window_view(x, 5, axis=0)
     left = windows - np.einsum("nvw,njw->njv", fit, windows, optimize=True)
-    # a cubic leaves one degree of freedom of five; the median does not see the few places where the motion is not smooth
+    # a cubic leaves one degree of freedom of five; the median passes over the few places where the motion is not smooth
     return np.median(np.sum(left**2, axis=2), axis=0) / 0.455
 
 

@@ -8,7 +8,6 @@ from jaxtyping import Float
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import complement_rows, orthonormal_rows, row_space_angle
 
-
 # a trajectory that alone determines a direction has no say about it when it is left out
 LEVERAGE_FLOOR = 1e-3
 
@@ -32,8 +31,9 @@ def bootstrap_angle_deg(
     Args:
         samples: What was recorded.
         Lambda: The optimum, in whitened coordinates.
-        gradients, hessians: Of each trajectory (or set of them) at the optimum; the last s (p'-s) unknowns are those of
-            Lambda, others before them are eliminated.
+        gradients: Of each trajectory (or set of them) at the optimum; the last s (p'-s) unknowns are those of Lambda,
+            others before them are eliminated.
+        hessians: Gauss-Newton Hessians, likewise.
         rng: For the draws.
         repetitions: How many.
         quantile: Share of the repetitions.

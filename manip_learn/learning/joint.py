@@ -3,8 +3,8 @@
     min over Lambda, Theta of  sum_n | Z_n^T (u_n - Theta^T beta(q_n)) |^2,   Z_n the null basis of A_n = Lambda Phi_n
 
 Neither a separation of u into task and null part nor knowledge of b is needed: Z^T removes the task part whatever it
-was. pi(q) = Theta^T beta(q) is linear in its parameters, so Theta is eliminated (Golub and Pereyra, 1973, with Kaufman's
-Jacobian, 1975).
+was. pi(q) = Theta^T beta(q) is linear in its parameters, so Theta is eliminated (Golub and Pereyra, 1973, with
+Kaufman's Jacobian, 1975).
 """
 
 from __future__ import annotations
