@@ -1,0 +1,43 @@
+"""Time per call, for the benchmarks: medians of interleaved rounds, so that a noisy neighbour meets every candidate.
+
+Needs nothing but the standard library: the peers' scripts import it from environments of their own.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+
+class Timing(NamedTuple):
+    """Seconds a call: median, best and the quarter marks of the rounds."""
+
+    median: float
+    best: float
+    lower: float
+    upper: float
+
+
+def rounds_of(candidates: dict[str, Callable[[], object]], calls: int, rounds: int) -> dict[str, list[float]]:
+    """Seconds a call of each candidate in each round; in a round every candidate has its turn."""
+    for call in candidates.values():
+        for _ in range(max(2, calls // 10)):
+            call()
+    seconds: dict[str, list[float]] = {name: [] for name in candidates}
+    for _ in range(rounds):
+        for name, call in candidates.items():
+            start = time.perf_counter()
+            for _ in range(calls):
+                call()
+            seconds[name].append((time.perf_counter() - start) / calls)
+    return seconds
+
+
+def summary(seconds: list[float]) -> Timing:
+    """Median, best and quarter marks."""
+    if len(seconds) < 2:
+        return Timing(seconds[0], seconds[0], seconds[0], seconds[0])
+    lower, median, upper = statistics.quantiles(seconds, n=4)
+    return Timing(median, min(seconds), lower, upper)
