@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from manip_learn.demonstrations import Demonstrations, Trajectory
     from manip_learn.errors import ManipLearnError
     from manip_learn.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
-    from manip_learn.io import load_demonstrations
+    from manip_learn.io import iter_demonstrations, load_demonstrations
     from manip_learn.learning import ConstraintLearner
     from manip_learn.manipulability_measure import log_manipulability_gradient, manipulability, manipulability_gradient
     from manip_learn.playback import LiveViewer, replay
@@ -54,6 +54,7 @@ _HOMES = {
     "Trajectory": "demonstrations",
     "ZeroPolicy": "policies",
     "derive_velocities": "velocities",
+    "iter_demonstrations": "io",
     "load_demonstrations": "io",
     "load_robot": "robot",
     "log_manipulability_gradient": "manipulability_measure",
@@ -91,6 +92,7 @@ __all__ = [
     "Trajectory",
     "ZeroPolicy",
     "derive_velocities",
+    "iter_demonstrations",
     "load_demonstrations",
     "load_robot",
     "log_manipulability_gradient",

@@ -67,20 +67,33 @@ def learn(
     lock: Lock = None,
     package_dir: Packages = None,
     degrees: Annotated[bool, typer.Option("--degrees", help="The recordings are in degrees.")] = False,
+    units: Annotated[str | None, typer.Option(help="Of the recorded angles: radians, degrees or normalised.")] = None,
+    time_unit: Annotated[str | None, typer.Option(help="Of the time stamps: s, ms, us or ns.")] = None,
     ignore_column: Annotated[list[str] | None, typer.Option(help="Column that is not to be read.")] = None,
+    rename: Annotated[list[str] | None, typer.Option(help="NAME_IN_FILE=NAME_IN_ROBOT of a joint.")] = None,
+    joint_names: Annotated[str | None, typer.Option(help="Column names, in order, for files without.")] = None,
+    topic: Annotated[list[str] | None, typer.Option(help="Topic of a bag; default: all that hold joints.")] = None,
+    rate: Annotated[float | None, typer.Option(help="Samples a second, for files without time stamps.")] = None,
+    outside_limits: Annotated[str | None, typer.Option(help="Far outside the limits: refuse or note.")] = None,
     points: Annotated[int | None, typer.Option(help="Use at most this many samples a trajectory.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap and of random starts.")] = 0,
     as_json: Json = False,
 ) -> None:
     """Learn a constraint from recordings, and say what was learnt."""
     from manip_learn.commands.learn import learn as run
-    from manip_learn.io.load_demonstrations import ReadOptions
+    from manip_learn.commands.reading import read_options
 
-    options = ReadOptions()
-    if degrees:
-        options["degrees"] = True
-    if ignore_column:
-        options["ignore_columns"] = ignore_column
+    options = read_options(
+        degrees=degrees,
+        units=units,
+        time_unit=time_unit,
+        ignore_column=ignore_column,
+        rename=rename,
+        joint_names=joint_names,
+        topic=topic,
+        rate=rate,
+        outside_limits=outside_limits,
+    )
     with waiting(as_json, "learning"):
         learnt = run(
             robot,
