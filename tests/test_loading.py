@@ -106,6 +106,16 @@ def test_without_the_data_package(monkeypatch):
         example_robots.cache_clear()
 
 
+def test_shipped_robots_are_found_in_a_wheel(tmp_path, monkeypatch):
+    """Installed, the robots lie inside the package; in a checkout beside it."""
+    assert names.shipped_folder() == Path(__file__).resolve().parents[1] / "robots"
+    (tmp_path / "_robots").mkdir()
+    (tmp_path / "_robots" / "planar3.urdf").write_text(ARM, encoding="utf-8")
+    monkeypatch.setattr(names.importlib.resources, "files", lambda package: tmp_path)
+    assert names.shipped_folder() == tmp_path / "_robots"
+    assert load_robot("planar3").name == "arm"
+
+
 def test_every_short_name_exists():
     """The table of short names fits the installed robot data."""
     catalogue = example_robots()

@@ -162,7 +162,8 @@ for line in sys.stdin:
     if b"hang" in content: time.sleep(60)
     if b"crash" in content: os.abort()
     if b"eat" in content: x = bytearray(4_000_000_000)
-    print(json.dumps({"ok": False, "reason": "parsed " + os.getcwd()}), flush=True)
+    beside = sorted(os.listdir(os.path.dirname(job["input"])))
+    print(json.dumps({"ok": False, "reason": f"parsed {beside}"}), flush=True)
 """
 
 
@@ -212,12 +213,16 @@ def test_the_limits_are_real():
     assert subprocess.run([sys.executable, "-I", "-c", script], check=False).returncode == 7
 
 
-def test_side_files_cannot_be_reached(tmp_path):
-    """The parser sees a copy that is alone in its folder."""
+def test_side_files_cannot_be_reached(tmp_path, monkeypatch):
+    """The parser sees a copy that is alone in its folder; a file that names materials is still read."""
     write(tmp_path / "a.mtl", b"newmtl x\n")
     path = write(tmp_path / "a.obj", b"mtllib a.mtl\n" + OBJ)
     vertices, _ = read_meshes([path])[path]
     np.testing.assert_array_equal(np.sort(vertices.ravel()), [0] * 7 + [1, 1])
+    script = tmp_path / "child.py"
+    script.write_text(CHILD, encoding="utf-8")
+    monkeypatch.setattr(mesh_reader, "CHILD", script)
+    assert "parsed ['mesh.obj']" in str(read_meshes([path])[path])
 
 
 def test_no_meshes_no_process(monkeypatch):

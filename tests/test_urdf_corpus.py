@@ -39,8 +39,9 @@ def test_every_case_gets_its_verdict(first, tmp_path):
     last = min(first + BATCH, len(CASES))
     answers, code, printed = run(first, last, tmp_path)
     done = len(answers)
-    assert code == 0, f"case {CASES[first + min(done, last - first - 1)]} ended the process: {code}\n{printed}"
-    assert printed == ""
+    culprit = CASES[first + min(done, last - first - 1)]
+    assert code == 0, f"{culprit.category}: {culprit.name} ended the process: {code}\n{printed[-2000:]}"
+    assert printed[-2000:] == ""
     wrong = [
         f"{case.category}: {case.name}: {answer['verdict']}, wanted {case.verdict}"
         for case, answer in zip(CASES[first:last], answers, strict=True)

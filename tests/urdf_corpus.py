@@ -78,6 +78,8 @@ def size_cases() -> list[Case]:
         ("deep nesting", "refuse:xml-too-deep", b'<robot name="r">' + b"<a>" * 100_000),
         ("long attribute", "refuse:xml-too-large", edited(("0 0 0.3", "0 " * 200_000))),
         ("long number", "accept", edited(("0 0 0.3", "0 0 0." + "3" * 40_000))),
+        ("long number with a slip", "refuse:number", edited(("0 0 0.3", f"0 0 {'3' * 90_000}x"))),
+        ("many comment openings", "refuse:not-xml", b"<!--" * 500_000),
         ("100,000 attributes", "accept", edited(("<robot ", "<robot " + "".join(f'a{i}="" ' for i in range(100_000))))),
         ("folder", "refuse:not-a-file", b"", {"special": Path.mkdir}),
         ("missing", "refuse:missing", b"", {"special": lambda path: None}),

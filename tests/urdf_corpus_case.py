@@ -49,8 +49,8 @@ class Case:
     category: str
     name: str
     verdict: str
-    content: bytes = b""
-    files: dict[str, bytes] = field(default_factory=dict)
+    content: bytes = field(default=b"", repr=False)
+    files: dict[str, bytes] = field(default_factory=dict, repr=False)
     file: str = "robot.urdf"
     special: Callable[[Path], None] | None = None
     options: dict[str, object] = field(default_factory=dict)

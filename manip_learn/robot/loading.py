@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -82,5 +81,9 @@ def _path(name: str | os.PathLike[str]) -> Path:
 
 
 def _is_mjcf(content: bytes) -> bool:
-    head = re.sub(rb"<!--.*?-->|<\?.*?\?>", b"", content[:100_000], flags=re.DOTALL)
-    return head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<mujoco")
+    """Whether the first element is <mujoco>."""
+    rest = content.lstrip(b"\xef\xbb\xbf \t\r\n")
+    for begin, end in ((b"<?", b"?>"), *((b"<!--", b"-->"),) * 100):
+        if rest.startswith(begin):
+            rest = rest.partition(end)[2].lstrip()
+    return rest.startswith(b"<mujoco")

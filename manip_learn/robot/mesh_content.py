@@ -13,6 +13,7 @@ from manip_learn.robot.regular_file import read_regular_file
 
 MAX_MESH_BYTES = 50_000_000
 HEAD = 4_096
+MAX_SIDE_FILES = 500
 
 
 def checked_mesh(path: Path) -> bytes:
@@ -54,11 +55,10 @@ def _check_stl(content: bytes, path: Path) -> None:
 
 
 def _check_obj(content: bytes, path: Path) -> None:
-    if b"\0" in content or not re.search(rb"^\s*v\s", content, re.MULTILINE):
+    if b"\0" in content or not re.search(rb"^[ \t]*v[ \t]", content, re.MULTILINE):
         raise _refusal(path, "mesh-content", "it has no OBJ vertices")
     # materials are not read, but the parser would open the file that is named
-    for name in re.findall(rb"^\s*(?:mtllib|maplib|call|csh)\s+(.+)$", content, re.MULTILINE):
-        _check_name(name.decode("utf-8", "replace").strip(), path)
+    _check_names(re.findall(rb"^[ \t]*(?:mtllib|maplib|call|csh)[ \t]+(.+)$", content, re.MULTILINE), path)
 
 
 def _check_dae(content: bytes, path: Path) -> None:
@@ -67,11 +67,11 @@ def _check_dae(content: bytes, path: Path) -> None:
         raise _refusal(path, "mesh-content", "it is no COLLADA document")
     if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
         raise _refusal(path, "mesh-content", "it has a <!DOCTYPE>")
-    for name in re.findall(rb"<init_from>\s*([^<]*?)\s*</init_from>", content):
-        _check_name(name.decode("utf-8", "replace"), path)
-    for name in re.findall(rb"<instance_(?:geometry|node|controller)[^>]*\surl\s*=\s*[\"']([^\"']*)", content):
-        if not name.startswith(b"#"):
-            _check_name(name.decode("utf-8", "replace").partition("#")[0], path)
+    names = re.findall(rb"<init_from>([^<]*)<", content)
+    for attributes in re.findall(rb"<instance_(?:geometry|node|controller)\b([^<>]*)", content):
+        found = re.search(rb"\burl\s?=\s?[\"']([^\"'#]*)", attributes[:2000])
+        names += [found.group(1)] if found and found.group(1) else []
+    _check_names(names, path)
 
 
 def _check_ply(content: bytes, path: Path) -> None:
@@ -102,6 +102,14 @@ def _check_gltf(content: bytes, path: Path) -> None:
                 if group == "buffers":
                     raise _refusal(path, "mesh-side-file", f"it reads the file {str(uri)[:80]!r}; save it as one .glb")
                 _check_name(str(uri), path)
+
+
+def _check_names(names: list[bytes], path: Path) -> None:
+    different = {name.strip() for name in names}
+    if len(different) > MAX_SIDE_FILES:
+        raise _refusal(path, "mesh-side-file", f"it names {len(different)} other files")
+    for name in sorted(different):
+        _check_name(name.decode("utf-8", "replace"), path)
 
 
 def _check_name(name: str, path: Path) -> None:

@@ -8,6 +8,7 @@ import selectors
 import subprocess
 import sys
 import tempfile
+import time
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +20,8 @@ from manip_learn.errors import RobotError
 from manip_learn.robot.mesh_content import checked_mesh
 
 CHILD = Path(__file__).with_name("mesh_child.py")
-SECONDS = 20.0  # for one mesh
+SECONDS = 5.0  # for one mesh
+ALL_SECONDS = 60.0  # for all meshes of one robot
 MAX_FACES = 2_000_000
 
 Mesh = tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]]
@@ -33,6 +35,7 @@ def read_meshes(paths: Sequence[Path], seconds: float = SECONDS) -> dict[Path, M
         seconds: Time for one mesh [s].
     """
     out: dict[Path, Mesh | RobotError] = {}
+    end = time.monotonic() + ALL_SECONDS
     with tempfile.TemporaryDirectory(prefix="manip_learn_") as folder:
         child: _Child | None = None
         for i, path in enumerate(dict.fromkeys(paths)):
@@ -43,7 +46,7 @@ def read_meshes(paths: Sequence[Path], seconds: float = SECONDS) -> dict[Path, M
                 copy = alone / f"mesh{path.suffix.lower()}"
                 copy.write_bytes(checked_mesh(path))
                 child = child or _Child(Path(folder))
-                child.parse(copy, alone / "out.npz", path, seconds)
+                child.parse(copy, alone / "out.npz", path, min(seconds, end - time.monotonic()))
                 out[path] = _loaded(alone / "out.npz", path)
             except RobotError as error:
                 out[path] = error
@@ -90,9 +93,9 @@ class _Child:
             raise _failed(original, "mesh-parser", "the parsing process is gone") from error
         with selectors.DefaultSelector() as selector:
             selector.register(stdout, selectors.EVENT_READ)
-            if not selector.select(seconds):
+            if seconds <= 0.0 or not selector.select(seconds):
                 self.is_lost = True
-                raise _failed(original, "mesh-time", f"parsing took more than {seconds:g} s")
+                raise _failed(original, "mesh-time", f"parsing took more than {max(seconds, 0.0):.3g} s")
         line = stdout.readline()
         if not line.endswith(b"\n"):
             self.is_lost = True

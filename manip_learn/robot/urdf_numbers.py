@@ -8,7 +8,8 @@ import re
 from manip_learn.robot.gate_log import GateLog, shortened
 from manip_learn.robot.xml_node import XmlNode
 
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+# no two ways to read the same digits: else a long number with a typing error takes minutes
+NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 LARGEST = 1e100  # squares and products of what is larger overflow
 
 

@@ -13,7 +13,6 @@ from manip_learn.robot.urdf_elements import ZERO, Pose
 from manip_learn.robot.urdf_numbers import number, vector
 from manip_learn.robot.xml_node import XmlNode, parse_xml
 
-GREY: Colour = (0.7, 0.7, 0.72, 1.0)
 LARGEST = 1e4  # [m]
 MAX_VISUALS = 2_000
 
@@ -35,13 +34,13 @@ class MeshElement:
 @final
 @dataclass(frozen=True)
 class VisualElement:
-    """One `<visual>`; `geometry` is None where it cannot be used, and `fault` says why."""
+    """One `<visual>`; `geometry` is None where it cannot be used, and `fault` says why. Without a colour it is None."""
 
     link: str
     line: int
     pose: Pose
     geometry: Shape | MeshElement | None
-    colour: Colour
+    colour: Colour | None
     fault: str
 
 
@@ -73,7 +72,7 @@ def _element(link: str, node: XmlNode, colours: dict[str, Colour], log: GateLog)
     colour = None
     if material is not None:
         colour = _colour(material, log) or colours.get(material.attributes.get("name", ""))
-    return VisualElement(link, node.line, pose, geometry, colour or GREY, fault)
+    return VisualElement(link, node.line, pose, geometry, colour, fault)
 
 
 def _pose(node: XmlNode, where: str, log: GateLog) -> Pose:

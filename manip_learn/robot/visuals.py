@@ -11,6 +11,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.errors import RobotError
+from manip_learn.robot.mesh_colour import mesh_colour
 from manip_learn.robot.mesh_paths import find_mesh, mesh_roots
 from manip_learn.robot.mesh_reader import Mesh, read_meshes
 from manip_learn.robot.pose_matrix import as_matrix
@@ -19,6 +20,7 @@ from manip_learn.robot.shapes import Box, Capsule, Colour, Cylinder, Shape, Sphe
 from manip_learn.robot.visual_elements import MeshElement, VisualElement, visual_elements
 
 STAND_IN: Colour = (0.55, 0.60, 0.68, 1.0)
+GREY: Colour = (0.7, 0.7, 0.72, 1.0)
 THIN = 0.02  # [m]
 
 __all__ = [
@@ -95,7 +97,8 @@ def visual_shapes(robot: Robot, meshes: bool = True) -> tuple[Visual, ...]:
             continue
         frame = robot.pinocchio_model.frames[robot.frame(e.link).index]
         placement = frame.placement.homogeneous @ as_matrix(e.pose)
-        visuals.append(Visual(e.link, int(frame.parentJoint), placement, shape, e.colour))
+        colour = e.colour or (mesh_colour(shape.source) if isinstance(shape, Triangles) else None) or GREY
+        visuals.append(Visual(e.link, int(frame.parentJoint), placement, shape, colour))
     return tuple(visuals)
 
 
