@@ -64,7 +64,7 @@ class Constraint:
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
-        return self.selection @ self.features(q)
+        return self.selection.dot(self.features(q))
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "s nv nv"]:
         """dA/dq; entry [i, j, k] = d A_ij / d q_k along tangent coordinate k."""

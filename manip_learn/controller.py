@@ -130,11 +130,11 @@ class ResolvedRateController:
             A, contract = self.constraint.value_and_contraction(q)
         b = self._checked(self.task.velocity(self.constraint, q, t), A.shape[0], "the task's velocity b")
         inverse = row_inverse(A)
-        if inverse is not None and (self.inverse != "damped" or inverse.smallest >= self.threshold):
+        if inverse is not None and (self.inverse != "damped" or inverse[2] >= self.threshold):
             # nothing to damp or to drop, the case of nearly every step: A^{+T} b and pi - A^+ A pi as they stand
-            pi = self._policy(q, t) if ascent is None else ascent.from_inverse(inverse, contract)
-            X = inverse.X
-            return self._limited(q, dt, b, b.dot(X), pi - A.dot(pi).dot(X), inverse.volume, inverse.smallest, False)
+            X, mu, smallest = inverse
+            pi = self._policy(q, t) if ascent is None else ascent.from_inverse(X, mu, contract)
+            return self._limited(q, dt, b, b.dot(X), pi - A.dot(pi).dot(X), mu, smallest, False)
         U, sigma, Vt = svd(A)
         if ascent is None:
             pi = self._policy(q, t)

@@ -6,7 +6,7 @@ Shapes: A (s, n) with s <= n in general, but nothing here needs it.
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple, final
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -79,24 +79,10 @@ def svd(
     return U, sigma, Vt
 
 
-@final
-class RowInverse(NamedTuple):
-    """Of a well-conditioned matrix A (s, n), s <= n: what a control step needs.
+def row_inverse(A: Float[np.ndarray, "s n"]) -> tuple[Float[np.ndarray, "s n"], float, float] | None:
+    """A^{+T} = (A A^T)^-1 A by Cholesky's factors of A A^T, in half the time of a singular value decomposition.
 
-    Attributes:
-        X: A^{+T} = (A A^T)^-1 A, shape (s, n).
-        volume: sqrt(det(A A^T)), the product of the singular values.
-        smallest: Smallest singular value.
-    """
-
-    X: Float[np.ndarray, "s n"]
-    volume: float
-    smallest: float
-
-
-def row_inverse(A: Float[np.ndarray, "s n"]) -> RowInverse | None:
-    """A^{+T} by Cholesky's factors of A A^T, in half the time of a singular value decomposition.
-
+    With it come the volume sqrt(det(A A^T)), which is the product of the singular values, and the smallest of them.
     None if A is too ill-conditioned: errors grow with the square of its condition number here, so that 1e-12 is kept
     up to 1 / WELL_CONDITIONED only. The singular value decomposition is for the rest.
     """
@@ -109,7 +95,7 @@ def row_inverse(A: Float[np.ndarray, "s n"]) -> RowInverse | None:
         return None
     volume = math.prod(L.diagonal().tolist())
     if s == 1:
-        return RowInverse(X, volume, volume)
+        return X, volume, volume
     if s == 2:
         (a, b), (_, c) = G.tolist()
         largest = 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
@@ -119,7 +105,7 @@ def row_inverse(A: Float[np.ndarray, "s n"]) -> RowInverse | None:
         smallest, largest = float(values[0]), float(values[-1])
     if failed or not smallest > WELL_CONDITIONED**2 * largest:
         return None
-    return RowInverse(X, volume, math.sqrt(smallest))
+    return X, volume, math.sqrt(smallest)
 
 
 def null_basis(A: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "n k"]:

@@ -75,9 +75,10 @@ def test_row_inverse_is_exact_or_refuses(rng: np.random.Generator) -> None:
             assert sigma[-1] < 1.01 * WELL_CONDITIONED * sigma[0]
             continue
         answered += 1
-        np.testing.assert_allclose(got.X, np.linalg.pinv(A).T, rtol=0, atol=2e-12 / sigma[-1])
-        assert got.volume == pytest.approx(np.prod(sigma), rel=1e-11)
-        assert got.smallest == pytest.approx(sigma[-1], rel=1e-11)
+        X, volume, smallest = got
+        np.testing.assert_allclose(X, np.linalg.pinv(A).T, rtol=0, atol=2e-12 / sigma[-1])
+        assert volume == pytest.approx(np.prod(sigma), rel=1e-11)
+        assert smallest == pytest.approx(sigma[-1], rel=1e-11)
     assert 50 < answered < 290
     for singular in (np.zeros((2, 5)), np.ones((2, 5)), np.zeros((1, 3)), np.ones((3, 2))):
         assert row_inverse(singular) is None

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint import Constraint
 from manip_learn.features.feature_map import Contraction
-from manip_learn.linalg import RowInverse, row_inverse, svd
+from manip_learn.linalg import row_inverse, svd
 from manip_learn.manipulability_measure import gradient_from
 from manip_learn.policies.policy import NullSpacePolicy
 
@@ -42,12 +42,12 @@ class ManipulabilityAscent(NullSpacePolicy):
         A, contract = self.constraint.value_and_contraction(q)
         inverse = row_inverse(A)
         if inverse is not None:
-            return self.from_inverse(inverse, contract)
+            return self.from_inverse(inverse[0], inverse[1], contract)
         return self.from_decomposition(A.shape, svd(A), contract)
 
-    def from_inverse(self, inverse: RowInverse, contract: Contraction) -> Float[np.ndarray, " nv"]:
-        """The same away from singularities, where d log mu = A^{+T} : dA, from what the controller has already."""
-        return contract(inverse.X) * (self.gain if self.logarithmic else self.gain * inverse.volume)
+    def from_inverse(self, X: Float[np.ndarray, "s nv"], mu: float, contract: Contraction) -> Float[np.ndarray, " nv"]:
+        """The same away from singularities, where d log mu = A^{+T} : dA, from X = A^{+T} that the controller has."""
+        return contract(X) * (self.gain if self.logarithmic else self.gain * mu)
 
     def from_decomposition(
         self, shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], contract: Contraction
