@@ -83,6 +83,10 @@ def test_missing_file_and_folder(tmp_path, arm):
     with pytest.raises(RobotError, match="no such file") as caught:
         load_robot(tmp_path / "gone.urdf")
     assert caught.value.code == "missing"
+    with pytest.raises(RobotError, match="write the path out"):
+        load_robot("~nobody-of-this-name/arm.urdf")
+    with pytest.raises(RobotError, match="no usable path"):
+        load_robot("a\0b.urdf")
     with pytest.raises(RobotError, match=r"arm\.urdf") as caught:
         load_robot(f"{tmp_path}/")
     assert caught.value.code == "not-a-file"
@@ -267,6 +271,7 @@ def test_package_dirs_must_exist(arm, tmp_path):
     with pytest.raises(RobotError, match="no such folder"):
         load_robot(arm, package_dirs=[tmp_path / "nowhere"])
     assert load_robot(arm, package_dirs=str(tmp_path)).package_dirs == (tmp_path,)
+    assert load_robot(arm, package_dirs=tmp_path).package_dirs == (tmp_path,)
 
 
 def test_robots_survive_pickling(rng):

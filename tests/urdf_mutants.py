@@ -10,6 +10,20 @@ from urdf_corpus_case import ARM, chain
 from urdf_corpus_joints import mimic_chain
 
 ROBOTS = Path(__file__).resolve().parents[1] / "robots"
+MJCF = """<mujoco model="m">
+  <compiler angle="degree" eulerseq="xyz"/>
+  <default><joint axis="0 1 0"/><default class="c"><joint type="slide" range="0 0.2"/></default></default>
+  <asset><mesh name="mesh" file="a.stl" scale="1 1 1"/></asset>
+  <worldbody><geom type="plane" size="1 1 1"/>
+    <body name="a" pos="0 0 0.3" euler="10 20 30"><joint name="j" range="-90 90" pos="0.1 0 0" ref="5"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/><geom type="capsule" size="0.1 0.2" rgba="1 0 0 1"/>
+      <body name="b" axisangle="0 0 1 45" childclass="c"><joint name="k"/><joint name="l" class="main" limited="false"/>
+        <geom mesh="mesh" type="mesh" quat="1 0 0 0"/><site name="tip" pos="0.1 0 0"/></body></body>
+    <body name="d" xyaxes="1 0 0 0 1 0"><freejoint name="f"/></body>
+  </worldbody>
+  <equality><joint joint1="l" joint2="j" polycoef="0.1 2 0 0 0"/></equality>
+</mujoco>
+"""
 VALUES = (
     "nan inf -inf 0 -0 1 -1 1e308 -1e308 1e-308 4e-324 1e999 2147483648 4294967296 9223372036854775808 0x10 1e 1.2.3 "
     "1,5 universe world root_joint revolute continuous prismatic planar floating fixed spherical mimic package://a/b.stl"
@@ -22,7 +36,7 @@ def parents() -> list[str]:
     planar = ARM.replace('"revolute"', '"planar"', 1)
     limit = '<limit lower="-1" upper="1" velocity="1" effort="1"/>'
     made = [chain(4, "continuous"), chain(3, "floating"), chain(6, "prismatic", limit), mimic_chain((2, 0, 1))]
-    return [ARM, ARM, planar, *(m.decode() for m in made), *shipped]
+    return [ARM, ARM, planar, *(m.decode() for m in made), *shipped, MJCF, MJCF]
 
 
 PARENTS = parents()
@@ -61,7 +75,7 @@ def _one_number(text: str, rng: random.Random) -> str:
 
 def _element_dropped(text: str, rng: random.Random) -> str:
     """An empty element goes, or a whole joint or link."""
-    found = list(re.finditer(r"<[^<>/!?]*/>|<(joint|link|visual)\b.*?</\1>", text, re.DOTALL))
+    found = list(re.finditer(r"<[^<>/!?]*/>|<(joint|link|visual|body)\b.*?</\1>", text, re.DOTALL))
     if not found:
         return text
     here = rng.choice(found)
@@ -71,7 +85,7 @@ def _element_dropped(text: str, rng: random.Random) -> str:
 def _element_doubled(text: str, rng: random.Random) -> str:
     """A whole element comes twice, or moves; rarely a piece that is no element."""
     pattern = (
-        r"<(joint|link|visual|inertial)\b.*?</\1>|<[^<>/!?]*/>" if rng.random() < 0.9 else r"<[^<>]*>[^<]*<[^<>]*>"
+        r"<(joint|link|visual|inertial|body)\b.*?</\1>|<[^<>/!?]*/>" if rng.random() < 0.9 else r"<[^<>]*>[^<]*<[^<>]*>"
     )
     found = list(re.finditer(pattern, text, re.DOTALL))
     cuts = [m.end() for m in found]

@@ -18,7 +18,7 @@ from peak_memory import peak_megabytes
 from urdf_mutants import mutant
 
 from manip_learn.errors import ManipLearnError, RobotError
-from manip_learn.robot.urdf_robot import robot_from_urdf
+from manip_learn.robot.loading import robot_from_text
 from manip_learn.robot.visuals import visual_shapes
 
 SECONDS_EACH = 5
@@ -27,7 +27,7 @@ SECONDS_EACH = 5
 def outcome(content: bytes, rng: np.random.Generator) -> str:
     """`accept`, `warn` or the code of the refusal."""
     try:
-        robot = robot_from_urdf(content, Path("mutant.urdf"))
+        robot = robot_from_text(content, Path("mutant.urdf"))
     except RobotError as error:
         return error.code
     q = robot.random_configuration(rng)

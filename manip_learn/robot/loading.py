@@ -48,36 +48,56 @@ def load_robot(
         RobotError: The description is refused: `code`, file, line, joint or link, the value seen and the fix.
     """
     path = _path(name)
-    folders = tuple(Path(d).expanduser() for d in ([package_dirs] if isinstance(package_dirs, str) else package_dirs))
+    given = [package_dirs] if isinstance(package_dirs, str | os.PathLike) else package_dirs
+    folders = tuple(_expanded(d) for d in given)
     for folder in folders:
         if not folder.is_dir():
             raise RobotError(f"package folder {folder}: there is no such folder; check the path", code="package-dir")
     if base not in ("fixed", *BASES):
         raise RobotError(f"base is {base!r}; it must be one of 'fixed', 'floating', 'planar'", code="base")
     root_joint = BASES[base]() if base in BASES else None
-    if path.suffix == ".xacro":
-        content = expanded_xacro(path, allowed=xacro)
-    else:
-        content = read_description(path)
-        if _is_mjcf(content):
-            passed, content = check_mjcf(content, path, names_of(locked))
-            return robot_from_parts(passed, content, path, package_dirs=folders, locked=locked, root_joint=root_joint)
-    return robot_from_urdf(content, path, package_dirs=folders, locked=locked, root_joint=root_joint)
+    content = expanded_xacro(path, allowed=xacro) if path.suffix == ".xacro" else read_description(path)
+    return robot_from_text(content, path, package_dirs=folders, locked=locked, root_joint=root_joint)
+
+
+def robot_from_text(
+    content: bytes,
+    path: Path,
+    *,
+    package_dirs: Sequence[Path] = (),
+    locked: Locked = (),
+    root_joint: pin.JointModel | None = None,
+) -> Robot:
+    """Robot from the text of a URDF or an MJCF file; `path` is where it came from. See `load_robot`.
+
+    Raises:
+        RobotError: The description is refused.
+        UnknownNameError: A locked joint that does not exist.
+    """
+    if not _is_mjcf(content):
+        return robot_from_urdf(content, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint)
+    passed, urdf = check_mjcf(content, path, names_of(locked))
+    return robot_from_parts(passed, urdf, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint)
 
 
 def _path(name: str | os.PathLike[str]) -> Path:
-    if not isinstance(name, str):
-        return Path(name).expanduser()
-    if not name.strip():
+    if isinstance(name, str) and not name.strip():
         raise RobotError("no robot is named; give a name such as 'panda' or the path of a URDF file", code="missing")
-    path = Path(name).expanduser()
-    if path.suffix in SUFFIXES or os.sep in name:
+    path = _expanded(name)
+    if not isinstance(name, str) or path.suffix in SUFFIXES or os.sep in name:
         return path
     try:
         is_file = path.is_file()
     except ValueError:
         is_file = False
     return path if is_file else find_robot(name)
+
+
+def _expanded(name: str | os.PathLike[str]) -> Path:
+    try:
+        return Path(name).expanduser()
+    except RuntimeError as error:  # ~somebody who has no home here
+        raise RobotError(f"{os.fspath(name)}: {error}; write the path out", code="missing", path=Path(name)) from error
 
 
 def _is_mjcf(content: bytes) -> bool:
