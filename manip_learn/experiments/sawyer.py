@@ -1,0 +1,303 @@
+"""The paper's drawer with a Sawyer arm: simulated from the model, and from this project's physics recordings.
+
+The paper's arm is a real one and its data were not published. Its text says that Lambda selects x, and also that the null
+space lies along x; both readings are here: one row (x) is commanded, or x is the free direction and y, z are commanded.
+"""
+
+from __future__ import annotations
+
+import importlib.resources
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.batch_manipulability import manipulability_batch
+from manip_learn.constraint import Constraint
+from manip_learn.demonstrations import Demonstrations, Trajectory
+from manip_learn.errors import NotIdentifiableError, RecordingError
+from manip_learn.experiments import charts, paper_values
+from manip_learn.experiments.experiment_result import ExperimentResult
+from manip_learn.experiments.summary import markdown_table, mean_and_sd, number, summary
+from manip_learn.experiments.trial_runner import TrialRunner
+from manip_learn.features.frame_jacobian import FrameJacobian
+from manip_learn.io.load_demonstrations import load_demonstrations
+from manip_learn.learning.learner import ConstraintLearner
+from manip_learn.linalg import row_space_angle
+from manip_learn.preparation import thin
+from manip_learn.robot.loading import load_robot
+from manip_learn.robot.robot import Robot
+from manip_learn.rollout import Rollout
+from manip_learn.velocities import with_velocities
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DEFAULT_POSE = np.deg2rad([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0])
+START_LOW, START_HIGH = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])
+STEP, DEMONSTRATIONS, POINTS = 0.01, 50, 10
+ROLLOUTS, ROLLOUT_POINTS = 20, 100
+FRAME = "right_gripper_tip"
+DRAWER_DIRECTION = np.deg2rad(25.0)  # of the recordings, about the vertical, from x
+DAMPING = 0.05  # of the rollouts' inverse [m]; targets may be out of reach
+
+Source = Literal["model", "physics, 10 points each", "physics, all samples"]
+Reading = Literal["constrained row", "free direction"]
+
+
+@final
+@dataclass(frozen=True)
+class SawyerCase:
+    """One way to read the paper's drawer.
+
+    Attributes:
+        source: Where the demonstrations come from.
+        reading: What Lambda_x or Lambda_y says about its direction.
+        direction: `"x"` or `"y"`.
+    """
+
+    source: Source
+    reading: Reading
+    direction: str
+
+
+CASES = tuple(
+    SawyerCase(source, reading, direction)
+    for source in ("model", "physics, 10 points each", "physics, all samples")
+    for reading in ("constrained row", "free direction")
+    for direction in ("x", "y")
+)
+
+
+def size(trials: int) -> int:
+    """Number of trials that `run` reports as progress."""
+    return trials * len(CASES)
+
+
+def run(trials: int, rng: np.random.Generator, runner: TrialRunner | None = None) -> SawyerResult:
+    """All readings, simulated and recorded.
+
+    Args:
+        trials: Number of trials of each; the recordings are resampled (drawn with replacement) in each.
+        rng: Source of the seeds.
+        runner: Where the trials run.
+    """
+    runner = runner or TrialRunner(workers=1)
+    outcomes = runner.map("sawyer", sawyer_trial, CASES, trials, int(rng.integers(2**53)))
+    return SawyerResult(dict(zip(CASES, outcomes, strict=True)))
+
+
+def sawyer_trial(case: SawyerCase, rng: np.random.Generator) -> dict[str, Any]:
+    """Learn from 50 demonstrations; `mie`, `nmie`, `angle_deg`, `rows`, `rmse` of 20 rollouts; or `refused`."""
+    features = FrameJacobian(sawyer_arm(), FRAME, _axes(case))
+    Lambda = true_selection(case)
+    true = Constraint(Lambda, features)
+    if case.source == "model":
+        demos = simulated(true, rng)
+    else:
+        every = recorded(case, 10 if "10" in case.source else None)
+        demos = Demonstrations(every[int(i)] for i in rng.integers(len(every), size=DEMONSTRATIONS))
+    try:
+        learner = ConstraintLearner(features, seed=int(rng.integers(2**31))).fit(demos)
+    except NotIdentifiableError as error:
+        return {"refused": error.code}
+    learnt, report = learner.constraint_, learner.report_
+    out = {
+        "rows": learnt.n_constraints,
+        "estimator": report.estimator,
+        "gap": report.gap,
+        "angle_deg": float(np.degrees(row_space_angle(Lambda, learnt.selection))),
+    }
+    q = np.concatenate([t.q for t in demos])
+    mu, other = manipulability_batch(true, q).mu, manipulability_batch(learnt, q).mu
+    out["mie"] = float(np.mean((mu - other) ** 2))
+    out["nmie"] = out["mie"] / float(np.var(mu))
+    return out | {"rmse": _rmse(true, learnt, rng)}
+
+
+@cache
+def sawyer_arm() -> Robot:
+    """The shipped Sawyer-like arm."""
+    return load_robot("sawyer")
+
+
+def true_selection(case: SawyerCase) -> Float[np.ndarray, "s p"]:
+    """Rows of the true Lambda."""
+    axes = _axes(case).split()
+    constrained = [case.direction] if case.reading == "constrained row" else [a for a in axes if a != case.direction]
+    return np.eye(len(axes))[[axes.index(a) for a in constrained]]
+
+
+def _axes(case: SawyerCase) -> str:
+    # a drawer always holds two rows; seen in the horizontal plane alone it holds one
+    flat = case.source != "model" and case.reading == "constrained row"
+    return "x y" if flat else "x y z"
+
+
+def simulated(true: Constraint, rng: np.random.Generator) -> Demonstrations:
+    """50 demonstrations of 10 points at 100 Hz: b = r* - r on the constrained rows, pi = default pose - q."""
+    arm, features, Lambda = sawyer_arm(), true.features, true.selection
+    frame = arm.frame(FRAME)
+    q = rng.uniform(START_LOW, START_HIGH, size=(DEMONSTRATIONS, 7))
+    targets = rng.uniform(-1.0, 1.0, size=(DEMONSTRATIONS, features.n_rows))
+    postures, actions = [], []
+    for _ in range(POINTS):
+        A, r = Lambda @ features.batch(q), arm.pose_batch(q, frame)[:, :3, 3]
+        b, pi = (targets - r) @ Lambda.T, DEFAULT_POSE - q
+        u = pi + np.einsum("nvs,ns->nv", np.linalg.pinv(A), b - np.einsum("nsv,nv->ns", A, pi))
+        postures.append(q)
+        actions.append(u)
+        q = q + STEP * u
+    time, names = STEP * np.arange(POINTS), arm.joint_names
+    stacked = zip(np.array(postures).transpose(1, 0, 2), np.array(actions).transpose(1, 0, 2), strict=True)
+    return Demonstrations(Trajectory(time, q, u, names, f"demonstration {i}") for i, (q, u) in enumerate(stacked))
+
+
+def recorded(case: SawyerCase, points: int | None) -> Demonstrations:
+    """The physics recordings, the base turned so that the drawer opens along x or y, exactly.
+
+    The first joint turns about the vertical through the base: turning the base is an offset of that joint.
+    """
+    opens_along_x = (case.direction == "x") == (case.reading == "free direction")
+    offset = -DRAWER_DIRECTION + (0.0 if opens_along_x else np.pi / 2)
+    shift = np.eye(7)[sawyer_arm().joint_names.index("right_j0")] * offset
+    out = []
+    for t in _recordings():
+        turned = Trajectory(t.time, t.q + shift, t.u, t.joint_names, t.name)
+        out.append(turned if points is None else thin(turned, points))
+    return Demonstrations(out)
+
+
+@cache
+def _recordings() -> Demonstrations:
+    files = sorted(_recordings_folder().glob("*.csv"))
+    return with_velocities(load_demonstrations(files, sawyer_arm()), sawyer_arm())
+
+
+def _recordings_folder() -> Path:
+    installed = Path(str(importlib.resources.files("manip_learn"))) / "_recordings"
+    here = Path(__file__).resolve().parents[2] / "examples" / "data"
+    for folder in (installed / "sawyer_drawer", here / "sawyer_drawer"):
+        if folder.is_dir():
+            return folder
+    raise RecordingError(
+        f"the shipped recordings are missing: neither {installed} nor {here} holds sawyer_drawer; install again",
+        code="missing",
+    )
+
+
+def _rmse(true: Constraint, learnt: Constraint, rng: np.random.Generator) -> list[float]:
+    """RMSE of pi_mu against pi_mu~ on 20 rollouts of 100 points, stepped together."""
+    arm, features, Lambda = sawyer_arm(), true.features, true.selection
+    frame, axes = arm.frame(FRAME), ["xyz".index(a) for a in features.row_names]
+    q = rng.uniform(START_LOW, START_HIGH, size=(ROLLOUTS, 7))
+    targets = rng.uniform(-1.0, 1.0, size=(ROLLOUTS, features.n_rows))
+    squares = []
+    for _ in range(ROLLOUT_POINTS):
+        pi = manipulability_batch(true, q).gradient
+        squares.append(np.sum((manipulability_batch(learnt, q).gradient - pi) ** 2, axis=1))
+        A, r = Lambda @ features.batch(q), arm.pose_batch(q, frame)[:, axes, 3]
+        gram = A @ A.transpose(0, 2, 1) + DAMPING**2 * np.eye(len(Lambda))
+        b = (targets - r) @ Lambda.T - np.einsum("nsv,nv->ns", A, pi)
+        q = q + STEP * (pi + np.einsum("nsv,ns->nv", A, np.linalg.solve(gram, b[:, :, None])[:, :, 0]))
+    return np.sqrt(np.mean(squares, axis=0)).tolist()
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class SawyerResult(ExperimentResult):
+    """Outcome of every trial.
+
+    Attributes:
+        outcomes: Case -> one dictionary a trial, see `sawyer_trial`.
+    """
+
+    outcomes: dict[SawyerCase, list[dict[str, Any]]]
+
+    def values(self, case: SawyerCase, what: str) -> list[float]:
+        """One number a trial that was not refused."""
+        return [t[what] for t in self.outcomes[case] if what in t]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Paper and ours; source, reading and direction make the key."""
+        ours = {}
+        for case, trials in self.outcomes.items():
+            rows = len(true_selection(case))
+            ours[f"{case.source} | {case.reading} | {case.direction}"] = {
+                "mie": summary(self.values(case, "mie")),
+                "nmie": summary(self.values(case, "nmie")),
+                "angle_deg": summary(self.values(case, "angle_deg")),
+                "rmse": summary(v for t in trials for v in t.get("rmse", ())),
+                "rows_right": sum(t.get("rows") == rows for t in trials) / len(trials),
+            }
+        paper = {
+            "mie": paper_values.SAWYER_MIE,
+            "rmse": dict(paper_values.SAWYER_RMSE),
+            "note": "a real Sawyer, data unpublished: the paper's numbers hold friction, compliance and encoder noise of "
+            "an arm that we do not have",
+        }
+        return {"paper": paper, "ours": ours}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One line a trial."""
+        return [
+            {
+                "source": case.source,
+                "reading": case.reading,
+                "direction": case.direction,
+                "trial": i,
+                **{k: t.get(k, "") for k in ("refused", "estimator", "rows", "gap", "angle_deg", "mie", "nmie")},
+                "rmse_mean": float(np.mean(t["rmse"])) if "rmse" in t else "",
+            }
+            for case, trials in self.outcomes.items()
+            for i, t in enumerate(trials)
+        ]
+
+    def markdown(self) -> str:
+        """All readings beside the paper's numbers."""
+        lines = [
+            [
+                "**paper, a real arm**",
+                "",
+                "",
+                number(paper_values.SAWYER_MIE),
+                "",
+                "",
+                mean_and_sd(paper_values.SAWYER_RMSE),
+                "",
+            ]
+        ]
+        for case in self.outcomes:
+            block = self.to_dict()["ours"][f"{case.source} | {case.reading} | {case.direction}"]
+            lines.append([case.source, case.reading, case.direction, number(block["mie"]["median"])])
+            lines[-1] += [
+                number(block["nmie"]["median"]),
+                f"{number(block['angle_deg']['median'])} ({number(block['angle_deg']['worst'])})",
+            ]
+            lines[-1] += [mean_and_sd(block["rmse"]), f"{100 * block['rows_right']:.0f} %"]
+        header = ["demonstrations", "reading", "Lambda", "MIE, median", "NMIE, median", "angle [deg], median (worst)"]
+        return markdown_table([*header, "RMSE, mean +- s.d.", "rows found"], lines)
+
+    def figures(self) -> dict[str, Figure]:
+        """MIE and RMSE of every trial."""
+        figure, axes = charts.new_figure(9.0, 4.4, 1, 2)
+        labels = {
+            f"{c.source.replace('physics, ', 'physics ')}, {c.reading.split()[0]} {c.direction}": c
+            for c in self.outcomes
+        }
+        charts.strip(axes[0, 0], {k: self.values(c, "mie") for k, c in labels.items()}, paper_values.SAWYER_MIE)
+        axes[0, 0].set_ylabel("MIE [(m/rad) to the power 2 s]")
+        means = {k: [float(np.mean(v)) for v in self.values(c, "rmse")] for k, c in labels.items()}  # type: ignore[arg-type]
+        charts.strip(axes[0, 1], means, paper_values.SAWYER_RMSE["mean"])
+        axes[0, 1].set_ylabel("RMSE of the policy")
+        for ax in axes[0]:
+            ax.tick_params(axis="x", labelsize=6.5)
+        return {"sawyer": figure}
+
+    def replays(self) -> dict[str, tuple[Robot, Mapping[str, Rollout]]]:
+        """None."""
+        return {}
