@@ -27,11 +27,13 @@ NUMPY_PROMISE, COMPILED_PROMISE = 2.0e6, 4.5e6  # Jacobians a second
 
 @pytest.fixture(scope="module")
 def robot() -> Robot:
+    """The 7-joint arm."""
     return load_robot("sawyer")
 
 
 @pytest.fixture(scope="module")
 def q(robot: Robot) -> np.ndarray:
+    """Postures of a chunk and more."""
     return np.random.default_rng(0).uniform(-1.5, 1.5, (N, robot.nv))
 
 

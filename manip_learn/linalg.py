@@ -93,14 +93,17 @@ def row_inverse(A: Float[np.ndarray, "s n"]) -> tuple[Float[np.ndarray, "s n"], 
     L, X, failed = dposv(G, A, lower=1)
     if failed:
         return None
-    volume = math.prod(L.diagonal().tolist())
     if s == 1:
+        volume = float(L[0, 0])
         return X, volume, volume
     if s == 2:
         (a, b), (_, c) = G.tolist()
+        (first, _), (_, second) = L.tolist()
+        volume = first * second
         largest = 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
         smallest = volume * volume / largest  # not the difference, which cancels
     else:
+        volume = math.prod(L.diagonal().tolist())
         values, _, failed = dsyev(G, compute_v=0)
         smallest, largest = float(values[0]), float(values[-1])
     if failed or not smallest > WELL_CONDITIONED**2 * largest:
