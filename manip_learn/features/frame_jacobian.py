@@ -15,6 +15,7 @@ from manip_learn.errors import FeatureError, TargetError
 from manip_learn.features.feature_map import Contraction, FeatureMap, Weigh
 from manip_learn.robot.batch import batch_kinematics
 from manip_learn.robot.robot import Reference, Robot
+from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 NAMED_AXES = {"xyz": ("x", "y", "z"), "pose": AXES, "planar": ("x", "y", "rz"), "rotation": ("rx", "ry", "rz")}
@@ -158,12 +159,12 @@ class FrameJacobian(FeatureMap):
         pose = self.robot.pose(q, self.frame)
         p, R = pose[:3, 3], pose[:3, :3]
         if goal.shape == (4, 4):
-            goal_p, goal_R = goal[:3, 3], Rotation.from_matrix(goal[:3, :3])
+            goal_p, goal_R = goal[:3, 3], Rotation.from_matrix(goal[:3, :3]).as_matrix()
         else:
             full = self._completed(goal, _coordinates(pose))
-            goal_p, goal_R = full[:3], Rotation.from_rotvec(full[3:])
+            goal_p, goal_R = full[:3], rotation_matrix(full[3:])
         dp = goal_p - p
-        rotation = (goal_R * Rotation.from_matrix(R).inv()).as_rotvec()
+        rotation = rotation_vector(goal_R.dot(R.T))
         if self.reference == "local":
             dp, rotation = R.T @ dp, R.T @ rotation
         return np.concatenate([dp, rotation])[self._rows]
@@ -203,4 +204,4 @@ class FrameJacobian(FeatureMap):
 
 
 def _coordinates(pose: np.ndarray) -> np.ndarray:
-    return np.concatenate([pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_rotvec()])
+    return np.concatenate([pose[:3, 3], rotation_vector(pose[:3, :3])])
