@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import re
 import struct
 from pathlib import Path
@@ -14,6 +15,7 @@ from manip_learn.robot.regular_file import read_regular_file
 MAX_MESH_BYTES = 50_000_000
 HEAD = 4_096
 MAX_SIDE_FILES = 500
+WINDOWS_PATH = re.compile(r"(file:/*)?[A-Za-z]:[\\/]")
 
 
 def checked_mesh(path: Path) -> bytes:
@@ -113,14 +115,17 @@ def _check_names(names: list[bytes], path: Path) -> None:
 
 
 def _check_name(name: str, path: Path) -> None:
-    """A file that a mesh names must lie beside or below it; it is not read, but another program might."""
-    folder = path.parent.resolve()
+    """A file that a mesh names must lie in its package; it is not read, but another program might."""
+    if WINDOWS_PATH.match(name) and os.name != "nt":
+        return  # where the texture was on its author's machine: leads nowhere
     name = name.removeprefix("file://").replace("\\", "/")
+    folder = path.parent.resolve()
+    package = next((p.parent for p in (folder, *folder.parents) if p.name.lower() == "meshes"), folder.parent)
     try:
-        inside = (folder / name).resolve().is_relative_to(folder.parent if name.startswith("../") else folder)
+        is_inside = (folder / name).resolve().is_relative_to(package)
     except (OSError, ValueError, RuntimeError):
-        inside = False
-    if "://" in name or "\0" in name or not inside:
+        is_inside = False
+    if "://" in name or "\0" in name or not is_inside:
         raise _refusal(path, "mesh-side-file", f"it names the file {name[:80]!r}, outside its own folder")
 
 
