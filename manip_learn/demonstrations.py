@@ -123,6 +123,10 @@ class Demonstrations(Sequence[Trajectory]):
     notes: tuple[str, ...] = ()
 
     def __init__(self, trajectories: Iterable[Trajectory], notes: Iterable[str] = ()):
+        if not isinstance(trajectories, Iterable):
+            raise RecordingError(
+                f"demonstrations must be several Trajectory objects, got {type(trajectories).__name__}", code="type"
+            )
         object.__setattr__(self, "trajectories", tuple(trajectories))
         object.__setattr__(self, "notes", tuple(notes))
         if not self.trajectories:

@@ -130,8 +130,16 @@ class NotIdentifiableError(ManipLearnError):
         self.code = code
 
 
+class LearnerContractError(ManipLearnError):
+    """An estimator does not do what every estimator must, see `check_learner`."""
+
+
 class TargetError(ManipLearnError):
     """A task target or a joint target has the wrong size or is not finite."""
+
+
+class ExperimentError(ManipLearnError):
+    """An experiment cannot be run as asked, e.g. with zero trials."""
 
 
 class OutputError(ManipLearnError):

@@ -61,7 +61,9 @@ def paper_motions(
             q = q + 0.02 * u
         u = with_noise(np.array(velocities), noise, rng)
         trajectories.append(
-            Trajectory(0.02 * np.arange(n_points), positions, u, features.robot.joint_names, f"reach {len(trajectories)}")
+            Trajectory(
+                0.02 * np.arange(n_points), positions, u, features.robot.joint_names, f"reach {len(trajectories)}"
+            )
         )
     return Demonstrations(trajectories), truth
 

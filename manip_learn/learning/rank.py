@@ -51,7 +51,8 @@ def gaps_of_levels(levels: Float[np.ndarray, " r"], nv: int) -> GapTable:
     strong in all joints, 1, takes its place.
     """
     r = len(levels)
-    floor = 1e-16 * max(float(levels[-1]), 1.0)
+    # levels are roots of eigenvalues: below this they are rounding, and a gap among them says nothing
+    floor = 3e-8 * max(float(levels[-1]), 1.0)
     padded = np.maximum(np.append(levels, 1.0), floor)
     counts = [s for s in range(1, r + 1) if s < nv]
     gaps = tuple(float(padded[s] / padded[s - 1]) for s in counts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -61,12 +62,20 @@ class LearningReport:
     warnings: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, for JSON."""
-        out = dataclasses.asdict(self)
-        out["gap_table"] = {str(s): g for s, g in self.gap_table.items()}
-        return out
+        """Plain numbers, strings and lists, for JSON; None where there is no number."""
+        return _plain(dataclasses.asdict(self))
 
     def __str__(self) -> str:
         lines = [self.sentence]
         lines += [f"warning: {w}" for w in self.warnings]
         return "\n".join(lines)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,174 @@
+"""The part of the contract about good input: right answers, told in full, that can be kept and sent."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from manip_learn.constraint import Constraint
+from manip_learn.demonstrations import Demonstrations
+from manip_learn.features.custom_features import CustomFeatures
+from manip_learn.features.frame_jacobian import FrameJacobian
+from manip_learn.learning.contract import Learner, Subject
+from manip_learn.learning.contract_motions import ONE_ROW, ROUNDING_DEG, planar_motion
+
+
+def clean_motion_is_learnt(subject: Subject) -> None:
+    """Two oblique rows are found without being told, and without a warning."""
+    motion = subject.motion()
+    outcome = subject.outcome(motion.features, lambda: motion.demonstrations)
+    if outcome.verdict != "accepted" or outcome.learner is None:
+        subject.broken(f"{outcome.verdict} a clean motion: {outcome.message}")
+    subject.must_agree(outcome.learner, motion.selection)
+
+
+def one_row_is_learnt(subject: Subject) -> None:
+    """One oblique row is found without being told, or at least not missed in silence."""
+    motion = subject.motion(selection=ONE_ROW, n_trajectories=60)
+    subject.must_not_be_silent(motion.features, lambda: motion.demonstrations, unless=motion.selection)
+
+
+def fit_returns_the_learner(subject: Subject) -> None:
+    """`fit` returns the learner itself, so that calls can be chained."""
+    motion = subject.motion()
+    learner = subject.make(motion.features, None)
+    if learner.fit(motion.demonstrations) is not learner:
+        subject.broken("fit must return the learner itself")
+
+
+def nothing_learnt_before_fit(subject: Subject) -> None:
+    """Before `fit` there is nothing learnt."""
+    learner = subject.make(planar_motion("held", n_trajectories=1).features, None)
+    if "constraint_" in vars(learner) or "report_" in vars(learner):
+        subject.broken("constraint_ or report_ exists before fit")
+
+
+def rows_are_orthonormal(subject: Subject) -> None:
+    """Lambda Lambda^T = I."""
+    selection = _fitted(subject).constraint_.selection
+    if not np.allclose(selection @ selection.T, np.eye(len(selection)), rtol=0.0, atol=1e-12):
+        subject.broken("the rows of the selection matrix are not orthonormal")
+
+
+def report_is_complete(subject: Subject) -> None:
+    """The report names rows and numbers that are true of the answer, and every number in it is finite or absent."""
+    motion = subject.motion()
+    learner = subject.fitted(motion.features, motion.demonstrations)
+    report, selection = learner.report_, learner.constraint_.selection
+    if report.n_constraints != len(selection) or report.n_samples != motion.demonstrations.n_samples:
+        subject.broken("n_constraints or n_samples of the report do not belong to the answer")
+    if report.n_trajectories != len(motion.demonstrations) or report.row_names != motion.features.row_names:
+        subject.broken("n_trajectories or row_names of the report do not belong to the answer")
+    free = np.array(report.free_directions)
+    if free.size and np.max(np.abs(selection @ free.T)) > 1e-9:
+        subject.broken("free_directions of the report are not free")
+    if abs(sum(report.excitation.values()) - 1.0) > 1e-9 or not report.sentence:
+        subject.broken("excitation must sum to 1, and there must be a sentence")
+
+
+def report_through_json(subject: Subject) -> None:
+    """The report goes through JSON without NaN and comes back the same."""
+    plain = _fitted(subject).report_.to_dict()
+    try:
+        text = json.dumps(plain, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        subject.broken(f"the report cannot be written as JSON: {error}", error)
+    if json.loads(text) != json.loads(json.dumps(json.loads(text))) or set(json.loads(text)) != set(plain):
+        subject.broken("the report changes on its way through JSON")
+
+
+def constraint_through_json(subject: Subject) -> None:
+    """The constraint comes back from its file, to the last bit."""
+    motion = subject.motion()
+    constraint = subject.fitted(motion.features, motion.demonstrations).constraint_
+    with tempfile.TemporaryDirectory() as folder:
+        path = constraint.save(Path(folder) / "constraint.json")
+        loaded = Constraint.load(path, motion.features.robot)  # type: ignore[attr-defined]
+    if not np.array_equal(loaded.selection, constraint.selection) or loaded.provenance != constraint.provenance:
+        subject.broken("the constraint changes on its way through a file")
+
+
+def learner_through_pickle(subject: Subject) -> None:
+    """A fitted learner can be sent to another process; what comes back answers the same, and can be fitted again."""
+    motion = subject.motion()
+    learner = subject.fitted(motion.features, motion.demonstrations)
+    sent = pickle.loads(pickle.dumps(learner))
+    q = motion.demonstrations[0].q[3]
+    if not np.array_equal(sent.constraint_(q), learner.constraint_(q)) or sent.report_ != learner.report_:
+        subject.broken("the learner changes on its way through pickle")
+    sent.fit(motion.demonstrations)
+    subject.must_agree(sent, learner.constraint_.selection, ROUNDING_DEG)
+
+
+def notes_are_kept(subject: Subject) -> None:
+    """What was done to the recordings stands in the report."""
+    motion = subject.motion()
+    noted = Demonstrations(motion.demonstrations, ["the first second was cut off"])
+    if "the first second was cut off" not in subject.fitted(motion.features, noted).report_.notes:
+        subject.broken("the notes of the demonstrations are lost")
+
+
+def features_outlive_the_fit(subject: Subject) -> None:
+    """The constraint that is learnt works with the very features it was learnt with."""
+    motion = subject.motion()
+    learner = subject.fitted(motion.features, motion.demonstrations)
+    if learner.constraint_.features is not motion.features:
+        subject.broken("the constraint has other features than the learner")
+
+
+def planar_arm_in_six_rows(subject: Subject) -> None:
+    """All six axes of an arm that moves in a plane: the three that are always zero are left out, and that is said."""
+    motion = subject.motion()
+    pose = FrameJacobian(motion.features.robot, "tip", "pose")  # type: ignore[attr-defined]
+    outcome = subject.outcome(pose, lambda: motion.demonstrations)
+    if outcome.verdict != "warned" or outcome.learner is None:
+        subject.broken(f"{outcome.verdict} six axes of a planar arm without a word: {outcome.message}")
+    found = outcome.learner.constraint_.selection
+    if np.max(np.abs(found[:, 2:5])) > 1e-9:
+        subject.broken("rows that are always zero take part in the constraint")
+    subject.must_agree(outcome.learner, np.insert(motion.selection, [2, 2, 2], 0.0, axis=1))
+
+
+def repeated_rows(subject: Subject) -> None:
+    """A row given twice (Phi of lower rank than rows): the motions that are held stay the same."""
+    motion = subject.motion()
+    double = CustomFeatures(lambda q: motion.features(q)[[0, 1, 2, 1]], ("x", "y", "rz", "y again"), 3)
+    learner = subject.fitted(double, motion.demonstrations)
+    q = motion.demonstrations[0].q[0]
+    angle = subject.angle_deg(learner.constraint_(q), motion.selection @ motion.features(q))
+    if not angle <= 100.0 * subject.accuracy_deg:
+        subject.broken(f"a row given twice turns the constraint by {angle:.3g} degrees")
+
+
+def trajectories_of_all_lengths(subject: Subject) -> None:
+    """Demonstrations may be of different lengths, down to a single sample."""
+    motion = subject.motion()
+    cut = [t.part(slice(0, 1 + (5 * i) % len(t))) for i, t in enumerate(motion.demonstrations)]
+    subject.must_agree(subject.fitted(motion.features, [*cut, *motion.demonstrations[:15]]), motion.selection)
+
+
+def _fitted(subject: Subject) -> Learner:
+    motion = subject.motion()
+    return subject.fitted(motion.features, motion.demonstrations)
+
+
+CHECKS = (
+    clean_motion_is_learnt,
+    one_row_is_learnt,
+    fit_returns_the_learner,
+    nothing_learnt_before_fit,
+    rows_are_orthonormal,
+    report_is_complete,
+    report_through_json,
+    constraint_through_json,
+    learner_through_pickle,
+    notes_are_kept,
+    features_outlive_the_fit,
+    planar_arm_in_six_rows,
+    repeated_rows,
+    trajectories_of_all_lengths,
+)
