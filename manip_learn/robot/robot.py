@@ -451,7 +451,7 @@ class Robot:
             H = closed_form(J, self._columns_to_joints, reference)
         if self._coupling is not None:
             lift = self._coupling.lift
-            return J @ lift, np.einsum("iab,aj,bk->ijk", H, lift, lift, optimize=True)
+            return J @ lift, lift.T @ (H @ lift)
         return J, H
 
     def mixed_jacobian(
@@ -496,7 +496,7 @@ class Robot:
         H = centre_of_mass_derivative(model, Jc, w, self._columns_to_joints)
         if self._coupling is not None:
             lift = self._coupling.lift
-            return Jc @ lift, np.einsum("iab,aj,bk->ijk", H, lift, lift, optimize=True)
+            return Jc @ lift, lift.T @ (H @ lift)
         return Jc, H
 
     # ---- plumbing -------------------------------------------------------------------------------------------------
