@@ -1,5 +1,8 @@
 """Time per call, for the benchmarks: medians of interleaved rounds, so that a noisy neighbour meets every candidate.
 
+Processor time of this process, not time on the wall: what a neighbour takes is not ours (all candidates run in one
+thread and none of them waits for anything).
+
 Needs nothing but the standard library: the peers' scripts import it from environments of their own.
 """
 
@@ -28,10 +31,10 @@ def rounds_of(candidates: dict[str, Callable[[], object]], calls: int, rounds: i
     seconds: dict[str, list[float]] = {name: [] for name in candidates}
     for _ in range(rounds):
         for name, call in candidates.items():
-            start = time.perf_counter()
+            start = time.process_time()
             for _ in range(calls):
                 call()
-            seconds[name].append((time.perf_counter() - start) / calls)
+            seconds[name].append((time.process_time() - start) / calls)
     return seconds
 
 

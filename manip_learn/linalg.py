@@ -90,7 +90,7 @@ def row_inverse(A: Float[np.ndarray, "s n"]) -> tuple[Float[np.ndarray, "s n"], 
     if s > A.shape[1]:
         return None
     G = A.dot(A.T)
-    L, X, failed = dposv(G, A, lower=1)
+    L, X, failed = dposv(G, A)
     if failed:
         return None
     if s == 1:

@@ -463,18 +463,17 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        nv = self._model.nv
         if not self._fast_hessian or self._coupling is not None:
             J, H = self.jacobian_and_derivative(q, frame, reference)
             flat = H.reshape(6 * self.nv, self.nv)
             return mix.dot(J), lambda weights: mix.T.dot(weights).reshape(-1).dot(flat)
-        model, data, ref = self._model, self._data, REFERENCES[reference]
-        pin.computeJointKinematicHessians(model, data, self._pin_q(q))
-        pin.updateFramePlacement(model, data, frame.index)
-        J = pin.getFrameJacobian(model, data, frame.index, ref)
+        model, data, ref, index = self._model, self._data, REFERENCES[reference], frame.index
+        pin.computeJointKinematicHessians(model, data, self._finite_vector(q) if self._plain else self._pin_q(q))
+        pin.updateFramePlacement(model, data, index)
+        J = pin.getFrameJacobian(model, data, index, ref)
         # Pinocchio's buffer as it lies in memory is [k, j, i] (see `reordered`)
-        by_joint = pin.getFrameKinematicHessian(model, data, frame.index, ref).reshape(nv, 6 * nv)
-        A = mix.dot(J) if nv > 1 else mix.dot(J.reshape(6, 1))
+        by_joint = pin.getFrameKinematicHessian(model, data, index, ref).reshape(self.nv, -1)
+        A = mix.dot(J) if J.ndim == 2 else mix.dot(J.reshape(6, 1))  # nv == 1
         return A, lambda weights: by_joint.dot(weights.T.dot(mix).reshape(-1))
 
     @property
