@@ -98,13 +98,34 @@ def test_without_the_data_package(monkeypatch):
     def missing(name):
         raise importlib.metadata.PackageNotFoundError(name)
 
-    monkeypatch.setattr(names.importlib.metadata, "files", missing)
+    monkeypatch.setattr(names.importlib.metadata, "distribution", missing)
     example_robots.cache_clear()
     try:
         with pytest.raises(MissingExtraError, match=r"manip_learn\[robots\]"):
             find_robot("panda")
         assert load_robot("planar3").nv == 3
         assert robot_names() == ("planar3", "sawyer")
+    finally:
+        monkeypatch.undo()
+        example_robots.cache_clear()
+
+
+def test_the_data_package_without_a_record(monkeypatch):
+    """Packages that were not installed by pip have no RECORD: the list of files serves as well."""
+    package = importlib.metadata.distribution(names.DATA_PACKAGE)
+    expected = example_robots()
+    listed = package.files
+
+    class Bare(type(package)):
+        def read_text(self, filename):
+            return None
+
+        files = listed
+
+    monkeypatch.setattr(names.importlib.metadata, "distribution", lambda name: Bare(package._path))
+    example_robots.cache_clear()
+    try:
+        assert example_robots() == expected
     finally:
         monkeypatch.undo()
         example_robots.cache_clear()

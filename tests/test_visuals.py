@@ -126,6 +126,18 @@ def test_links_without_shapes_are_drawn_as_sticks(tmp_path):
     assert all(v.stand_in for v in visuals.values())
 
 
+def test_meshes_are_found_from_another_folder(tmp_path, monkeypatch):
+    """A robot loaded by a relative path keeps its meshes when the program changes its folder."""
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "a.stl").write_bytes(stl())
+    arm_with(tmp_path, '<visual><geometry><mesh filename="../meshes/a.stl"/></geometry></visual>')
+    monkeypatch.chdir(tmp_path)
+    robot = load_robot("urdf/arm.urdf", package_dirs=["meshes"])
+    monkeypatch.chdir("/")
+    assert isinstance(visual_shapes(robot)[0].shape, Triangles)
+    assert robot.package_dirs == (tmp_path / "meshes",)
+
+
 def test_without_meshes_no_file_is_opened(monkeypatch):
     """`meshes=False` draws plain shapes only."""
     from manip_learn.robot import visuals

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import functools
 import importlib.metadata
 import importlib.resources
@@ -73,16 +74,28 @@ def shipped_folder() -> Path:
 def example_robots() -> dict[str, Path]:
     """Names and URDF files of example-robot-data; empty if it is not installed."""
     try:
-        listed = importlib.metadata.files(DATA_PACKAGE) or []
+        package = importlib.metadata.distribution(DATA_PACKAGE)
     except importlib.metadata.PackageNotFoundError:
         return {}
-    files = {_below_robots(f): f for f in listed if f.suffix == ".urdf"}
+    files = {_below_robots(name): name for name in _urdf_files(package)}
     stems: dict[str, list[str]] = {}
     for key in files:
         stems.setdefault(PurePosixPath(key).stem, []).append(key)
     chosen = {stem: keys[0] for stem, keys in stems.items() if len(keys) == 1}
     chosen |= {short: key for short, key in SHORT_NAMES.items() if key in files}
-    return {name: Path(str(files[key].locate())) for name, key in chosen.items()}
+    return {name: Path(str(package.locate_file(files[key]))) for name, key in chosen.items()}
+
+
+def _urdf_files(package: importlib.metadata.Distribution) -> list[str]:
+    """Its .urdf files; read off the record, since `Distribution.files` makes paths of a thousand meshes first."""
+    record = package.read_text("RECORD")
+    if record is None:
+        return [str(f) for f in package.files or [] if f.suffix == ".urdf"]
+    return [
+        row[0]
+        for row in csv.reader(line for line in record.splitlines() if ".urdf" in line)
+        if row[0].endswith(".urdf")
+    ]
 
 
 def example_package_dir() -> Path | None:
@@ -94,6 +107,6 @@ def example_package_dir() -> Path | None:
     return None
 
 
-def _below_robots(file: importlib.metadata.PackagePath) -> str:
-    parts = file.parts
-    return "/".join(parts[parts.index("robots") + 1 :]) if "robots" in parts else file.name
+def _below_robots(name: str) -> str:
+    parts = PurePosixPath(name).parts
+    return "/".join(parts[parts.index("robots") + 1 :]) if "robots" in parts else parts[-1]

@@ -76,9 +76,9 @@ def robot_from_parts(
     return Robot(
         model,
         name=urdf.name,
-        source=path,
+        source=path.absolute(),  # meshes are looked up later, perhaps from another folder
         description=content,
-        package_dirs=package_dirs,
+        package_dirs=[d.absolute() for d in package_dirs],
         fingerprint=_fingerprint(urdf, still, passed.mimics.followers, root_joint),
         mimics=[m for m in passed.mimics.followers if m.joint not in still],
         locked=still,
