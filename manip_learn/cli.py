@@ -190,16 +190,18 @@ def reproduce(
     experiment: Annotated[
         str, typer.Argument(help="table, rmse, singular-start, near-singular-start, sawyer, beyond or all.")
     ],
-    trials: Annotated[int | None, typer.Option(help="Repetitions; default: as in the paper.")] = None,
+    trials: Annotated[int, typer.Option(help="Repetitions; 50 in the paper.")] = 50,
     seed: Annotated[int, typer.Option(help="Same seed, same numbers.")] = 0,
-    out: Annotated[Path, typer.Option(help="Folder for tables, figures and replays.")] = Path("reproduction_out"),
+    out: Annotated[Path | None, typer.Option(help="Folder for numbers, figures and replays.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes; default: all cores.")] = None,
+    backend: Annotated[str, typer.Option(help="loky, threading or dask.")] = "loky",
     as_json: Json = False,
 ) -> None:
     """Run the experiments of "Learning Singularity Avoidance", the printed numbers beside ours."""
     from manip_learn.commands.reproduce import reproduce as run
 
     with progress(as_json) as report:
-        result = run(experiment, trials=trials, seed=seed, out=out, progress=report)
+        result = run(experiment, trials=trials, seed=seed, out=out, workers=workers, backend=backend, progress=report)
     _answer(as_json, result.to_dict(), "print_reproduction", result)
 
 

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.markdown import Markdown
 from rich.markup import escape
 from rich.table import Table
 
-from manip_learn.commands.control import Controlled
-from manip_learn.commands.demo import Demo
-from manip_learn.commands.learn import Learnt
 from manip_learn.learning.rank import CLEAR_GAP
-from manip_learn.robot.inspection import RobotSummary
+
+if TYPE_CHECKING:  # so that printing one command's answer does not load the others
+    from manip_learn.commands.control import Controlled
+    from manip_learn.commands.demo import Demo
+    from manip_learn.commands.learn import Learnt
+    from manip_learn.commands.reproduce import Reproduction
+    from manip_learn.robot.inspection import RobotSummary
 
 UNDER_WAY = 0.1  # a nearly singular start is no fault of the policy: look from here on [s]
 
@@ -121,6 +126,15 @@ def print_controlled(console: Console, controlled: Controlled) -> None:
         )
     if controlled.out is not None:
         console.print(f"written: {escape(str(controlled.out))}", highlight=False, soft_wrap=True)
+
+
+def print_reproduction(console: Console, reproduction: Reproduction) -> None:
+    """Each part's own page: our numbers beside the paper's."""
+    for part, page in reproduction.pages.items():
+        console.rule(part)
+        console.print(Markdown(page))
+    if reproduction.out is not None:
+        console.print(f"written: {escape(str(reproduction.out))}", highlight=False, soft_wrap=True)
 
 
 def _limit(value: float) -> str:

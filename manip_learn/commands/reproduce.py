@@ -1,0 +1,53 @@
+"""`manip-learn reproduce`: the paper's experiments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+from manip_learn.experiments import reproduce as run_experiments
+
+
+@final
+@dataclass(frozen=True)
+class Reproduction:
+    """Numbers of each part, and its page in Markdown."""
+
+    numbers: dict[str, Any]
+    pages: dict[str, str]
+    out: Path | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON answer."""
+        return self.numbers
+
+
+def reproduce(
+    experiment: str,
+    *,
+    trials: int = 50,
+    seed: int = 0,
+    out: Path | None = None,
+    workers: int | None = None,
+    backend: str = "loky",
+    progress: Callable[[str, float], None] | None = None,
+) -> Reproduction:
+    """Run one experiment, or all.
+
+    Raises:
+        ManipLearnError: An unknown experiment, trials out of range, or an output folder that cannot be used.
+    """
+    pages: dict[str, str] = {}
+    numbers = run_experiments(
+        experiment,
+        trials,
+        seed,
+        out,
+        None if progress is None else lambda done, total: progress(experiment, done / max(total, 1)),
+        workers=workers,
+        backend=backend,  # type: ignore[arg-type]  # checked there, with a list of the names
+        on_result=lambda part, result: pages.update({part: result.markdown()}),
+    )
+    return Reproduction(numbers, pages, out)
