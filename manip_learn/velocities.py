@@ -21,6 +21,10 @@ DEGREES = (2, 3, 5)
 BIAS_WEIGHT = 4.0
 # noise below this share of the motion's own step is what printing to 7 digits leaves: no smoothing needed
 CLEAN_SHARE = 1e-3
+# share of a window by which its time stamps may be off an even grid
+EVEN = 1e-9
+# windows among which degree and width are compared, spread over the trajectory
+COMPARED = 150
 # fewer samples leave no room for a window, or, if they are clean, for one that beats midpoints
 SHORT, SHORT_AND_CLEAN = 8, 24
 
@@ -148,14 +152,17 @@ def local_fit(
     return value, slope
 
 
-def _local_weights(time: np.ndarray, half_width: int, degree: int) -> Float[np.ndarray, "N d W"]:
-    windows = np.lib.stride_tricks.sliding_window_view(time, 2 * half_width + 1)
+def _local_weights(time: np.ndarray, half_width: int, degree: int, stride: int = 1) -> Float[np.ndarray, "N d W"]:
+    windows = np.lib.stride_tricks.sliding_window_view(time, 2 * half_width + 1)[::stride]
     offset = windows - windows[:, half_width : half_width + 1]
     scale = np.max(np.abs(offset), axis=1, keepdims=True)
+    n = len(offset)
+    if np.max(np.abs(offset - offset[0])) <= EVEN * np.min(scale):
+        offset, scale = offset[:1], scale[:1]  # evenly sampled: one window stands for all
     powers = (offset / scale)[:, None, :] ** np.arange(degree + 1)[None, :, None]
     weights = np.linalg.solve(powers @ powers.transpose(0, 2, 1), powers)
     weights[:, 1] /= scale
-    return weights
+    return np.broadcast_to(weights, (n, *weights.shape[1:]))
 
 
 def best_window(
@@ -169,14 +176,15 @@ def best_window(
     noise2 = _noise_variance(time, x)
     best, best_error = (half_widths[0], degrees[0]), np.inf
     for m in half_widths:
-        windows: np.ndarray | None = None
+        if 2 * m + 1 > len(time):
+            break
+        stride = max(1, (len(time) - 2 * m) // COMPARED)
+        windows = np.lib.stride_tricks.sliding_window_view(x, 2 * m + 1, axis=0)[::stride]
         for degree in degrees:
             if not _fits(m, degree, longest or x.shape[0]):
                 continue
-            if windows is None:
-                windows = np.lib.stride_tricks.sliding_window_view(x, 2 * m + 1, axis=0)
-            slope = _local_weights(time, m, degree)[:, 1]
-            richer = _local_weights(time, m, degree + 2)[:, 1] - slope
+            slope = _local_weights(time, m, degree, stride)[:, 1]
+            richer = _local_weights(time, m, degree + 2, stride)[:, 1] - slope
             difference = np.einsum("nw,njw->nj", richer, windows, optimize=True)
             # the difference of the two fits holds the bias and its own share of the noise: take that off again
             own = np.mean(np.sum(richer**2, axis=1)) * noise2
