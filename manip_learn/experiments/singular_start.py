@@ -71,7 +71,7 @@ def _claims(paper_law: dict[float, dict[str, Rollout]]) -> tuple[Claim, ...]:
                 f"Its velocities could be followed by an arm (pi rad/s){at}",
                 "check",
                 seen,
-                np.max(np.abs(climb.u)) < np.pi,
+                bool(np.max(np.abs(climb.u)) < np.pi),
             )
         )
     return tuple(claims)

@@ -16,6 +16,7 @@ from manip_learn.experiments.part_store import PartStore, library_digest
 
 Progress = Callable[[int, int], None]
 Backend = Literal["loky", "threading", "dask"]
+BACKENDS = ("loky", "threading", "dask")
 # a trial takes frozen settings and a generator, and returns plain numbers, strings, lists and dictionaries
 Trial = Callable[[Any, np.random.Generator], dict[str, Any]]
 PART = 5  # trials that are run and kept together

@@ -24,7 +24,8 @@ MAX_ITERATIONS = 200
 # directions of the regressors' space below this share of the strongest take no part; from coarse to fine, for the
 # descent from the regression alone ends in a poor minimum now and then
 STAGES = (1e-6, 1e-8, 1e-10)
-NO_GAIN = 1e-7  # relative decrease of the cost in a step below which to stop
+# relative decrease of the cost in a step below which to stop; the coarse stages only lead the way
+NO_GAIN = (1e-3, 1e-3, 1e-6)
 STALLED = 5  # so many steps of little gain in a row end a stage
 
 
@@ -67,20 +68,20 @@ def separate(
     # orthonormal combinations of the regressors: the normal equations of wide radial functions are hopeless as they are
     basis, sigma, Vt = np.linalg.svd(model(x), full_matrices=False)
     weights, cost, iterations = np.zeros((0, u.shape[1])), np.inf, 0
-    for share in STAGES:
+    for share, no_gain in zip(STAGES, NO_GAIN, strict=True):
         k = int(np.count_nonzero(sigma > share * sigma[0]))
         if len(weights):
             start = np.concatenate([weights, np.zeros((k - len(weights), u.shape[1]))])
         else:
             start = basis[:, :k].T @ u  # the regression
-        weights, cost, steps = _descend(basis[:, :k], start, u, max_iterations)
+        weights, cost, steps = _descend(basis[:, :k], start, u, max_iterations, no_gain)
         iterations += steps
     k = len(weights)
     return Separation((Vt[:k].T / sigma[:k]) @ weights, model, cost / len(u), iterations)
 
 
 def _descend(
-    basis: np.ndarray, weights: np.ndarray, u: np.ndarray, max_iterations: int
+    basis: np.ndarray, weights: np.ndarray, u: np.ndarray, max_iterations: int, no_gain: float
 ) -> tuple[np.ndarray, float, int]:
     residual, J = residual_and_jacobian(basis, weights, u)
     cost, damping, stalled, iterations = float(residual @ residual), 1e-3, 0, 0
@@ -98,7 +99,7 @@ def _descend(
         trial, trial_J = residual_and_jacobian(basis, moved, u)
         trial_cost = float(trial @ trial)
         if trial_cost < cost:
-            stalled = stalled + 1 if trial_cost > cost * (1.0 - NO_GAIN) else 0
+            stalled = stalled + 1 if trial_cost > cost * (1.0 - no_gain) else 0
             weights, residual, J, cost, damping = moved, trial, trial_J, trial_cost, max(damping * 0.2, 1e-14)
         else:
             damping *= 5.0

@@ -1,0 +1,153 @@
+"""The paper's experiments by name: run, keep finished parts, write numbers, figures and replays."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from manip_learn.atomic_write import write_atomically
+from manip_learn.errors import ExperimentError, UnknownNameError
+from manip_learn.experiments import beyond, near_singular_start, rmse, sawyer, singular_start, table, variants
+from manip_learn.experiments.charts import save_figure
+from manip_learn.experiments.experiment_result import ExperimentResult
+from manip_learn.experiments.part_store import PartStore
+from manip_learn.experiments.trial_runner import BACKENDS, Backend, Progress, TrialRunner
+from manip_learn.playback.replay_page import replay
+
+MAX_TRIALS = 100_000
+
+
+@final
+@dataclass(frozen=True)
+class Experiment:
+    """A part of the reproduction.
+
+    Attributes:
+        run: (trials, rng, runner) -> result.
+        size: Trials -> steps that it reports as progress.
+    """
+
+    run: Callable[[int, np.random.Generator, TrialRunner], ExperimentResult]
+    size: Callable[[int], int]
+
+
+PARTS: dict[str, Experiment] = {
+    "table": Experiment(table.run, table.size),
+    "variants": Experiment(variants.run, variants.size),
+    "rmse": Experiment(rmse.run, rmse.size),
+    "singular-start": Experiment(singular_start.run, singular_start.size),
+    "near-singular-start": Experiment(near_singular_start.run, near_singular_start.size),
+    "sawyer": Experiment(sawyer.run, sawyer.size),
+    "beyond": Experiment(beyond.run, beyond.size),
+}
+# name that a user gives -> parts
+EXPERIMENTS: dict[str, tuple[str, ...]] = {
+    "table": ("table", "variants"),
+    **{name: (name,) for name in PARTS if name not in ("table", "variants")},
+    "all": tuple(PARTS),
+}
+
+
+def reproduce(
+    name: str = "all",
+    trials: int = 50,
+    seed: int = 0,
+    out: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+    *,
+    workers: int | None = None,
+    backend: Backend = "loky",
+    on_result: Callable[[str, ExperimentResult], None] | None = None,
+) -> dict[str, Any]:
+    """Run one experiment of the paper, or all, and set our numbers beside the printed ones.
+
+    The same seed gives the same numbers, whatever the number of workers. With an output folder, finished parts are kept
+    there as they come: an interrupted run goes on where it stopped.
+
+    Args:
+        name: `"table"`, `"rmse"`, `"singular-start"`, `"near-singular-start"`, `"sawyer"`, `"beyond"` or `"all"`.
+        trials: Number of trials; 50 in the paper.
+        seed: Root of all random numbers.
+        out: Folder for JSON, CSV, PNG, SVG, Markdown and replay pages; None writes nothing.
+        progress: Called with (done, total).
+        workers: Number of processes; all cores by default.
+        backend: joblib's `"loky"` or `"threading"`, or `"dask"`.
+        on_result: Called with each part's name and result as it comes.
+
+    Returns:
+        Part -> `ours` and `paper` (`table` and `variants`: of each constraint), ready for JSON.
+
+    Raises:
+        UnknownNameError: No such experiment or backend; lists those that exist.
+        ExperimentError: Trials, seed or workers out of range.
+        OutputError: The folder holds other files, or cannot be written.
+        MissingExtraError: joblib, matplotlib or dask is not installed.
+    """
+    _check(name, trials, seed, workers, backend)
+    store = None if out is None else PartStore(Path(out))
+    parts = EXPERIMENTS[name]
+    runner = TrialRunner(workers, backend, store, progress, sum(PARTS[p].size(trials) for p in parts))
+    results: dict[str, Any] = {}
+    for part in parts:
+        rng = np.random.default_rng([seed, zlib.crc32(part.encode())])
+        result = PARTS[part].run(trials, rng, runner)
+        results[part] = result.to_dict()
+        if on_result is not None:
+            on_result(part, result)
+        if store is not None:
+            write_result(part, result, store.folder, {"trials": trials, "seed": seed})
+    return results
+
+
+def write_result(part: str, result: ExperimentResult, folder: Path, settings: dict[str, Any]) -> list[Path]:
+    """JSON, CSV, Markdown, figures and replay pages of one part.
+
+    Raises:
+        OutputError: They cannot be written.
+        MissingExtraError: matplotlib is not installed.
+    """
+    content = {"experiment": part, "settings": settings, "result": result.to_dict()}
+    paths = [
+        write_atomically(folder / f"{part}.json", json.dumps(content, indent=1, allow_nan=False) + "\n"),
+        write_atomically(folder / f"{part}.csv", _csv(result.rows())),
+        write_atomically(folder / f"{part}.md", result.markdown() + "\n"),
+    ]
+    for name, figure in result.figures().items():
+        paths += save_figure(figure, folder, name)
+    for name, (robot, rollouts) in result.replays().items():
+        page = replay(robot, dict(rollouts), html=folder / f"{name}.html", title=name, open_browser=False)
+        paths.append(page.html)
+    return paths
+
+
+def _check(name: str, trials: int, seed: int, workers: int | None, backend: str) -> None:
+    if name not in EXPERIMENTS:
+        raise UnknownNameError("experiment", name, EXPERIMENTS)
+    if backend not in BACKENDS:
+        raise UnknownNameError("backend", backend, BACKENDS)
+    if isinstance(trials, bool) or not isinstance(trials, int) or not 1 <= trials <= MAX_TRIALS:
+        raise ExperimentError(
+            f"the number of trials must be a whole number from 1 to {MAX_TRIALS}, got {trials!r}; the paper has 50"
+        )
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise ExperimentError(f"the seed must be a whole number of 0 or more, got {seed!r}")
+    if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
+        raise ExperimentError(f"the number of workers must be 1 or more, got {workers!r}; leave it out for all cores")
+
+
+def _csv(rows: list[dict[str, Any]]) -> str:
+    stream = io.StringIO()
+    if rows:
+        writer = csv.DictWriter(stream, fieldnames=list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    return stream.getvalue()
