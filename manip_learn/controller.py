@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from math import isfinite
 from typing import NamedTuple, final
 
 import numpy as np
@@ -121,7 +122,7 @@ class ResolvedRateController:
             ConfigurationError: q has the wrong size or is not finite.
             TargetError: The task's target does not fit the constraint.
         """
-        if not (self._features_check and type(q) is np.ndarray and q.dtype == np.float64):
+        if not (self._features_check and type(q) is np.ndarray and q.dtype.char == "d"):
             q = self._checked_posture(q)
         ascent = self._ascent
         if ascent is None:
@@ -161,8 +162,8 @@ class ResolvedRateController:
 
     @staticmethod
     def _checked(vector: ArrayLike, size: int, what: str) -> np.ndarray:
-        array = np.asarray(vector, dtype=np.float64)
-        if array.shape != (size,) or not math.isfinite(sum(array.tolist())):
+        array = np.asarray(vector, np.float64)
+        if array.shape != (size,) or not isfinite(sum(array.tolist())):
             raise TargetError(f"{what} must be {size} finite numbers, got {array.tolist()}")
         return array
 
@@ -186,7 +187,7 @@ class ResolvedRateController:
             if null_scale < 1.0:
                 null_part = null_scale * null_part
         velocity = task_part + null_part
-        if not math.isfinite(sum(velocity.tolist())):
+        if not isfinite(sum(velocity.tolist())):
             raise ConfigurationError(
                 f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {smallest:.1e}): "
                 "use inverse='damped'"

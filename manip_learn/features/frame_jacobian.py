@@ -153,7 +153,7 @@ class FrameJacobian(FeatureMap):
         goal = np.asarray(target, dtype=np.float64)
         if self.only_linear and goal.shape == (self.n_rows,):
             # the usual reaching task, many times a second: no orientation is needed
-            displacement = goal - self.robot.pose(q, self.frame)[self._rows, 3]
+            displacement = goal - self.robot.position(q, self.frame)[self._rows]
             if math.isfinite(sum(displacement.tolist())):
                 return displacement
         pose = self.robot.pose(q, self.frame)

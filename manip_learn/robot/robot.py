@@ -409,6 +409,16 @@ class Robot:
         pin.forwardKinematics(self._model, data, self._pin_q(q))
         return pin.updateFramePlacement(self._model, data, frame.index).homogeneous  # a copy
 
+    def position(self, q: ArrayLike, frame: Frame) -> Float[np.ndarray, " 3"]:
+        """Origin of the frame in the robot's base [m]: the last column of `pose`.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        data = self._data
+        pin.forwardKinematics(self._model, data, self._finite_vector(q) if self._plain else self._pin_q(q))
+        return pin.updateFramePlacement(self._model, data, frame.index).translation.copy()
+
     def pose_batch(self, q: ArrayLike, frame: Frame) -> Float[np.ndarray, "n 4 4"]:
         """`pose` at n postures, the rows of q.
 
