@@ -8,6 +8,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.learning.joint import JointFit
 from manip_learn.learning.rank import GapTable
 
 
@@ -27,6 +28,7 @@ class Estimate:
         policy_residuals: Policy model -> held-out share of unexplained energy.
         noise: Held-out residual energy a degree of freedom [(rad/s)^2]; 0 where there is no such thing.
         warnings: Doubts.
+        joint: Joint estimator: the fit with the policy's parameters, from where more samples can improve on it.
     """
 
     name: str
@@ -40,3 +42,4 @@ class Estimate:
     policy_residuals: dict[str, float] = field(default_factory=dict)
     noise: float = 0.0
     warnings: tuple[str, ...] = ()
+    joint: JointFit | None = None

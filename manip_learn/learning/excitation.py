@@ -8,7 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import NotIdentifiableError, RecordingError
+from manip_learn.learning.postures import check_postures
 from manip_learn.learning.samples import Samples
+from manip_learn.learning.survey import Extent
 
 OUTLIER_FACTOR = 1e4
 STILL_SHARE = 1e-6
@@ -18,29 +20,51 @@ FEW_JOINTS = 1.6
 
 def excitation(samples: Samples) -> Float[np.ndarray, " nv"]:
     """Share of the motion's energy in each joint; sums to 1."""
-    energy = np.mean(samples.u**2, axis=0)
+    return shares(np.mean(samples.u**2, axis=0))
+
+
+def shares(energy: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
+    """Share of each joint in the sum; sums to 1."""
     return energy / max(float(energy.sum()), np.finfo(np.float64).tiny)
+
+
+def check_fastest(samples: Samples, extent: Extent, joint_names: Sequence[str]) -> None:
+    """Refuse a velocity that is far out of line with all others.
+
+    Args:
+        samples: All of them or an even choice, for what is usual.
+        extent: Of all of them.
+        joint_names: For the message.
+
+    Raises:
+        RecordingError: There is one.
+    """
+    speed = np.linalg.norm(samples.u, axis=1)
+    fastest, (sample, group) = extent.fastest, extent.fastest_at
+    if not np.any(speed > 0.0):
+        return
+    ratio = float(np.linalg.norm(fastest)) / float(np.median(speed[speed > 0.0]))
+    if ratio > OUTLIER_FACTOR:
+        joint = int(np.argmax(np.abs(fastest)))
+        raise RecordingError(
+            f"sample {sample} (trajectory {group}) moves at {fastest[joint]:.3g} in joint {joint_names[joint]!r}, "
+            f"{ratio:.1e} times the median speed: remove the outlier",
+            code="outlier",
+        )
 
 
 def check_samples(samples: Samples, joint_names: Sequence[str], n_constraints: int | None) -> list[str]:
     """Refuse what no estimator can learn from; warnings for what is doubtful.
 
     Raises:
-        NotIdentifiableError: Nothing moves, or too few different samples.
-        RecordingError: A velocity is far out of line with all others.
+        NotIdentifiableError: Nothing moves, the posture never changes, or too few different samples.
+        RecordingError: A posture is far out of line with all others.
     """
     speed = np.linalg.norm(samples.u, axis=1)
     if not np.any(speed > 0.0):
         raise NotIdentifiableError("nothing moves in these demonstrations: all velocities are zero", code="no-motion")
+    check_postures(samples)
     median = float(np.median(speed[speed > 0.0]))
-    if float(speed.max()) > OUTLIER_FACTOR * median:
-        i = int(np.argmax(speed))
-        joint = int(np.argmax(np.abs(samples.u[i])))
-        raise RecordingError(
-            f"sample {i} (trajectory {samples.group[i]}) moves at {samples.u[i, joint]:.3g} in joint "
-            f"{joint_names[joint]!r}, {speed[i] / median:.1e} times the median speed: remove the outlier",
-            code="outlier",
-        )
     r = samples.n_rows
     s = n_constraints or 1
     needed = max(r + 2, s * (r - s) + 2, 5)

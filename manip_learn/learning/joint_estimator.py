@@ -89,6 +89,7 @@ def estimate_joint(
         fit.model.name,
         residuals,
         noise=chosen.held_out / (samples.nv - s),
+        joint=fit,
     )
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
-from collections.abc import Sequence
-from typing import Literal, final
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, Literal, final
 
 import numpy as np
 
@@ -13,14 +14,20 @@ from manip_learn.demonstrations import Demonstrations, Trajectory
 from manip_learn.errors import FeatureError, NotIdentifiableError, RecordingError
 from manip_learn.features.feature_map import FeatureMap
 from manip_learn.learning.bootstrap import bootstrap_angle_deg
+from manip_learn.learning.conclusion import Outcome, concluded
 from manip_learn.learning.estimate import Estimate
-from manip_learn.learning.excitation import check_samples, excitation
+from manip_learn.learning.excitation import check_fastest, check_samples
 from manip_learn.learning.joint_estimator import estimate_joint
+from manip_learn.learning.kept_trajectories import KeptTrajectories
 from manip_learn.learning.null_space_estimator import estimate_null_space
+from manip_learn.learning.passes import Progress, made_by
+from manip_learn.learning.polish import polished
 from manip_learn.learning.rank import CLEAR_GAP
+from manip_learn.learning.reading import reading
 from manip_learn.learning.report import LearningReport
+from manip_learn.learning.sample_source import ListedTrajectories, TrajectorySource, source_of
 from manip_learn.learning.samples import Samples
-from manip_learn.learning.words import free_directions, in_words
+from manip_learn.learning.survey import Extent, Survey
 from manip_learn.velocities import VelocityMethod, with_velocities
 
 EstimatorName = Literal["auto", "joint", "null-space", "separate"]
@@ -84,6 +91,8 @@ class ConstraintLearner:
         candidates = [features] if isinstance(features, FeatureMap) else list(features)
         if not candidates:
             raise FeatureError("give the learner at least one feature map")
+        if n_constraints is not None and (isinstance(n_constraints, bool) or not isinstance(n_constraints, int)):
+            raise FeatureError(f"n_constraints must be a whole number or None, got {n_constraints!r}")
         for candidate in candidates:
             if n_constraints is not None and not 1 <= n_constraints <= min(candidate.n_rows, candidate.nv):
                 raise FeatureError(
@@ -91,44 +100,104 @@ class ConstraintLearner:
                     f"got {n_constraints}"
                 )
         self._candidates = candidates
+        self._kept: KeptTrajectories | None = None
 
-    def fit(self, demonstrations: Demonstrations | Sequence[Trajectory]) -> ConstraintLearner:
+    def fit(
+        self,
+        demonstrations: TrajectorySource | Iterable[Trajectory],
+        *,
+        client: Any = None,
+        progress: Progress | None = None,
+    ) -> ConstraintLearner:
         """Learn from demonstrations; a second fit forgets the first.
+
+        Up to 16,384 samples are learnt from directly. Of more, that many are chosen evenly for a first answer, which
+        Gauss-Newton steps over all of them then carry to the optimum, one part of them in memory at a time.
+
+        Args:
+            demonstrations: Trajectories in memory; or an object that yields them anew each time it is iterated over;
+                or a `TrajectorySource`, e.g. `manip_learn.io.RecordingSource` for files larger than memory.
+            client: A `dask.distributed.Client` whose workers make the passes over the samples; the answer does not
+                depend on their number.
+            progress: Called with what is being done and the share of it that is done.
 
         Raises:
             NotIdentifiableError: The demonstrations do not determine a constraint; says why.
             RecordingError: They cannot be used (no velocities to be had, outliers, another robot's joints).
+            MissingExtraError: A client without the extra `dask`.
         """
+        self._kept = None
+        self._learn(self._source(demonstrations), client, progress)
+        return self
+
+    def partial_fit(self, demonstrations: TrajectorySource | Iterable[Trajectory]) -> ConstraintLearner:
+        """Learn from these demonstrations and all that came by `partial_fit` before: the same as one fit to all.
+
+        What a motion says about Lambda cannot be boiled down to sums before Lambda is known, so times, positions and
+        velocities are kept: 120 bytes a sample of a 7-joint arm, up to 256 MB in memory, then in a temporary file.
+
+        Raises:
+            NotIdentifiableError: Not enough yet; the demonstrations are kept all the same.
+            RecordingError: They cannot be used; nothing of them is kept.
+        """
+        kept = self._kept or KeptTrajectories()
+        kept.add(self._source(demonstrations), self._candidates, self.velocities)
+        self._kept = kept
+        self._learn(kept, None, None)
+        return self
+
+    def _source(self, demonstrations: TrajectorySource | Iterable[Trajectory]) -> TrajectorySource:
+        """The demonstrations as a source; those in memory get their velocities once and for all."""
+        if not isinstance(demonstrations, Demonstrations | Sequence | Iterator):
+            return source_of(demonstrations)
+        for learnt in ("constraint_", "report_"):
+            vars(self).pop(learnt, None)  # a fit that refuses must not leave the answer to other demonstrations behind
         demos = demonstrations if isinstance(demonstrations, Demonstrations) else Demonstrations(demonstrations)
         for features in self._candidates:
             _check_joints(features, demos)
         demos = with_velocities(demos, getattr(self._candidates[0], "robot", None), self.velocities)
-        outcomes: list[tuple[Constraint, LearningReport]] = []
+        return ListedTrajectories(demos.trajectories, demos.notes)
+
+    def _learn(self, source: TrajectorySource, client: Any, progress: Progress | None) -> None:
+        started = time.perf_counter()
+        read = reading(source, self._candidates, self.velocities)
+        with made_by(client, read, progress) as passes:
+            extent: Extent = passes.total(Survey(), {}, "all samples, a first look")
+            best = self._best_candidate(extent, read.joint_names)
+            estimate, note = polished(best.estimate, best.samples, extent, passes)
+            best = dataclasses.replace(best, estimate=estimate)
+        if note:
+            extent = dataclasses.replace(extent, notes=(*extent.notes, note))
+        uncertainty = bootstrap_angle_deg(
+            best.samples, estimate.selection, estimate.gradients, estimate.hessians, best.rng
+        )
+        seconds = time.perf_counter() - started
+        self.constraint_, self.report_ = concluded(best, extent, read.joint_names, uncertainty, seconds)
+
+    def _best_candidate(self, extent: Extent, joint_names: tuple[str, ...]) -> Outcome:
+        """The first candidate, unless another is better by more than chance."""
+        best: Outcome | None = None
         refusals: list[NotIdentifiableError] = []
         for features in self._candidates:
             try:
-                outcomes.append(self._fit_one(features, demos))
+                outcome = self._outcome(features, extent, joint_names)
             except NotIdentifiableError as error:
                 refusals.append(error)
-        if not outcomes:
+                continue
+            if best is None or outcome.gap > CHANCE * best.gap:
+                best = outcome
+        if best is None:
             raise refusals[0]
-        # the first candidate wins unless another is better by more than chance
-        self.constraint_, self.report_ = outcomes[0]
-        for constraint, report in outcomes[1:]:
-            if report.gap > CHANCE * self.report_.gap:
-                self.constraint_, self.report_ = constraint, report
-        return self
+        return best
 
-    def _fit_one(self, features: FeatureMap, demos: Demonstrations) -> tuple[Constraint, LearningReport]:
-        started = time.perf_counter()
-        samples = Samples.collect(features, demos)
-        names = demos.joint_names
-        warnings = check_samples(samples, names, self.n_constraints)
+    def _outcome(self, features: FeatureMap, extent: Extent, joint_names: tuple[str, ...]) -> Outcome:
+        _, group = np.unique(extent.group, return_inverse=True)
+        samples = Samples.of(features, extent.q, extent.u, group, extent.low, extent.high)
+        check_fastest(samples, extent, joint_names)
+        warnings = check_samples(samples, joint_names, self.n_constraints)
         rng = np.random.default_rng(self.seed)
         estimate = self._estimate(samples, rng)
-        warnings += self._doubts(samples, estimate)
-        uncertainty = bootstrap_angle_deg(samples, estimate.selection, estimate.gradients, estimate.hessians, rng)
-        return self._concluded(samples, demos, estimate, uncertainty, warnings, started)
+        return Outcome(samples, estimate, warnings + self._doubts(samples, estimate), rng)
 
     def _estimate(self, samples: Samples, rng: np.random.Generator) -> Estimate:
         if self.estimator == "null-space":
@@ -175,7 +244,8 @@ class ConstraintLearner:
             )
         if s >= samples.nv:
             raise NotIdentifiableError(
-                f"{s} constraints leave {samples.nv} joints no freedom: there is nothing to learn from", code="no-freedom"
+                f"{s} constraints leave {samples.nv} joints no freedom: there is nothing to learn from",
+                code="no-freedom",
             )
         if verdict != "clear":
             warnings.append(
@@ -184,7 +254,8 @@ class ConstraintLearner:
             )
         if self.n_constraints is not None and table.best != s and table.verdict(table.best) != "none":
             warnings.append(
-                f"you asked for {s} row(s); the data speak for {table.best} (gap {table.gap(table.best):.3g} against {gap:.3g})"
+                f"you asked for {s} row(s); the data speak for {table.best} (gap {table.gap(table.best):.3g} against "
+                f"{gap:.3g})"
             )
         if estimate.name == "null-space" and estimate.unexplained > HELD_FRACTION:
             warnings.append(
@@ -197,54 +268,6 @@ class ConstraintLearner:
                 "null-space motion is not a function of the posture"
             )
         return warnings
-
-    def _concluded(
-        self,
-        samples: Samples,
-        demos: Demonstrations,
-        estimate: Estimate,
-        uncertainty: float | None,
-        warnings: list[str],
-        started: float,
-    ) -> tuple[Constraint, LearningReport]:
-        features = samples.features
-        selection = samples.selection(estimate.selection)
-        s = selection.shape[0]
-        used = np.linalg.norm(samples.whitening, axis=0) > 0.0
-        unused = [n for n, u in zip(features.row_names, used, strict=True) if not u]
-        if unused:
-            warnings.append(f"row(s) {', '.join(unused)} are always zero for this robot and frame and were left out")
-        kind = "motion-constrained" if estimate.name == "null-space" else "self-imposed"
-        free = free_directions(selection, used)
-        report = LearningReport(
-            sentence=in_words(kind, selection, free, features, used, uncertainty),
-            estimator=estimate.name,
-            kind=kind,
-            n_constraints=s,
-            row_names=features.row_names,
-            reference=getattr(features, "reference", None),
-            free_directions=tuple(tuple(float(c) for c in row) for row in free),
-            gap=float(estimate.table.gap(s)),
-            gap_table=dict(zip(estimate.table.counts, estimate.table.gaps, strict=True)),
-            levels=(),
-            energy_fraction=float(estimate.unexplained),
-            held_out_residual=float(np.sqrt(estimate.held_out)),
-            uncertainty_deg=uncertainty,
-            excitation=dict(zip(demos.joint_names, excitation(samples).tolist(), strict=True)),
-            policy_model=estimate.policy_model,
-            policy_residuals=estimate.policy_residuals,
-            n_samples=len(samples),
-            n_trajectories=samples.n_groups,
-            seconds=time.perf_counter() - started,
-            notes=tuple(demos.notes),
-            warnings=tuple(warnings),
-        )
-        provenance = {
-            key: value
-            for key, value in report.to_dict().items()
-            if key in ("estimator", "kind", "gap", "uncertainty_deg", "n_samples", "n_trajectories", "sentence", "warnings")
-        }
-        return Constraint(selection, features, provenance), report
 
     def __repr__(self) -> str:
         return f"ConstraintLearner({self.features!r}, n_constraints={self.n_constraints}, estimator={self.estimator!r})"

@@ -82,8 +82,23 @@ class Samples:
         q = np.concatenate([t.q for t in demonstrations])
         u = np.concatenate([t.u for t in demonstrations])  # type: ignore[misc]
         group = np.repeat(np.arange(len(demonstrations)), [len(t) for t in demonstrations])
-        centre = 0.5 * (q.max(axis=0) + q.min(axis=0))
-        spread = np.maximum(0.5 * (q.max(axis=0) - q.min(axis=0)), 1e-9)
+        return Samples.of(features, q, u, group, q.min(axis=0), q.max(axis=0))
+
+    @staticmethod
+    def of(
+        features: FeatureMap,
+        q: Float[np.ndarray, "n nq"],
+        u: Float[np.ndarray, "n nv"],
+        group: Int[np.ndarray, " n"],
+        low: Float[np.ndarray, " nq"],
+        high: Float[np.ndarray, " nq"],
+    ) -> Samples:
+        """Samples that are given, or chosen from more, whose postures reach from `low` to `high`.
+
+        Raises:
+            NotIdentifiableError: Every feature row is zero throughout.
+        """
+        centre, spread = 0.5 * (high + low), np.maximum(0.5 * (high - low), 1e-9)
         raw = Samples(features, q, u, group, np.eye(features.n_rows), centre, spread)
         S = np.zeros((features.n_rows, features.n_rows))
         for block in raw.blocks():
@@ -128,9 +143,7 @@ class Samples:
     def subset(self, keep: np.ndarray) -> Samples:
         """The samples where the mask is true, in the same whitened coordinates."""
         _, group = np.unique(self.group[keep], return_inverse=True)
-        return Samples(
-            self.features, self.q[keep], self.u[keep], group, self.whitening, self.centre, self.spread
-        )
+        return Samples(self.features, self.q[keep], self.u[keep], group, self.whitening, self.centre, self.spread)
 
     def selection(self, whitened: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "s p"]:
         """Lambda in the features' own units, with orthonormal rows, from a Lambda in whitened coordinates."""

@@ -1,0 +1,139 @@
+"""Normal equations of Lambda and the null-space policy together, over all samples.
+
+With e = N (u - Theta^T beta) and dLambda = B Lambda_perp (Kaufman's form of the derivative):
+
+    d e / d Theta_kv = -beta_k N e_v          d e / d B_ij = -(A^{+T} (u - pi))_i  N (Lambda_perp Phi)_j^T
+
+N is a projector, so that sum (d e / d Theta)^T (d e / d Theta) = sum beta beta^T (x) N: one matrix product a chunk,
+where a QR of the rows costs far more. The condition number is squared thereby: the regressors are made orthonormal
+beforehand, and since e is formed sample by sample, each further pass takes off what rounding has left (iterative
+refinement).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.features.feature_map import FeatureMap
+from manip_learn.learning.policy_model import PolicyModel
+from manip_learn.learning.pools import Pools
+from manip_learn.learning.row_spaces import RowSpaces, row_spaces
+from manip_learn.learning.tally import Chunk, Sums
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Regressors:
+    """beta'(q) = T beta((q - centre) / spread), orthonormal on the samples that T was made from; picklable.
+
+    Attributes:
+        model: beta.
+        centre, spread: shape (m,).
+        mixing: T, shape (k', k).
+    """
+
+    model: PolicyModel
+    centre: Float[np.ndarray, " m"]
+    spread: Float[np.ndarray, " m"]
+    mixing: Float[np.ndarray, "j k"]
+
+    def __call__(self, q: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "j n"]:
+        """beta' with the samples along the last axis."""
+        return self.mixing @ self.model((q - self.centre) / self.spread).T
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class JointTally(Sums):
+    """One Gauss-Newton pass of variable projection.
+
+    Gathers the cost, the energy sum |N u|^2, the gradient and the Hessian for (Theta, B), and for each pool of
+    trajectories the gradient and the Hessian for B with Theta projected off; Theta is (k', nv) row by row, B is
+    (s, p' - s).
+
+    Attributes:
+        features: Phi.
+        mixing: Lambda above Lambda_perp, in the features' own units, shape (p', p).
+        n_rows: Number of rows s of Lambda.
+        regressors: beta'.
+        theta: Policy for beta', shape (k', nv).
+        projection: dTheta/dB of the best Theta, from the pass before, shape (k' nv, m); None in the first pass.
+        pools: Pool of each trajectory.
+    """
+
+    features: FeatureMap
+    mixing: Float[np.ndarray, "r p"]
+    n_rows: int
+    regressors: Regressors
+    theta: Float[np.ndarray, "j nv"]
+    projection: Float[np.ndarray, "w m"] | None
+    pools: Pools
+
+    def of(self, chunk: Chunk) -> tuple[Any, ...]:
+        """Cost, energy, gradient, Hessian, and the pools' gradients and Hessians of a chunk."""
+        s = self.n_rows
+        Phi, u = chunk.features(self.features, self.mixing)
+        spaces = row_spaces(Phi[:s])
+        beta = self.regressors(chunk.q)
+        y = u - self.theta.T @ beta
+        along, task = spaces.along(y), spaces.along(u)
+        e, a = spaces.away(y, along), spaces.dual(along)
+        J = _slopes(spaces, Phi[s:], a)
+        m, nv, n = J.shape
+        width = beta.shape[0] * nv
+        H = np.zeros((width + m, width + m))
+        H[:width, :width] = _policy_hessian(spaces, beta)
+        H[:width, width:] = (
+            -(beta @ J.transpose(2, 0, 1).reshape(n, m * nv)).reshape(-1, m, nv).transpose(0, 2, 1).reshape(width, m)
+        )
+        H[width:, :width] = H[:width, width:].T
+        flat = J.reshape(m, nv * n)
+        H[width:, width:] = flat @ flat.T
+        gradient = np.concatenate([-(beta @ e.T).reshape(-1), np.einsum("mvn,vn->m", J, e)])
+        energy = np.einsum("vn,vn->", u, u) - np.einsum("sn,sn->", task, task)
+        return np.einsum("vn,vn->", e, e), energy, gradient, H, *self._pooled(chunk, spaces, beta, J, e)
+
+    def _pooled(
+        self, chunk: Chunk, spaces: RowSpaces, beta: np.ndarray, J: np.ndarray, e: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        m, nv, n = J.shape
+        if self.projection is None:
+            return np.zeros((self.pools.n_pools, m)), np.zeros((self.pools.n_pools, m, m))
+        follow = self.projection.T.reshape(m, beta.shape[0], nv)  # dTheta for each entry of B
+        left = np.empty_like(J)
+        for i in range(m):
+            followed = follow[i].T @ beta
+            left[i] = J[i] - spaces.away(followed, spaces.along(followed))
+        slopes = np.einsum("mvn,vn->mn", left, e)
+        H = np.einsum("avn,bvn->abn", left, left).reshape(m * m, n)
+        return self.pools.sums(slopes, chunk.group), self.pools.sums(H, chunk.group).reshape(-1, m, m)
+
+
+def _slopes(spaces: RowSpaces, perp: np.ndarray, a: np.ndarray) -> Float[np.ndarray, "m nv n"]:
+    """d e / d B, entry by entry."""
+    s, (k, nv, n) = len(a), perp.shape
+    out = np.empty((s, k, nv, n))
+    for j in range(k):
+        free = spaces.away(perp[j], spaces.along(perp[j]))
+        for i in range(s):
+            np.multiply(free, -a[i], out=out[i, j])
+    return out.reshape(s * k, nv, n)
+
+
+def _policy_hessian(spaces: RowSpaces, beta: np.ndarray) -> Float[np.ndarray, "w w"]:
+    """sum beta beta^T (x) N, both symmetric: each pair of entries once."""
+    nv, k = spaces.E.shape[1], len(beta)
+    v, w = np.triu_indices(nv)
+    N = -np.einsum("svn,svn->vn", spaces.E[:, v], spaces.E[:, w])
+    N[v == w] += 1.0
+    i, j = np.triu_indices(k)
+    pairs = (beta[i] * beta[j]) @ N.T
+    out = np.empty((k, k, nv, nv))
+    for a, b in ((v, w), (w, v)):
+        out[i[:, None], j[:, None], a, b] = pairs
+        out[j[:, None], i[:, None], a, b] = pairs
+    return out.transpose(0, 2, 1, 3).reshape(k * nv, k * nv)
