@@ -1,0 +1,171 @@
+"""Velocities derived from positions, on motions whose velocities are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from generated_motions import angle_deg, arm_features, guided_motions, oblique
+
+from manip_learn.demonstrations import Demonstrations, Trajectory
+from manip_learn.errors import RecordingError
+from manip_learn.learning import ConstraintLearner
+from manip_learn.velocities import best_window, derive_velocities, local_fit, with_velocities
+
+FEATURES = arm_features()
+ROBOT = FEATURES.robot
+
+
+def recorded(seed: int, noise: float, dt: float = 0.01, n_points: int = 200, n_trajectories: int = 4):
+    """True motions, and what an encoder with noise would record of them: positions only."""
+    rng = np.random.default_rng(seed)
+    true, truth = guided_motions(FEATURES, oblique(2, 3, rng), rng, n_trajectories, n_points, dt)
+    noisy = [
+        Trajectory(t.time, t.q + noise * rng.standard_normal(t.q.shape), None, t.joint_names, t.name) for t in true
+    ]
+    return true, Demonstrations(noisy), truth
+
+
+def error_of(true: Trajectory, derived: Trajectory) -> float:
+    """Root mean square error of the velocities, relative to their size."""
+    i = np.abs(true.time[:, None] - derived.time).argmin(axis=0)
+    u = true.u[i]
+    return float(np.sqrt(np.mean((derived.u - u) ** 2) / np.mean(u**2)))
+
+
+@pytest.mark.parametrize(("noise", "allowed"), [(0.0, 1e-5), (1e-7, 1e-5), (1e-5, 5e-4), (1e-4, 2e-3), (1e-3, 1e-2)])
+def test_smooth_velocities_are_close_to_the_truth(noise: float, allowed: float):
+    """From clean positions and from noisy ones: degree and width of the window are chosen well for each."""
+    true, noisy, _ = recorded(1, noise)
+    errors = [error_of(a, derive_velocities(b, ROBOT)) for a, b in zip(true, noisy, strict=True)]
+    assert max(errors) < allowed
+
+
+@pytest.mark.parametrize(("noise", "allowed_deg"), [(0.0, 2e-4), (1e-4, 0.02), (1e-3, 0.2)])
+def test_a_constraint_learnt_from_positions(noise: float, allowed_deg: float):
+    """Positions alone are enough for the constraint."""
+    for seed in range(3):
+        _, noisy, truth = recorded(seed, noise)
+        learner = ConstraintLearner(FEATURES, n_constraints=2).fit(noisy)
+        assert angle_deg(learner.constraint_, truth) < allowed_deg
+
+
+def test_the_choice_beats_fixed_windows():
+    """No single window is within a factor of 3 of the chosen one both for clean and for noisy positions."""
+    chosen, fixed = [], {(m, d): [] for m in (2, 5, 10, 20) for d in (2, 3)}
+    for noise in (1e-6, 1e-3):
+        true, noisy, _ = recorded(2, noise)
+        chosen.append(np.mean([error_of(a, derive_velocities(b, ROBOT)) for a, b in zip(true, noisy, strict=True)]))
+        for (m, d), errors in fixed.items():
+            errors.append(
+                np.mean(
+                    [error_of(a, derive_velocities(b, ROBOT, "smooth", m, d)) for a, b in zip(true, noisy, strict=True)]
+                )
+            )
+    for window, errors in fixed.items():
+        assert max(np.array(errors) / chosen) > 3.0, f"half width and degree {window} do as well everywhere"
+
+
+def test_midpoints():
+    """Midpoint velocities belong to the postures between the samples, exactly so at constant speed."""
+    time = np.array([0.0, 0.1, 0.3, 0.35])
+    speed = np.linspace(-0.5, 0.5, 7)
+    t = Trajectory(time, np.outer(time, speed), None, ROBOT.joint_names)
+    derived = derive_velocities(t, ROBOT, "midpoint")
+    np.testing.assert_allclose(derived.u, np.tile(speed, (3, 1)), atol=1e-14)
+    np.testing.assert_allclose(derived.q, np.outer(derived.time, speed), atol=1e-15)
+    np.testing.assert_allclose(derived.time, [0.05, 0.2, 0.325])
+
+
+def test_polynomials_on_uneven_stamps_are_exact():
+    """A window's polynomial has its own degree's value and slope exactly, with the true time stamps."""
+    rng = np.random.default_rng(3)
+    time = np.cumsum(rng.uniform(0.005, 0.02, 60))
+    for degree in (2, 3, 5):
+        coefficients = rng.standard_normal((degree + 1, 2))
+        x = np.stack([np.polyval(c, time) for c in coefficients.T], axis=1)
+        slope = np.stack([np.polyval(np.polyder(c), time) for c in coefficients.T], axis=1)
+        value, found = local_fit(time, x, 6, degree)
+        np.testing.assert_allclose(value, x[6:-6], rtol=0, atol=1e-11)
+        np.testing.assert_allclose(found, slope[6:-6], rtol=0, atol=1e-8)
+
+
+def test_uneven_stamps_do_not_spoil_the_choice():
+    """Jitter of the time stamps is known and does no harm; stamps since 1970 neither."""
+    true, noisy, _ = recorded(4, 1e-4)
+    even = error_of(true[0], derive_velocities(noisy[0], ROBOT))
+    later = derive_velocities(Trajectory(noisy[0].time + 1.7e9, noisy[0].q, None, ROBOT.joint_names), ROBOT)
+    shifted = Trajectory(later.time - 1.7e9, later.q, later.u, later.joint_names)
+    assert error_of(true[0], shifted) < 1.5 * even + 1e-4
+
+
+def test_wider_windows_for_more_noise():
+    """The window grows with the noise, and the degree with the width."""
+    widths = []
+    for noise in (1e-7, 1e-5, 1e-3):
+        _, noisy, _ = recorded(5, noise)
+        widths.append(best_window(noisy[0].time, noisy[0].q)[0])
+    assert widths[0] < widths[1] < widths[2]
+
+
+def test_continuous_joints_may_wrap(robot_of):
+    """A continuous joint that passes pi moves on at its speed, and does not jump back by a turn."""
+    robot = robot_of("wrist")
+    time = 0.02 * np.arange(60)
+    x = np.array([2.8, 0.1, -2.9, 0.3]) + np.outer(time, [0.7, 0.2, -0.9, -0.1])
+    wrapped = np.where([True, False, True, False], (x + np.pi) % (2 * np.pi) - np.pi, x)
+    for q in (wrapped, np.array([robot.configuration(row) for row in x])):
+        for method in ("midpoint", "smooth"):
+            derived = derive_velocities(Trajectory(time, q, None, robot.joint_names), robot, method)
+            np.testing.assert_allclose(derived.u, np.tile([0.7, 0.2, -0.9, -0.1], (len(derived), 1)), atol=1e-9)
+
+
+def test_floating_base(robot_of, rng):
+    """On a manifold without coordinates the velocities are those of the shortest way from posture to posture."""
+    robot = robot_of("humanoid")
+    u = rng.uniform(-0.5, 0.5, robot.nv)
+    q = [robot.random_configuration(rng)]
+    for _ in range(9):
+        q.append(robot.integrate(q[-1], 0.02 * u))
+    derived = derive_velocities(Trajectory(0.02 * np.arange(10), q, None, robot.joint_names), robot)
+    np.testing.assert_allclose(derived.u, np.tile(u, (9, 1)), atol=1e-9)
+    np.testing.assert_allclose(robot.difference(derived.q[3], robot.integrate(q[3], 0.01 * u)), 0.0, atol=1e-12)
+
+
+def test_recorded_velocities_are_kept_and_lost_ends_are_said():
+    """Only missing velocities are derived; the report says how many samples that cost."""
+    true, noisy, _ = recorded(6, 1e-4)
+    mixed = Demonstrations([true[0], noisy[1]], ["read from files"])
+    done = with_velocities(mixed, ROBOT)
+    assert done[0] is true[0]
+    lost = len(noisy[1]) - len(done[1])
+    assert lost > 0
+    assert done.notes[0] == "read from files"
+    assert f"velocities of 1 trajectory(ies) were derived from the positions; {lost} of 400 samples" in done.notes[1]
+    assert with_velocities(Demonstrations([true[0]]), None)[0] is true[0]
+
+
+def test_refusals():
+    """Too few samples, an unknown method, a window that does not fit, and no robot: refused with the numbers."""
+    _, noisy, _ = recorded(7, 1e-4, n_points=30, n_trajectories=1)
+    t = noisy[0]
+    with pytest.raises(RecordingError, match="2 sample"):
+        derive_velocities(t.part(slice(0, 2)), ROBOT)
+    with pytest.raises(RecordingError, match="'forward'"):
+        derive_velocities(t, ROBOT, "forward")  # type: ignore[arg-type]
+    with pytest.raises(RecordingError, match="smoothing window of 41"):
+        derive_velocities(t, ROBOT, "smooth", half_width=20)
+    with pytest.raises(RecordingError, match="no window of degree 9"):
+        derive_velocities(t, ROBOT, "smooth", half_width=3, degree=9)
+    with pytest.raises(RecordingError, match="4 samples"):
+        derive_velocities(t.part(slice(0, 4)), ROBOT, "smooth")
+    with pytest.raises(RecordingError, match="give features of one"):
+        with_velocities(noisy, None)
+
+
+@pytest.mark.parametrize("n", range(3, 26))
+def test_every_length_from_three_up(n: int):
+    """Short trajectories get velocities too, never none."""
+    _, noisy, _ = recorded(8, 1e-5, n_points=n, n_trajectories=1)
+    derived = derive_velocities(noisy[0], ROBOT)
+    assert len(derived) >= 2
+    assert np.all(np.isfinite(derived.u))
