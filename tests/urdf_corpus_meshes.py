@@ -161,7 +161,23 @@ CONTENTS = [
     _content("collada cut", "stand-in:mesh-parser", "a.dae", dae()[:700]),
     _content("collada that is stl", "stand-in:mesh-content", "a.dae", stl()),
     _content("gltf reading a file", "stand-in:mesh-side-file", "a.gltf", json.dumps(gltf("/etc/passwd")).encode()),
-    _content("gltf with a buffer beside", "stand-in:mesh-side-file", "a.gltf", json.dumps(gltf("a.bin")).encode()),
+    _content(
+        "gltf with its buffer beside",
+        "accept",
+        "a.gltf",
+        json.dumps(gltf("a.bin")).encode(),
+        **{"pkg/meshes/a.bin": glb(gltf())[-48:]},
+    ),
+    _content("gltf with its buffer missing", "stand-in:mesh-missing", "a.gltf", json.dumps(gltf("a.bin")).encode()),
+    _content("gltf reading a text", "stand-in:mesh-side-file", "a.gltf", json.dumps(gltf("a.txt")).encode()),
+    _content("gltf reading a file above", "stand-in:mesh-side-file", "a.gltf", json.dumps(gltf("../a.bin")).encode()),
+    _content(
+        "gltf with odd buffers", "stand-in:mesh-side-file", "a.gltf", b'{"asset": {}, "buffers": [1, {"uri": 3}]}'
+    ),
+    _content(
+        "gltf with null buffer", "stand-in:mesh-side-file", "a.gltf", b'{"asset": {}, "buffers": [{"uri": null}]}'
+    ),
+    _content("gltf with a number of buffers", "stand-in:mesh-parser", "a.gltf", b'{"asset": {}, "buffers": 5}'),
     _content("glb naming an image", "stand-in:mesh-side-file", "a.glb", glb(gltf(image_uri="/etc/passwd"))),
     _content("glb cut", "stand-in:mesh-content", "a.glb", glb(gltf())[:15]),
     _content("gltf that is no json", "stand-in:mesh-content", "a.gltf", b"{"),

@@ -15,6 +15,7 @@ from manip_learn.robot.regular_file import read_regular_file
 MAX_MESH_BYTES = 50_000_000
 HEAD = 4_096
 MAX_SIDE_FILES = 500
+MAX_BUFFERS = 10
 WINDOWS_PATH = re.compile(r"(file:/*)?[A-Za-z]:[\\/]")
 
 
@@ -98,12 +99,32 @@ def _check_gltf(content: bytes, path: Path) -> None:
     if not isinstance(document, dict) or "asset" not in document:
         raise _refusal(path, "mesh-content", "it is no glTF document")
     for group in ("buffers", "images"):
-        for item in document.get(group) or []:
-            uri = item.get("uri") if isinstance(item, dict) else None
-            if uri is not None and not str(uri).startswith("data:"):
-                if group == "buffers":
-                    raise _refusal(path, "mesh-side-file", f"it reads the file {str(uri)[:80]!r}; save it as one .glb")
-                _check_name(str(uri), path)
+        for uri in _addresses(document, group):
+            _check_name(uri, path)
+            if group == "buffers" and ("/" in uri or not uri.lower().endswith(".bin")):
+                reason = f"it reads the file {uri[:80]!r}; only a .bin file beside it is read"
+                raise _refusal(path, "mesh-side-file", reason)
+
+
+def _addresses(document: dict[str, object], group: str) -> list[str]:
+    """Files that a glTF document names; data in place of a file is none."""
+    items = document.get(group)
+    uris = {str(i["uri"]) for i in items if isinstance(i, dict) and "uri" in i} if isinstance(items, list) else set()
+    return sorted(uri for uri in uris if not uri.startswith("data:"))
+
+
+def buffer_files(content: bytes, path: Path) -> dict[str, bytes]:
+    """The .bin files that a checked .gltf reads: name -> content. Other formats have none.
+
+    Raises:
+        RobotError: Codes `mesh-missing`, `mesh-size`, `mesh-kind`, `mesh-side-file`.
+    """
+    if path.suffix.lower() != ".gltf":
+        return {}
+    names = _addresses(json.loads(content), "buffers")
+    if len(names) > MAX_BUFFERS:
+        raise _refusal(path, "mesh-side-file", f"it reads {len(names)} files, at most {MAX_BUFFERS} are read")
+    return {name: _read(path.parent / name) for name in names}
 
 
 def _check_names(names: list[bytes], path: Path) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.errors import RobotError
-from manip_learn.robot.mesh_content import checked_mesh
+from manip_learn.robot.mesh_content import buffer_files, checked_mesh
 
 CHILD = Path(__file__).with_name("mesh_child.py")
 SECONDS = 5.0  # for one mesh
@@ -44,7 +44,10 @@ def read_meshes(paths: Sequence[Path], seconds: float = SECONDS) -> dict[Path, M
             alone.mkdir()
             try:
                 copy = alone / f"mesh{path.suffix.lower()}"
-                copy.write_bytes(checked_mesh(path))
+                content = checked_mesh(path)
+                copy.write_bytes(content)
+                for name, side in buffer_files(content, path).items():
+                    (alone / name).write_bytes(side)
                 child = child or _Child(Path(folder))
                 child.parse(copy, alone / "out.npz", path, min(seconds, end - time.monotonic()))
                 out[path] = _loaded(alone / "out.npz", path)
