@@ -1,0 +1,196 @@
+"""The learner as a whole, on motions that it was not tuned on and on the recordings that are shipped."""
+
+from __future__ import annotations
+
+import time
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from generated_motions import (
+    PLANAR_ROWS,
+    angle_deg,
+    arm_features,
+    guided_motions,
+    oblique,
+    paper_motions,
+    planar_features,
+)
+
+from manip_learn.demonstrations import Demonstrations
+from manip_learn.errors import FeatureError, NotIdentifiableError
+from manip_learn.features import FrameJacobian
+from manip_learn.io import load_demonstrations
+from manip_learn.learning import ConstraintLearner
+from manip_learn.metrics import nmie
+from manip_learn.robot.loading import load_robot
+
+RECORDINGS = Path(__file__).resolve().parents[1] / "examples" / "data"
+
+
+@cache
+def shipped(folder: str, robot: str) -> Demonstrations:
+    return load_demonstrations(sorted((RECORDINGS / folder).glob("*.csv")), load_robot(robot))
+
+
+def free_direction_error(learner: ConstraintLearner, truth: np.ndarray) -> float:
+    """Angle [deg] between the one free direction and the true one."""
+    (free,) = np.array(learner.report_.free_directions)
+    truth = truth / np.linalg.norm(truth)
+    return float(np.degrees(np.arcsin(min(1.0, np.linalg.norm(free - (free @ truth) * truth)))))
+
+
+@pytest.mark.parametrize(("policy_model", "allowed"), [("affine", 1e-25), ("auto", 1e-25), ("rbf", 1e-10)])
+@pytest.mark.parametrize("rows", list(PLANAR_ROWS))
+def test_the_papers_setup(rows: str, policy_model: str, allowed: float):
+    """Reaching with unknown targets, raw u, 1,000 points: both rows found, NMIE at rounding, on test motions."""
+    demos, truth = paper_motions(PLANAR_ROWS[rows], np.random.default_rng(41))
+    test, _ = paper_motions(PLANAR_ROWS[rows], np.random.default_rng(42), n_trajectories=20)
+    learner = ConstraintLearner(truth.features, policy_model=policy_model).fit(demos)
+    assert learner.report_.n_constraints == 2
+    assert learner.report_.kind == "self-imposed"
+    assert not learner.report_.warnings
+    assert nmie(truth, learner.constraint_, [q for t in test for q in t.q]) <= allowed
+
+
+@pytest.mark.parametrize("s", [1, 2])
+@pytest.mark.parametrize(("noise", "allowed_deg"), [(0.0, 1e-10), (0.01, 0.1), (0.05, 0.5), (0.1, 1.0)])
+def test_an_arm_held_along_oblique_rows(s: int, noise: float, allowed_deg: float):
+    """Seven joints, b = 0: number of rows found, row space right in proportion to the noise."""
+    for seed in range(2):
+        rng = np.random.default_rng(50 + seed)
+        demos, truth = guided_motions(arm_features(), oblique(s, 3, rng), rng, noise=noise, n_points=25)
+        learner = ConstraintLearner(truth.features).fit(demos)
+        assert learner.report_.kind == "motion-constrained"
+        assert angle_deg(learner.constraint_, truth) <= allowed_deg
+
+
+@pytest.mark.parametrize(("noise", "allowed_deg"), [(0.0, 1e-9), (0.01, 1.0), (0.05, 5.0)])
+def test_noise_on_the_papers_setup(noise: float, allowed_deg: float):
+    """Self-imposed rows under noise: the number is found, and the row space is right in proportion to the noise."""
+    angles = []
+    for seed in range(3):
+        demos, truth = paper_motions([0, 1], np.random.default_rng(60 + seed), noise=noise)
+        learner = ConstraintLearner(truth.features).fit(demos)
+        assert learner.report_.n_constraints == 2
+        angles.append(angle_deg(learner.constraint_, truth))
+    assert np.median(angles) <= allowed_deg
+
+
+def test_ten_per_cent_noise_is_not_answered_proudly():
+    """With 10 % noise the paper's setup has a weak gap, and the report says so."""
+    demos, truth = paper_motions([0, 1], np.random.default_rng(70), noise=0.1)
+    learner = ConstraintLearner(truth.features, n_constraints=2).fit(demos)
+    assert any("weak gap" in w for w in learner.report_.warnings)
+    assert learner.report_.uncertainty_deg > 0.5
+
+
+@pytest.mark.parametrize("gain", [0.0, 1.0])
+def test_it_finds_out_whether_the_rows_are_held(gain: float):
+    """The same arm and policy with b = 0 and with b = r* - r: told apart, and right in both cases."""
+    demos, truth = paper_motions([0, 1], np.random.default_rng(71), gain=gain)
+    learner = ConstraintLearner(truth.features).fit(demos)
+    assert learner.report_.estimator == ("joint" if gain else "null-space")
+    assert angle_deg(learner.constraint_, truth) < 1e-9
+
+
+def test_a_fit_is_quick():
+    """1,000 clean points: under 0.2 s of one core (generously: 0.6 s, shape checks and all)."""
+    demos, truth = paper_motions([0, 1], np.random.default_rng(72))
+    ConstraintLearner(truth.features).fit(demos)
+    times = []
+    for _ in range(3):
+        started = time.process_time()
+        ConstraintLearner(truth.features).fit(demos)
+        times.append(time.process_time() - started)
+    assert min(times) < 0.6
+
+
+def test_the_drawer():
+    """Fifty physical drawers: two rows in the world's frame, free direction within 0.1 degrees of the true one."""
+    features = FrameJacobian(load_robot("sawyer"), "right_gripper_tip")
+    learner = ConstraintLearner(features).fit(shipped("sawyer_drawer", "sawyer"))
+    report = learner.report_
+    assert (report.n_constraints, report.kind, report.warnings) == (2, "motion-constrained", ())
+    truth = np.array([np.cos(np.radians(25)), np.sin(np.radians(25)), 0.0])
+    assert free_direction_error(learner, truth) < 0.01
+    assert report.gap > 100.0
+    assert "moves freely along (0.91, 0.42, 0.00) +- 0.00" in report.sentence
+    assert report.uncertainty_deg < 0.01
+
+
+def test_the_wrong_frame_of_the_drawer_warns():
+    """The wrist, 0.1 m behind the grip, is held only roughly: a weak gap, an uncertainty that says so, a warning."""
+    features = FrameJacobian(load_robot("sawyer"), "right_hand")
+    learner = ConstraintLearner(features).fit(shipped("sawyer_drawer", "sawyer")[:25])
+    report = learner.report_
+    assert 2.0 < report.gap < 10.0
+    assert any("weak gap" in w for w in report.warnings)
+    assert report.uncertainty_deg > 0.3
+
+
+@pytest.mark.parametrize(
+    ("axes", "free"),
+    [("xyz", [0.2588, 0.1677, 0.9513]), ("pose", [0.0855, 0.0554, 0.3142, 0.5860, 0.6848, -0.2802])],
+)
+def test_the_door_is_constant_in_the_tools_frame(axes: str, free: list[float]):
+    """Doors and flaps: among both references the local one is chosen, and the free twist is right to 0.1 degrees."""
+    robot = load_robot("sawyer")
+    candidates = [FrameJacobian(robot, "right_gripper_tip", axes, reference) for reference in ("world", "local")]
+    for features in (candidates, candidates[::-1]) if axes == "xyz" else (candidates,):
+        learner = ConstraintLearner(features).fit(shipped("sawyer_door", "sawyer"))
+        assert learner.report_.reference == "local"
+        assert learner.report_.gap > 100.0
+        assert free_direction_error(learner, np.array(free)) < 0.1
+
+
+def test_the_planar_reach():
+    """The recorded control law, printed to seven digits: rows x and y, NMIE <= 1e-9 on its own states."""
+    demos = shipped("planar3_reach", "planar3")
+    learner = ConstraintLearner(planar_features()).fit(demos)
+    _, truth = paper_motions([0, 1], np.random.default_rng(0), n_trajectories=1, n_points=1)
+    assert learner.report_.n_constraints == 2
+    assert nmie(truth, learner.constraint_, [q for t in demos for q in t.q]) < 1e-9
+    assert "commanded by the task: x; y" in learner.report_.sentence
+
+
+def test_asking_for_another_number_of_rows():
+    """A number of rows that the data do not speak for is used, and the report says what they speak for."""
+    rng = np.random.default_rng(73)
+    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, noise=0.01)
+    learner = ConstraintLearner(truth.features, n_constraints=1).fit(demos)
+    assert learner.constraint_.n_constraints == 1
+    assert any("you asked for 1 row(s); the data speak for 2" in w for w in learner.report_.warnings)
+
+
+def test_refusal_of_the_last_candidate_does_not_hide_an_answer():
+    """Of several feature maps those that refuse are passed over; if all refuse, the reason of the first is given."""
+    rng = np.random.default_rng(74)
+    features = planar_features()
+    flat = FrameJacobian(features.robot, "tip", "z")
+    demos, _ = paper_motions([0, 1], rng, n_trajectories=30)
+    assert ConstraintLearner([flat, features]).fit(demos).constraint_.features is features
+    with pytest.raises(NotIdentifiableError, match="zero"):
+        ConstraintLearner([flat]).fit(demos)
+
+
+def test_settings_out_of_range():
+    """Unknown estimators, no features, and a number of rows that the features do not have: refused at once."""
+    features = planar_features()
+    with pytest.raises(FeatureError, match="'magic'"):
+        ConstraintLearner(features, estimator="magic")  # type: ignore[arg-type]
+    with pytest.raises(FeatureError, match="at least one"):
+        ConstraintLearner([])
+    with pytest.raises(FeatureError, match="between 1 and 3"):
+        ConstraintLearner(features, n_constraints=4)
+    with pytest.raises(FeatureError, match="whole number"):
+        ConstraintLearner(features, n_constraints=1.5)  # type: ignore[arg-type]
+    demos, _ = paper_motions([0, 1], np.random.default_rng(75), n_trajectories=20)
+    with pytest.raises(NotIdentifiableError, match="'sextic'"):
+        ConstraintLearner(features, estimator="joint", policy_model="sextic").fit(demos)
+
+
+def test_repr_names_what_was_asked_for():
+    """The learner prints its settings."""
+    assert "estimator='joint'" in repr(ConstraintLearner(planar_features(), 2, "joint"))
