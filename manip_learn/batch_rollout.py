@@ -26,6 +26,7 @@ from manip_learn.tasks.hold import Hold
 from manip_learn.tasks.point_attractor import PointAttractor
 from manip_learn.velocity_room import NEGLIGIBLE
 
+TOGETHER_FROM = 16  # starts: fewer do not share NumPy's calls enough
 COMPILED_FROM = 20_000  # control steps: fewer are not worth loading the compiled kernels
 STATUSES = np.array(["ok", "null-scaled", "velocity-limited", "position-limited"], dtype=object)
 
@@ -80,8 +81,7 @@ def run_batch(
     postures = checked_postures(robot, starts)
     q = np.array(positions_of(robot, postures))
     n, T = len(q), steps + 1
-    many = n * T * (4 if method == "rk4" else 1) >= COMPILED_FROM
-    if compiled or (compiled is None and many and find_spec("numba") is not None and why_not(controller) is None):
+    if compiled or (compiled is None and _compiles(controller, n * T, method)):
         engine = CompiledController(controller)
         rows = [engine.rollout(start, steps, dt, method) for start in q]
         run = BatchRun(
@@ -96,6 +96,16 @@ def run_batch(
     if postures.shape[1] == robot.nv:
         return run
     return run._replace(q=np.array([[robot.configuration(x) for x in row] for row in run.q]))
+
+
+def pays(controller: ResolvedRateController, n: int, steps: int, method: str) -> bool:
+    """Whether n rollouts together are faster than one after the other."""
+    return n >= TOGETHER_FROM or _compiles(controller, n * (steps + 1), method)
+
+
+def _compiles(controller: ResolvedRateController, samples: int, method: str) -> bool:
+    many = samples * (4 if method == "rk4" else 1) >= COMPILED_FROM
+    return many and find_spec("numba") is not None and why_not(controller) is None
 
 
 def _stepped(controller: BatchController, q: np.ndarray, steps: int, dt: float, method: str) -> BatchRun:

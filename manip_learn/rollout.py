@@ -15,12 +15,13 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.batch_rollout import run_batch
+from manip_learn.batch_rollout import pays, run_batch
 from manip_learn.constraint import Constraint
 from manip_learn.controller import Command, ResolvedRateController
 from manip_learn.demonstrations import Trajectory
 from manip_learn.errors import ConfigurationError, RecordingError
 from manip_learn.manipulability_measure import manipulability
+from manip_learn.robot.batch_postures import checked_postures
 from manip_learn.robot.robot import Robot
 
 FORMAT = "manip_learn.rollout"
@@ -199,7 +200,10 @@ def _simulate_all(
     method: Literal["euler", "rk4"],
     progress: Progress | None,
 ) -> tuple[Rollout, ...]:
-    if robot is None or controller.robot is not robot or any(b.kind in MOVING_BASES for b in robot.blocks):
+    simple = robot is not None and controller.robot is robot and all(b.kind not in MOVING_BASES for b in robot.blocks)
+    if robot is None or not simple or not pays(controller, len(starts), steps, method):
+        if robot is not None:
+            checked_postures(robot, starts)  # names the row before any work is done
         return tuple(simulate(robot, controller, start, steps * dt, dt, method, progress=progress) for start in starts)
     run = run_batch(robot, controller, starts, steps, dt, method)
     if progress is not None:

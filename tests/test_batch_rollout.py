@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from conftest import tip_of
 
+from manip_learn import batch_rollout
 from manip_learn.batch_rollout import run_batch
 from manip_learn.constraint import Constraint
 from manip_learn.controller import ResolvedRateController
@@ -35,9 +36,12 @@ def starts_of(robot: Robot, rng: np.random.Generator, n: int) -> np.ndarray:
 
 @pytest.mark.parametrize("method", ["euler", "rk4"])
 @pytest.mark.parametrize("name", ["planar3", "sawyer", "wrist", "gantry", "mimic", "tree"])
-def test_many_starts_are_single_starts(name: str, method: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_many_starts_are_single_starts(
+    name: str, method: str, robot_of: RobotOf, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Postures, velocities, mu, distances and statuses to 1e-9 at the end of a second, for every task and policy."""
     robot = robot_of(name)
+    monkeypatch.setattr(batch_rollout, "TOGETHER_FROM", 1)
     starts = starts_of(robot, rng, 3)
     features = FrameJacobian(robot, tip_of(name), "x y")
     target = features.coordinates(robot.random_configuration(rng))
@@ -55,8 +59,9 @@ def test_many_starts_are_single_starts(name: str, method: str, robot_of: RobotOf
         same(simulate(robot, controller, starts, 0.4, 0.02, method), singles)
 
 
-def test_singular_starts(robot_of: RobotOf) -> None:
+def test_singular_starts(robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> None:
     """Arms that start stretched out are asked one by one and join the others later."""
+    monkeypatch.setattr(batch_rollout, "TOGETHER_FROM", 1)
     robot = robot_of("planar3")
     features = FrameJacobian(robot, "tip", "x y")
     constraint = Constraint(np.eye(2), features)
@@ -87,8 +92,11 @@ def test_compiled_or_not(method: str, robot_of: RobotOf, rng: np.random.Generato
         run_batch(robot_of("tree"), com, np.zeros((2, robot_of("tree").nv)), 3, 0.01, compiled=True)
 
 
-def test_configurations_come_back_as_configurations(robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_configurations_come_back_as_configurations(
+    robot_of: RobotOf, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Starts as (cos, sin) of continuous joints give postures of the same kind."""
+    monkeypatch.setattr(batch_rollout, "TOGETHER_FROM", 1)
     robot = robot_of("wrist")
     constraint = Constraint(np.eye(3)[:1], FrameJacobian(robot, "tip"))
     controller = ResolvedRateController(constraint, null_policy=ManipulabilityAscent(constraint))
@@ -107,6 +115,14 @@ def test_systems_that_are_rolled_out_one_by_one(robot_of: RobotOf, rng: np.rando
     controller = ResolvedRateController(plain)
     starts = np.array([[0.1, 0.2], [0.3, 0.4]])
     same(simulate(None, controller, starts, 0.1, 0.02), [simulate(None, controller, q, 0.1, 0.02) for q in starts])
+
+
+def test_few_starts_go_one_by_one_and_many_together(robot_of: RobotOf) -> None:
+    """Which way is taken depends on the number of starts and steps only."""
+    robot = robot_of("sawyer")
+    controller = ResolvedRateController(Constraint(np.eye(3), FrameJacobian(robot, "right_hand")))
+    assert not batch_rollout.pays(controller, 3, 10, "euler")
+    assert batch_rollout.pays(controller, batch_rollout.TOGETHER_FROM, 10, "euler")
 
 
 def test_no_start_and_bad_starts(robot_of: RobotOf) -> None:
