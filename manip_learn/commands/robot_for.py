@@ -65,7 +65,7 @@ def load_for_recordings(
 def load_for_joints(
     name: str,
     joints: Sequence[str],
-    locked: Sequence[str] | Mapping[str, float] = (),
+    locked: Sequence[str] | Mapping[str, float | None] = (),
     package_dirs: Sequence[str] = (),
 ) -> Robot:
     """The robot with just these joints moving; its other joints are locked.
@@ -81,5 +81,5 @@ def load_for_joints(
             raise UnknownNameError("joint", joint, robot.joint_names, f"robot {robot.name!r}")
     others = [j for j in robot.joint_names if j not in joints]
     if isinstance(locked, Mapping):
-        return load_robot(name, package_dirs, {**locked, **dict.fromkeys(others, 0.0)})
+        return load_robot(name, package_dirs, {**locked, **dict.fromkeys(others, None)})
     return load_robot(name, package_dirs, [*locked, *others])
