@@ -34,7 +34,7 @@ def main() -> None:
     # positions alone: velocities come from a local fit on the true time stamps
     smooth = ml.derive_velocities(demos[0], robot)
     print(f"{demos[0].name}: {len(demos[0])} samples -> {len(smooth)} with velocities")
-    print("fastest joints [rad/s]:", np.round(np.abs(smooth.u).max(axis=0), 2))
+    print("fastest joints [rad/s]:", np.round(np.abs(np.asarray(smooth.u)).max(axis=0), 2))
 
 
 if __name__ == "__main__":

@@ -77,6 +77,7 @@ def learn(
     outside_limits: Annotated[str | None, typer.Option(help="Far outside the limits: refuse or note.")] = None,
     points: Annotated[int | None, typer.Option(help="Use at most this many samples a trajectory.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap and of random starts.")] = 0,
+    dask: Annotated[str | None, typer.Option(help="Scheduler address, or local: learn on a dask cluster.")] = None,
     as_json: Json = False,
 ) -> None:
     """Learn a constraint from recordings, and say what was learnt."""
@@ -94,7 +95,7 @@ def learn(
         rate=rate,
         outside_limits=outside_limits,
     )
-    with waiting(as_json, "learning"):
+    with progress(as_json) as report:
         learnt = run(
             robot,
             recordings,
@@ -109,6 +110,8 @@ def learn(
             seed=seed,
             points=points,
             options=options,
+            dask=dask,
+            progress=report,
         )
     _answer(as_json, learnt.to_dict(), "print_learnt", learnt)
 
@@ -223,7 +226,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(command: Callable[[], Any]) -> int:
     # typer brings a click of its own or uses the public one, by version: either way this is click's UsageError
-    usage_error = typer.BadParameter.__mro__[1]
+    usage_error: Any = typer.BadParameter.__mro__[1]
     try:
         outcome = command()
     except ManipLearnError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import final
+from typing import final, overload
 
 import numpy as np
 from jaxtyping import Float
@@ -161,7 +161,13 @@ class Demonstrations(Sequence[Trajectory]):
     def __len__(self) -> int:
         return len(self.trajectories)
 
-    def __getitem__(self, index):  # type: ignore[override]
+    @overload
+    def __getitem__(self, index: int) -> Trajectory: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Demonstrations: ...
+
+    def __getitem__(self, index: int | slice) -> Trajectory | Demonstrations:
         if isinstance(index, slice):
             return Demonstrations(self.trajectories[index], self.notes)
         return self.trajectories[index]

@@ -134,12 +134,11 @@ def test_files_are_small(source):
 
 @by_file
 def test_functions_are_small(source):
-    """Functions stay within 50 lines, not counting their docstrings."""
+    """Functions stay within 50 lines, not counting their signatures (a command's options are a table) and docstrings."""
     for node in ast.walk(source.tree):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            lines = (node.end_lineno or node.lineno) - node.lineno + 1
-            if ast.get_docstring(node) is not None:
-                lines -= (node.body[0].end_lineno or 0) - node.body[0].lineno + 1
+            body = node.body[1:] if ast.get_docstring(node) is not None else node.body
+            lines = (node.end_lineno or 0) - body[0].lineno + 1 if body else 0
             assert lines <= MAX_FUNCTION_LINES, f"{source.relative}: {node.name} has {lines} lines: split it"
 
 
