@@ -134,7 +134,7 @@ def test_files_are_small(source):
 
 @by_file
 def test_functions_are_small(source):
-    """Functions stay within 50 lines, not counting their signatures (a command's options are a table) and docstrings."""
+    """Functions stay within 50 lines, not counting their signatures (options are a table) and docstrings."""
     for node in ast.walk(source.tree):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             body = node.body[1:] if ast.get_docstring(node) is not None else node.body
