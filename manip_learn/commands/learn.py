@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
-from manip_learn.commands.robot_for import load_for_recordings
+from manip_learn.commands.robot_for import load_for_recordings, source_for_recordings
 from manip_learn.constraint import Constraint
 from manip_learn.demonstrations import Demonstrations
-from manip_learn.errors import FeatureError
+from manip_learn.errors import FeatureError, RecordingError
 from manip_learn.features import FrameJacobian
 from manip_learn.io.load_demonstrations import ReadOptions
 from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.learner import EstimatorName
+from manip_learn.learning.passes import Progress
 from manip_learn.preparation import thin
 from manip_learn.robot.robot import Reference
 from manip_learn.velocities import with_velocities
@@ -61,24 +64,44 @@ def learn(
     seed: int = 0,
     points: int | None = None,
     options: ReadOptions | None = None,
+    dask: str | None = None,
+    progress: Progress | None = None,
 ) -> Learnt:
     """Learn a constraint from recordings and write it to a file if one is named.
 
     Raises:
         FeatureError: Unknown axes or reference.
+        RecordingError: `points` together with `dask`.
         ManipLearnError: Anything else that is wrong with the robot, the recordings, the settings or the output.
     """
     if reference not in REFERENCES:
         raise FeatureError(f"reference must be world, local or auto, not {reference!r}")
-    robot, demos, chosen, notes = load_for_recordings(
-        robot_name, recordings, frame, locked or [], package_dirs or [], options
-    )
-    if points is not None:
+    if points is not None and dask is not None:
+        raise RecordingError("--points thins recordings in memory, where --dask has none: leave one out", code="option")
+    if progress is not None:
+        progress("reading", 0.0)
+    load = load_for_recordings if dask is None else source_for_recordings
+    robot, demos, chosen, notes = load(robot_name, recordings, frame, locked or [], package_dirs or [], options)
+    if points is not None and isinstance(demos, Demonstrations):
         demos = Demonstrations([thin(t, points) for t in with_velocities(demos, robot)], demos.notes)
     candidates = [FrameJacobian(robot, chosen, axes, r) for r in REFERENCES[reference]]
-    learner = ConstraintLearner(candidates, n_constraints, _estimator(estimator), seed=seed).fit(demos)
+    learner = ConstraintLearner(candidates, n_constraints, _estimator(estimator), seed=seed)
+    with _client(dask) as client:
+        learner.fit(demos, client=client, progress=progress)
     written = learner.constraint_.save(out) if out is not None else None
     return Learnt(learner.constraint_, learner.report_, chosen, written, tuple(notes))
+
+
+@contextmanager
+def _client(dask: str | None) -> Iterator[Any]:
+    """A dask client, or None."""
+    if dask is None:
+        yield None
+        return
+    from manip_learn.learning.distributed import dask_client
+
+    with dask_client(dask) as client:
+        yield client
 
 
 def _estimator(name: str) -> EstimatorName:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
 
 from manip_learn.demonstrations import Demonstrations
 from manip_learn.errors import ManipLearnError, RecordingError, UnknownNameError
 from manip_learn.io import load_demonstrations
 from manip_learn.io.load_demonstrations import ReadOptions
+from manip_learn.io.recording_source import RecordingSource
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.tips import likely_tips
+
+Read = TypeVar("Read")
 
 
 def choose_frame(robot: Robot, frame: str | None) -> str:
@@ -46,13 +50,42 @@ def load_for_recordings(
     Raises:
         ManipLearnError: Any of the errors of loading robots and recordings.
     """
+    return _locking(name, frame, locked, package_dirs, lambda r: load_demonstrations(recordings, r, **(options or {})))
+
+
+def source_for_recordings(
+    name: str,
+    recordings: Sequence[str],
+    frame: str | None,
+    locked: Sequence[str] = (),
+    package_dirs: Sequence[str] = (),
+    options: ReadOptions | None = None,
+) -> tuple[Robot, RecordingSource, str, list[str]]:
+    """As `load_for_recordings`, for recordings larger than memory: the first is read, and joints locked by what it has.
+
+    Raises:
+        ManipLearnError: Any of the errors of loading robots and recordings.
+    """
+
+    def opened(robot: Robot) -> RecordingSource:
+        source = RecordingSource(recordings, robot, **(options or {}))
+        next(source.part(0))
+        return source
+
+    return _locking(name, frame, locked, package_dirs, opened)
+
+
+def _locking(
+    name: str, frame: str | None, locked: Sequence[str], package_dirs: Sequence[str], read: Callable[[Robot], Read]
+) -> tuple[Robot, Read, str, list[str]]:
+    """Robot, what was read for it, frame and notes, with those joints locked that it turns out nothing is known of."""
     held = list(locked)
     robot = load_robot(name, package_dirs, held)
     chosen = choose_frame(robot, frame)
     notes: list[str] = []
     while True:
         try:
-            return robot, load_demonstrations(recordings, robot, **(options or {})), chosen, notes
+            return robot, read(robot), chosen, notes
         except RecordingError as error:
             joint = error.column
             if error.code != "missing-joint" or joint not in robot.joint_names or robot.moves(joint, chosen):
