@@ -11,6 +11,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint import Constraint
+from manip_learn.detour import Detour, detour
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 from manip_learn.linalg import Inverse, inverse_singular_values, matlab_tolerance, row_inverse, svd
 from manip_learn.manipulability_measure import SINGULAR_RATIO
@@ -23,7 +24,7 @@ from manip_learn.tasks.task import Task
 from manip_learn.velocity_room import VelocityRoom
 
 # worst first: a command has one status, the gravest thing that was done to it
-STATUSES = ("singular", "position-limited", "velocity-limited", "damped", "null-scaled", "ok")
+STATUSES = ("singular", "position-limited", "velocity-limited", "damped", "rerouted", "null-scaled", "ok")
 
 
 @final
@@ -33,12 +34,13 @@ class Command(NamedTuple):
     Attributes:
         velocity: u, shape (nv,) [rad/s or m/s], finite and within the limits.
         status: The gravest thing that was done: `"ok"`; `"null-scaled"`: the null-space part was shortened to the room
-            that the task left; `"damped"`: the task part was damped near a singularity; `"velocity-limited"`,
+            that the task left; `"rerouted"`: joints at a position limit were led round it by null-space motion, the
+            task goes on at full speed; `"damped"`: the task part was damped near a singularity; `"velocity-limited"`,
             `"position-limited"`: the task was slowed down for a limit; `"singular"`: a task direction is lost.
         manipulability: mu(q).
         task_velocity: b, shape (s,), as the task wanted it.
         task_part: A^+ b as commanded, shape (nv,).
-        null_part: N pi as commanded, shape (nv,).
+        null_part: N pi as commanded, shape (nv,), and what leads joints round their position limits; A null_part = 0.
         task_scale: Share of the task velocity that is commanded, 0 to 1.
         null_scale: Share of the null-space velocity that is commanded, 0 to 1.
         smallest_singular_value: Of A(q).
@@ -61,7 +63,8 @@ class ResolvedRateController:
 
     N is always the exact projector. The task part is damped only where a singular value is below `threshold`. The task
     part is slowed down as a whole at the limits (clipping joint by joint would bend the task's direction), and the
-    null-space part is then shortened to the room that is left.
+    null-space part is then shortened to the room that is left. Where a position limit would slow the task down, the null
+    space leads the joints round it first, as far as it can.
 
     Args:
         constraint: A(q).
@@ -135,7 +138,7 @@ class ResolvedRateController:
             # nothing to damp or to drop, the case of nearly every step: A^{+T} b and pi - A^+ A pi as they stand
             X, mu, smallest = inverse
             pi = self._policy(q, t) if ascent is None else ascent.from_inverse(X, mu, contract)
-            return self._limited(q, dt, b, b.dot(X), pi - A.dot(pi).dot(X), mu, smallest, False)
+            return self._limited(q, dt, A, b, b.dot(X), pi - A.dot(pi).dot(X), mu, smallest, False)
         U, sigma, Vt = svd(A)
         if ascent is None:
             pi = self._policy(q, t)
@@ -147,7 +150,7 @@ class ResolvedRateController:
         Z = Vt[np.count_nonzero(sigma > matlab_tolerance(sigma, A.shape)) :]
         smallest, singular = float(sigma[-1]), bool(sigma[-1] <= SINGULAR_RATIO * sigma[0])
         mu = math.prod(sigma.tolist()) if A.shape[0] <= A.shape[1] else 0.0
-        return self._limited(q, dt, b, task_part, Z.dot(pi).dot(Z), mu, smallest, singular)
+        return self._limited(q, dt, A, b, task_part, Z.dot(pi).dot(Z), mu, smallest, singular)
 
     def _checked_posture(self, q: ArrayLike) -> np.ndarray:
         if self.robot is not None:
@@ -171,6 +174,7 @@ class ResolvedRateController:
         self,
         q: np.ndarray,
         dt: float | None,
+        A: np.ndarray,
         b: np.ndarray,
         task_part: np.ndarray,
         null_part: np.ndarray,
@@ -180,11 +184,18 @@ class ResolvedRateController:
     ) -> Command:
         task_scale = null_scale = 1.0
         position_bound = False
+        way_round: Detour | None = None
         if self._room is not None:
             task_scale, null_scale, position_bound = self._room.shares(q, dt or self.dt, task_part, null_part)
-            if task_scale < 1.0:
+            if position_bound:
+                bounds = self._room.bounds(q, dt or self.dt)
+                way_round = detour(task_part, null_part, A, *bounds, task_scale)
+            if way_round is not None:
+                task_scale, null_part, null_scale = way_round
                 task_part = task_scale * task_part
-            if null_scale < 1.0:
+            elif task_scale < 1.0:
+                task_part = task_scale * task_part
+            if way_round is None and null_scale < 1.0:
                 null_part = null_scale * null_part
         velocity = task_part + null_part
         if not isfinite(sum(velocity.tolist())):
@@ -198,6 +209,8 @@ class ResolvedRateController:
             status = "position-limited" if position_bound else "velocity-limited"
         elif self.inverse == "damped" and smallest < self.threshold:
             status = "damped"
+        elif way_round is not None:
+            status = "rerouted"
         else:
             status = "null-scaled" if null_scale < 1.0 else "ok"
         return Command(velocity, status, mu, b, task_part, null_part, task_scale, null_scale, smallest)

@@ -28,6 +28,9 @@ class Shares(NamedTuple):
     position_bound: bool
 
 
+EVERYTHING = Shares(1.0, 1.0, False)
+
+
 @final
 class VelocityRoom:
     """Velocity limits of a robot, and the position limits seen as velocities that reach them within dt.
@@ -55,11 +58,18 @@ class VelocityRoom:
 
         Standing still is always allowed, also outside the limits.
         """
-        task, position_bound = 1.0, False
-        room: list[tuple[float, float, float]] = []
         # a posture that has been checked already; as many numbers as joints are joint positions
         positions = q.tolist() if q.shape[0] == len(self._limits) else self._robot.positions(q).tolist()
-        for x, v, (limit, lower, upper) in zip(positions, task_part.tolist(), self._limits, strict=True):
+        task_speeds, null_speeds = task_part.tolist(), null_part.tolist()
+        for x, v, w, (limit, lower, upper) in zip(positions, task_speeds, null_speeds, self._limits, strict=True):
+            speed = abs(v) + abs(w)
+            if not (speed <= limit and lower <= x - speed * dt and x + speed * dt <= upper):
+                break
+        else:
+            return EVERYTHING  # both parts fit into the room in either direction: nearly every step
+        task, position_bound = 1.0, False
+        room: list[tuple[float, float, float]] = []
+        for x, v, (limit, lower, upper) in zip(positions, task_speeds, self._limits, strict=True):
             low, high = (lower - x) / dt, (upper - x) / dt
             low = -limit if low < -limit else min(low, 0.0)
             high = limit if high > limit else max(high, 0.0)
@@ -68,8 +78,18 @@ class VelocityRoom:
             if abs(bound) < abs(v) * task and abs(v) > NEGLIGIBLE:
                 task, position_bound = bound / v, abs(bound) < limit
         null = 1.0
-        for w, (low, high, v) in zip(null_part.tolist(), room, strict=True):
+        for w, (low, high, v) in zip(null_speeds, room, strict=True):
             left = high - task * v if w > 0.0 else task * v - low
             if left < abs(w) * null and abs(w) > NEGLIGIBLE:
                 null = max(left, 0.0) / abs(w)
         return Shares(task, null, position_bound)
+
+    def bounds(
+        self, q: Float[np.ndarray, " n"], dt: float
+    ) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"]]:
+        """Lowest and highest velocity of each joint that keep it within its bounds for the next dt."""
+        robot = self._robot
+        x = q if q.shape[0] == len(self._limits) else robot.positions(q)
+        limit = robot.velocity_limit
+        low = np.maximum(-limit, np.minimum((robot.position_lower - x) / dt, 0.0))
+        return low, np.minimum(limit, np.maximum((robot.position_upper - x) / dt, 0.0))

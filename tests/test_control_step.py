@@ -11,12 +11,12 @@ from conftest import tip_of
 from manip_learn import linalg
 from manip_learn.constraint import Constraint
 from manip_learn.controller import Command, ResolvedRateController
-from manip_learn.errors import ConfigurationError
+from manip_learn.errors import ConfigurationError, TargetError
 from manip_learn.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
 from manip_learn.linalg import WELL_CONDITIONED, row_inverse
 from manip_learn.policies import ManipulabilityAscent
 from manip_learn.robot.robot import Robot
-from manip_learn.tasks import PointAttractor
+from manip_learn.tasks import PointAttractor, Task
 from manip_learn.velocity_room import VelocityRoom
 
 RobotOf = Callable[[str], Robot]
@@ -128,6 +128,32 @@ def test_bad_postures_are_still_refused(robot_of: RobotOf) -> None:
         q = np.linspace(-0.5, 0.7, 7)
         for same in (list(q), q.astype(">f8"), np.repeat(q, 2)[::2]):
             np.testing.assert_array_equal(controller(same).velocity, controller(q).velocity)
+
+
+@pytest.mark.parametrize("limits", [True, False])
+def test_a_task_that_is_not_finite_is_named(limits: bool, robot_of: RobotOf) -> None:
+    """NaN or infinity from a task is the task's fault, not the posture's; so is a wrong size."""
+
+    class Broken(Task):
+        b: object = None
+
+        def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> np.ndarray:
+            return self.b  # type: ignore[return-value]
+
+        def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
+            return 0.0
+
+    constraint = Constraint(np.eye(3), FrameJacobian(robot_of("sawyer"), "right_hand"))
+    task = Broken()
+    for policy in (None, ManipulabilityAscent(constraint)):
+        controller = ResolvedRateController(constraint, task, policy, limits=limits)
+        for b in (np.array([0.1, np.nan, 0.0]), [np.inf, 0.0, 0.0], np.zeros(2), np.full(3, -np.inf)):
+            task.b = b
+            for q in (np.linspace(-0.5, 0.7, 7), np.zeros(7)):
+                with pytest.raises(TargetError, match="task's velocity"):
+                    controller(q)
+        task.b = np.array([1, 0, 0])
+        assert controller(np.linspace(-0.5, 0.7, 7)).task_velocity.dtype == np.float64
 
 
 def brute_share(v: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
