@@ -120,7 +120,7 @@ def test_constant_of_each_trajectory(rng):
 
 
 def test_demonstrators_with_postures_of_their_own(rng):
-    """Told so, the learner finds the exact rows although each demonstrator rests elsewhere; untold it warns or refuses."""
+    """Told so, the learner finds the exact rows although each demonstrator rests elsewhere; untold it warns."""
     setup = Setup("y rz", trajectories=40, policy="own")
     Lambda = setup.selection(rng)
     demos = demonstrate(setup, Lambda, rng)

@@ -52,6 +52,13 @@ SYSTEMS: dict[str, tuple[Callable[[], Any], Callable[..., Any]]] = {
     "legged": (standing_features, standing_demonstrations),
     "torque": (torque_features, torque_demonstrations),
 }
+# labels of the figure
+SHORT = {
+    "stand, mass over one place": "legged, place",
+    "stand, mass in a slanted plane": "legged, plane",
+    "tip accelerates along x and y": "torque, x y",
+    "tip accelerates along 30 degrees": "torque, 30 deg",
+}
 CASES = tuple(
     BeyondCase(system, task, noise)
     for system, tasks in (("curve", CURVES), ("legged", BALANCE), ("torque", TORQUE_TASKS))
@@ -173,7 +180,7 @@ class BeyondResult(ExperimentResult):
             ax.set_aspect("equal")
             ax.set_title(task)
         angles = {
-            f"{c.task}, {100 * c.noise:g} %": [t["angle_deg"] for t in trials if "angle_deg" in t]
+            f"{SHORT.get(c.task, c.task)}, {100 * c.noise:g} %": [t["angle_deg"] for t in trials if "angle_deg" in t]
             for c, trials in self.outcomes.items()
         }
         charts.strip(axes[0, -1], angles)

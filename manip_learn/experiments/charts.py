@@ -28,7 +28,6 @@ STYLE = {
     "grid.color": GRID,
     "grid.linewidth": 0.6,
     "axes.axisbelow": True,
-    "legend.frameon": False,
     "svg.hashsalt": "manip_learn",  # the same bytes every time
     "figure.constrained_layout.use": True,
 }
@@ -81,10 +80,12 @@ def strip(axes: Axes, values: Mapping[str, Sequence[float]], paper: float | None
             continue
         # spread sideways in a fixed pattern: overlapping dots stay countable
         x = i + 0.28 * (((np.arange(dots.size) * 0.618034) % 1.0) - 0.5) * 2.0
-        axes.plot(x, dots, ".", color=colour("blue"), alpha=0.45, markersize=3.5, markeredgewidth=0)
+        axes.plot(x, dots, ".", color=colour("blue"), alpha=0.45, markersize=4.5, markeredgewidth=0)
         axes.plot([i - 0.36, i + 0.36], [np.median(dots)] * 2, color=colour("vermilion"), linewidth=2)
     if paper is not None:
         axes.axhline(paper, color=INK, linestyle="--", linewidth=1)
+        place = axes.get_yaxis_transform()
+        axes.text(0.99, paper * 1.6, "paper", ha="right", va="bottom", fontsize=7.5, color=INK, transform=place)
     axes.set_yscale("log")
     axes.set_xlim(-0.6, len(values) - 0.4)
     axes.set_xticks(range(len(values)), list(values), rotation=40, ha="right")

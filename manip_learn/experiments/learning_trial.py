@@ -1,4 +1,4 @@
-"""One trial of the learning experiments: draw demonstrations, learn Lambda in several ways, compare manipulabilities."""
+"""One trial of the learning experiments: draw demonstrations, learn Lambda in several ways, compare mu."""
 
 from __future__ import annotations
 

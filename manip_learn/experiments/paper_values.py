@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-# NMIE of the learnt manipulability, mean and s.d. of 50 trials; as printed, the unit of the last column is ambiguous by 1e-3
+# NMIE of the learnt manipulability, mean and s.d. of 50 trials, as printed (which leaves a factor of 1e-3 open)
 TABLE: dict[str, dict[str, float]] = {
     "x y": {"mean": 1e-6, "sd": 7e-6},
     "x rz": {"mean": 7e-6, "sd": 4e-5},

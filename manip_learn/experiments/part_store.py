@@ -39,7 +39,7 @@ class PartStore:
         if others and not _is_ours(marker):
             shown = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
             raise OutputError(
-                f"{self.folder} holds other files ({shown}): give a new or empty folder, or the folder of an earlier run"
+                f"{self.folder} holds other files ({shown}): give a new or empty folder, or that of an earlier run"
             )
         if not others:
             write_atomically(marker, json.dumps({"format": FORMAT}) + "\n")

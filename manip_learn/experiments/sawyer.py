@@ -1,16 +1,14 @@
 """The paper's drawer with a Sawyer arm: simulated from the model, and from this project's physics recordings.
 
-The paper's arm is a real one and its data were not published. Its text says that Lambda selects x, and also that the null
-space lies along x; both readings are here: one row (x) is commanded, or x is the free direction and y, z are commanded.
+The paper's arm is a real one and its data were not published. Its text says that Lambda selects x, and also that the
+null space lies along x; both readings are here: one row (x) is commanded, or x is the free direction and y, z are
+commanded.
 """
 
 from __future__ import annotations
 
-import importlib.resources
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
@@ -19,20 +17,17 @@ from jaxtyping import Float
 from manip_learn.batch_manipulability import manipulability_batch
 from manip_learn.constraint import Constraint
 from manip_learn.demonstrations import Demonstrations, Trajectory
-from manip_learn.errors import NotIdentifiableError, RecordingError
+from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments import charts, paper_values
+from manip_learn.experiments.drawer_recordings import FRAME, sawyer_arm, turned_recordings
 from manip_learn.experiments.experiment_result import ExperimentResult
 from manip_learn.experiments.summary import markdown_table, mean_and_sd, number, summary
 from manip_learn.experiments.trial_runner import TrialRunner
 from manip_learn.features.frame_jacobian import FrameJacobian
-from manip_learn.io.load_demonstrations import load_demonstrations
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.linalg import row_space_angle
-from manip_learn.preparation import thin
-from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
 from manip_learn.rollout import Rollout
-from manip_learn.velocities import with_velocities
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,8 +36,6 @@ DEFAULT_POSE = np.deg2rad([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0])
 START_LOW, START_HIGH = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])
 STEP, DEMONSTRATIONS, POINTS = 0.01, 50, 10
 ROLLOUTS, ROLLOUT_POINTS = 20, 100
-FRAME = "right_gripper_tip"
-DRAWER_DIRECTION = np.deg2rad(25.0)  # of the recordings, about the vertical, from x
 DAMPING = 0.05  # of the rollouts' inverse [m]; targets may be out of reach
 
 Source = Literal["model", "physics, 10 points each", "physics, all samples"]
@@ -99,7 +92,8 @@ def sawyer_trial(case: SawyerCase, rng: np.random.Generator) -> dict[str, Any]:
     if case.source == "model":
         demos = simulated(true, rng)
     else:
-        every = recorded(case, 10 if "10" in case.source else None)
+        opens_along_x = (case.direction == "x") == (case.reading == "free direction")
+        every = turned_recordings(opens_along_x, POINTS if "10" in case.source else None)
         demos = Demonstrations(every[int(i)] for i in rng.integers(len(every), size=DEMONSTRATIONS))
     try:
         learner = ConstraintLearner(features, seed=int(rng.integers(2**31))).fit(demos)
@@ -117,12 +111,6 @@ def sawyer_trial(case: SawyerCase, rng: np.random.Generator) -> dict[str, Any]:
     out["mie"] = float(np.mean((mu - other) ** 2))
     out["nmie"] = out["mie"] / float(np.var(mu))
     return out | {"rmse": _rmse(true, learnt, rng)}
-
-
-@cache
-def sawyer_arm() -> Robot:
-    """The shipped Sawyer-like arm."""
-    return load_robot("sawyer")
 
 
 def true_selection(case: SawyerCase) -> Float[np.ndarray, "s p"]:
@@ -155,39 +143,6 @@ def simulated(true: Constraint, rng: np.random.Generator) -> Demonstrations:
     time, names = STEP * np.arange(POINTS), arm.joint_names
     stacked = zip(np.array(postures).transpose(1, 0, 2), np.array(actions).transpose(1, 0, 2), strict=True)
     return Demonstrations(Trajectory(time, q, u, names, f"demonstration {i}") for i, (q, u) in enumerate(stacked))
-
-
-def recorded(case: SawyerCase, points: int | None) -> Demonstrations:
-    """The physics recordings, the base turned so that the drawer opens along x or y, exactly.
-
-    The first joint turns about the vertical through the base: turning the base is an offset of that joint.
-    """
-    opens_along_x = (case.direction == "x") == (case.reading == "free direction")
-    offset = -DRAWER_DIRECTION + (0.0 if opens_along_x else np.pi / 2)
-    shift = np.eye(7)[sawyer_arm().joint_names.index("right_j0")] * offset
-    out = []
-    for t in _recordings():
-        turned = Trajectory(t.time, t.q + shift, t.u, t.joint_names, t.name)
-        out.append(turned if points is None else thin(turned, points))
-    return Demonstrations(out)
-
-
-@cache
-def _recordings() -> Demonstrations:
-    files = sorted(_recordings_folder().glob("*.csv"))
-    return with_velocities(load_demonstrations(files, sawyer_arm()), sawyer_arm())
-
-
-def _recordings_folder() -> Path:
-    installed = Path(str(importlib.resources.files("manip_learn"))) / "_recordings"
-    here = Path(__file__).resolve().parents[2] / "examples" / "data"
-    for folder in (installed / "sawyer_drawer", here / "sawyer_drawer"):
-        if folder.is_dir():
-            return folder
-    raise RecordingError(
-        f"the shipped recordings are missing: neither {installed} nor {here} holds sawyer_drawer; install again",
-        code="missing",
-    )
 
 
 def _rmse(true: Constraint, learnt: Constraint, rng: np.random.Generator) -> list[float]:
@@ -237,7 +192,7 @@ class SawyerResult(ExperimentResult):
         paper = {
             "mie": paper_values.SAWYER_MIE,
             "rmse": dict(paper_values.SAWYER_RMSE),
-            "note": "a real Sawyer, data unpublished: the paper's numbers hold friction, compliance and encoder noise of "
+            "note": "a real Sawyer, data unpublished: the paper's numbers hold the friction, compliance and noise of "
             "an arm that we do not have",
         }
         return {"paper": paper, "ours": ours}
@@ -290,7 +245,7 @@ class SawyerResult(ExperimentResult):
             for c in self.outcomes
         }
         charts.strip(axes[0, 0], {k: self.values(c, "mie") for k, c in labels.items()}, paper_values.SAWYER_MIE)
-        axes[0, 0].set_ylabel("MIE [(m/rad) to the power 2 s]")
+        axes[0, 0].set_ylabel("MIE")
         means = {k: [float(np.mean(v)) for v in self.values(c, "rmse")] for k, c in labels.items()}  # type: ignore[arg-type]
         charts.strip(axes[0, 1], means, paper_values.SAWYER_RMSE["mean"])
         axes[0, 1].set_ylabel("RMSE of the policy")

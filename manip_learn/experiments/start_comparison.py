@@ -99,7 +99,7 @@ class StartResult(ExperimentResult):
         setting: The start.
         paper_law: Step [s] -> policy -> rollout.
         product: Policy -> rollout of our controller, step 0.02 s.
-        perturbed: Law -> of each perturbed start: final error [m], largest joint speed [rad/s], smallest mu after 0.1 s.
+        perturbed: Law -> of each perturbed start: final error [m], largest speed [rad/s], smallest mu after 0.1 s.
         claims: One by one.
     """
 

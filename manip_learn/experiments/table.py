@@ -1,4 +1,4 @@
-"""The paper's table: error of the learnt manipulability for three constraints, 50 trials each, by seven ways to learn."""
+"""The paper's table: error of the learnt manipulability for three constraints, 50 trials each, learnt in eight ways."""
 
 from __future__ import annotations
 
@@ -144,7 +144,6 @@ class TableResult(ExperimentResult):
             charts.strip(ax, {n: self.values(rows, n) for n in ESTIMATORS}, paper_values.TABLE[rows]["mean"])
             ax.set_title(_said(rows))
         axes[0, 0].set_ylabel("NMIE on the test set")
-        axes[0, 0].text(7.4, paper_values.TABLE["x y"]["mean"] * 3, "paper's mean", ha="right")
         return {"table": figure}
 
     def replays(self) -> dict[str, tuple[Robot, Mapping[str, Rollout]]]:

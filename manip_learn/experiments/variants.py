@@ -1,4 +1,4 @@
-"""The paper's table again where its assumptions bend: noise, few trajectories, other policies, other rows, other units."""
+"""The paper's table again where its assumptions bend: noise, few trajectories, other policies, rows and units."""
 
 from __future__ import annotations
 

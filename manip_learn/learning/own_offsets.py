@@ -1,7 +1,7 @@
 """Joint estimation where each demonstrator rests in a posture of their own: pi(q) = Theta^T (q, 1) + c_trajectory.
 
-A constant a trajectory makes the cost bumpy: the search begins from many starts on a few trajectories, and the best goes
-on with all of them.
+A constant a trajectory makes the cost bumpy: the search begins from many starts on a few trajectories, and the best
+goes on with all of them.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ def estimate_own_offsets(samples: Samples, n_constraints: int | None, rng: np.ra
     few = samples.subset(samples.group < FEW)
     if len(few) < 2 * samples.nv * _model(few).n_terms:
         raise NotIdentifiableError(
-            f"{len(samples)} samples of {samples.n_groups} trajectories are too few for a policy with a constant of each "
-            f"trajectory's own: about {2 * samples.nv * (1 + samples.nv)} samples a trajectory are needed",
+            f"{len(samples)} samples of {samples.n_groups} trajectories are too few for a policy with a constant of "
+            f"each trajectory's own: about {2 * samples.nv * (1 + samples.nv)} samples a trajectory are needed",
             code="too-few-samples",
         )
     counts = range(min(samples.n_rows, samples.nv - 1) + 1)

@@ -1,0 +1,62 @@
+"""The project's physics recordings of a drawer, turned so that the drawer opens along x or along y."""
+
+from __future__ import annotations
+
+import importlib.resources
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from manip_learn.demonstrations import Demonstrations, Trajectory
+from manip_learn.errors import RecordingError
+from manip_learn.io.load_demonstrations import load_demonstrations
+from manip_learn.preparation import thin
+from manip_learn.robot.loading import load_robot
+from manip_learn.robot.robot import Robot
+from manip_learn.velocities import with_velocities
+
+FRAME = "right_gripper_tip"
+DRAWER_DIRECTION = np.deg2rad(25.0)  # of the recordings, about the vertical, from x
+
+
+@cache
+def sawyer_arm() -> Robot:
+    """The shipped Sawyer-like arm."""
+    return load_robot("sawyer")
+
+
+def turned_recordings(along_x: bool, points: int | None) -> Demonstrations:
+    """All demonstrations, as from an arm whose base is turned.
+
+    The first joint turns about the vertical through the base: turning the base is an offset of that joint, exactly.
+
+    Args:
+        along_x: The drawer opens along x; else along y.
+        points: So many samples of each demonstration; None for all.
+    """
+    offset = -DRAWER_DIRECTION + (0.0 if along_x else np.pi / 2)
+    shift = np.eye(7)[sawyer_arm().joint_names.index("right_j0")] * offset
+    out = []
+    for t in _recordings():
+        turned = Trajectory(t.time, t.q + shift, t.u, t.joint_names, t.name)
+        out.append(turned if points is None else thin(turned, points))
+    return Demonstrations(out)
+
+
+@cache
+def _recordings() -> Demonstrations:
+    files = sorted(_recordings_folder().glob("*.csv"))
+    return with_velocities(load_demonstrations(files, sawyer_arm()), sawyer_arm())
+
+
+def _recordings_folder() -> Path:
+    installed = Path(str(importlib.resources.files("manip_learn"))) / "_recordings"
+    here = Path(__file__).resolve().parents[2] / "examples" / "data"
+    for folder in (installed / "sawyer_drawer", here / "sawyer_drawer"):
+        if folder.is_dir():
+            return folder
+    raise RecordingError(
+        f"the shipped recordings are missing: neither {installed} nor {here} holds sawyer_drawer; install again",
+        code="missing",
+    )
