@@ -121,6 +121,7 @@ class Robot:
         self._coupling = self._build_coupling() if self.mimics else None
         # a plain robot's configuration IS Pinocchio's: the hot path skips all conversions
         self._plain = nq == nv == model.nq and self._coupling is None
+        self._positions_add_up = all(b.kind not in ("floating", "planar", "other") for b in blocks)
         self._unit_blocks = tuple(b for b in blocks if b.kind in ("continuous", "floating", "planar"))
 
     def _build_coupling(self) -> Coupling:
@@ -306,7 +307,7 @@ class Robot:
         """
         vector = self._finite_vector(q)
         step = self.velocity(v)
-        if vector.shape[0] == self.nv and not any(b.kind in ("floating", "planar", "other") for b in self.blocks):
+        if vector.shape[0] == self.nv and self._positions_add_up:
             return vector + step
         out = self._integrate_configuration(self.configuration(vector), step)
         return self.positions(out) if vector.shape[0] == self.nv else out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import final
 
 import numpy as np
@@ -61,14 +62,15 @@ class PointAttractor(Task):
         """gain * displacement, shortened to max_speed."""
         b = self.gain * self.displacement(constraint, q)
         if self.max_speed is not None:
-            speed = float(np.linalg.norm(b))
+            speed = math.sqrt(b.dot(b))
             if speed > self.max_speed:
                 b *= self.max_speed / speed
         return b
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Distance to the target along the constrained rows [m or rad]."""
-        return float(np.linalg.norm(self.displacement(constraint, q)))
+        displacement = self.displacement(constraint, q)
+        return math.sqrt(displacement.dot(displacement))
 
     def __repr__(self) -> str:
         return f"PointAttractor({np.array2string(self.target, precision=3)}, gain={self.gain:g})"
