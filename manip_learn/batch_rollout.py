@@ -163,6 +163,7 @@ class BatchController:
         task_part = np.einsum("sn,sjn->nj", b, X)
         null_part = pi - np.einsum("sn,sjn->nj", np.einsum("sjn,nj->sn", A, pi), X)
         velocity, status = self._limited(q, dt, task_part, null_part)
+        one_by_one = one_by_one | (status == STATUSES[-1])  # there may be a way round
         for i in np.flatnonzero(one_by_one | ~np.isfinite(velocity).all(axis=1)):
             command = controller(q[i], t, dt)
             velocity[i], mu[i], status[i] = command.velocity, command.manipulability, command.status

@@ -21,7 +21,7 @@ from manip_learn.tasks.hold import Hold
 from manip_learn.tasks.point_attractor import PointAttractor
 
 # in the order of the kernel's codes
-KERNEL_STATUSES = ("ok", "null-scaled", "damped", "velocity-limited", "position-limited")
+KERNEL_STATUSES = ("ok", "null-scaled", "damped", "velocity-limited")
 
 
 @final
@@ -40,8 +40,8 @@ class CompiledController:
     """The commands of a `ResolvedRateController` out of compiled code.
 
     Made for the usual arm: rows of a frame's Jacobian, a chain of revolute, continuous and prismatic joints, holding
-    still or reaching a point along x, y, z of the base, and a policy of the library. Near singularities the original
-    controller is asked, so that its numbers are kept everywhere (to 1e-12 of the largest).
+    still or reaching a point along x, y, z of the base, and a policy of the library. Near singularities and at position
+    limits the original controller is asked, so that its numbers are kept everywhere (to 1e-12 of the largest).
 
     Args:
         controller: What is compiled; later changes of its attributes are not seen.

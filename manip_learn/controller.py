@@ -63,8 +63,8 @@ class ResolvedRateController:
 
     N is always the exact projector. The task part is damped only where a singular value is below `threshold`. The task
     part is slowed down as a whole at the limits (clipping joint by joint would bend the task's direction), and the
-    null-space part is then shortened to the room that is left. Where a position limit would slow the task down, the null
-    space leads the joints round it first, as far as it can.
+    null-space part is then shortened to the room that is left. Where a position limit would slow the task down, the
+    null space leads the joints round it first, as far as it can.
 
     Args:
         constraint: A(q).
@@ -192,11 +192,10 @@ class ResolvedRateController:
                 way_round = detour(task_part, null_part, A, *bounds, task_scale)
             if way_round is not None:
                 task_scale, null_part, null_scale = way_round
-                task_part = task_scale * task_part
-            elif task_scale < 1.0:
-                task_part = task_scale * task_part
-            if way_round is None and null_scale < 1.0:
+            elif null_scale < 1.0:
                 null_part = null_scale * null_part
+            if task_scale < 1.0:
+                task_part = task_scale * task_part
         velocity = task_part + null_part
         if not isfinite(sum(velocity.tolist())):
             raise ConfigurationError(

@@ -28,8 +28,8 @@ from manip_learn.velocity_room import NEGLIGIBLE
 
 compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
-REFUSED = -1  # too close to a singularity, or not finite: Python decides
-OK, NULL_SCALED, DAMPED, VELOCITY_LIMITED, POSITION_LIMITED = 0, 1, 2, 3, 4
+REFUSED = -1  # too close to a singularity, at a position limit, or not finite: Python decides
+OK, NULL_SCALED, DAMPED, VELOCITY_LIMITED = 0, 1, 2, 3
 NO_POLICY, ASCENT, LOG_ASCENT, REST = 0, 1, 2, 3
 
 # The constants of a controller are one table of twelve columns: this row, the chain's table, a row a degree of freedom
@@ -213,9 +213,11 @@ def control_step(constants, q, dt, out):
 @compiled
 def finished(constants, dofs, nv, q, dt, volume, smallest, out):
     """The two parts shortened to the limits and added."""
-    task, null, position_bound = 1.0, 1.0, False
+    task, null = 1.0, 1.0
     if constants[0, LIMITS] != 0.0:
         task, null, position_bound = shares(constants, dofs, nv, q, dt, out)
+        if position_bound:
+            return REFUSED
     for j in range(nv):
         out[TASK_PART, j] *= task
         out[NULL_PART, j] *= null
@@ -225,7 +227,7 @@ def finished(constants, dofs, nv, q, dt, volume, smallest, out):
     out[FACTS, MU], out[FACTS, TASK_SCALE], out[FACTS, NULL_SCALE] = volume, task, null
     out[FACTS, SMALLEST] = smallest
     if task < 1.0:
-        return POSITION_LIMITED if position_bound else VELOCITY_LIMITED
+        return VELOCITY_LIMITED
     return NULL_SCALED if null < 1.0 else OK
 
 

@@ -27,6 +27,7 @@ FLOORS = {
     "controller": "4'",
     "batch_manipulability": "4'",
     "velocity_room": "4'",
+    "detour": "4'",
     "step_kernel": "4'",
     "row_inverse_kernel": "4'",
     "batch_rollout": "4'",

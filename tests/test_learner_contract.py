@@ -8,7 +8,8 @@ import pytest
 from manip_learn.constraint import Constraint
 from manip_learn.errors import LearnerContractError
 from manip_learn.learning import ConstraintLearner, check_learner
-from manip_learn.learning.contract import Subject, checks
+from manip_learn.learning.contract import checks
+from manip_learn.learning.contract_subject import Subject
 
 # name -> (estimator, kind of motion, accuracy on clean motions [deg])
 ESTIMATORS = {

@@ -10,8 +10,8 @@ import numpy as np
 from manip_learn.demonstrations import Trajectory
 from manip_learn.features.custom_features import CustomFeatures
 from manip_learn.features.frame_jacobian import FrameJacobian
-from manip_learn.learning.contract import Learner, Subject
 from manip_learn.learning.contract_motions import ROUNDING_DEG, changed, mapped, velocities
+from manip_learn.learning.contract_subject import Learner, Subject
 
 
 def refit_forgets(subject: Subject) -> None:

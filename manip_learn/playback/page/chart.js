@@ -3,12 +3,13 @@
 const STATUS = {
   ok: { colour: "#dfe5ea", say: "ok" },
   "null-scaled": { colour: "#9cc7e0", say: "null-space part scaled" },
+  rerouted: { colour: "#56b4e9", say: "led round a position limit" },
   damped: { colour: "#e69f00", say: "damped" },
   "velocity-limited": { colour: "#cc79a7", say: "velocity limit" },
   "position-limited": { colour: "#7b4fa3", say: "position limit" },
   singular: { colour: "#17212b", say: "singular" },
 };
-const OTHER_STATUS = ["#56b4e9", "#8c6d1f", "#4d7f6a", "#a04040", "#77808a"];
+const OTHER_STATUS = ["#8c6d1f", "#4d7f6a", "#a04040", "#77808a"];
 const MAX_STRIPS = 8;
 const DASHES = ["", "7 4", "2 4", "10 3 2 3", "1 3 6 3"];
 
