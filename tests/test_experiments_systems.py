@@ -1,0 +1,255 @@
+"""The systems that the experiments run on: demonstrations obey what they claim, starts and readings are the paper's."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from manip_learn.errors import OutputError
+from manip_learn.experiments import beyond, near_singular_start, sawyer, singular_start, table, variants
+from manip_learn.experiments.curve_constraint import curve_features, gradients, hessians, monomials
+from manip_learn.experiments.documentation import PARTS, filled, write_page
+from manip_learn.experiments.drawer_recordings import sawyer_arm, turned_recordings
+from manip_learn.experiments.learning_trial import ESTIMATORS, LearningCase, learning_trial
+from manip_learn.experiments.legged_balance import quadruped, standing_demonstrations, standing_features
+from manip_learn.experiments.paper_setup import (
+    REST,
+    STEP,
+    Setup,
+    demonstrate,
+    draw_targets,
+    jacobian,
+    null_parts,
+    planar_arm,
+    planar_features,
+    tip,
+)
+from manip_learn.experiments.redundant_torques import inertia, jacobians, speed_torques, torque_demonstrations
+from manip_learn.experiments.scaled_rows import ScaledRows
+
+
+def differences(function, q: np.ndarray, h: float = 1e-6) -> np.ndarray:
+    """Central differences, the derivative index last."""
+    steps = h * np.eye(len(q))
+    return np.stack([(np.asarray(function(q + s)) - np.asarray(function(q - s))) / (2 * h) for s in steps], axis=-1)
+
+
+def test_tip_is_that_of_the_shipped_arm(rng):
+    """The closed form agrees with the robot, and its derivative is Phi."""
+    q = rng.uniform(-3.0, 3.0, size=(5, 3))
+    for row, point in zip(q, tip(q), strict=True):
+        assert_allclose(planar_arm().pose(row, planar_arm().frame("tip"))[:2, 3], point[:2], atol=1e-14)
+        assert_allclose(differences(lambda p: tip(p[None])[0], row), jacobian(row[None])[0], atol=1e-8)
+
+
+def test_demonstrations_follow_the_papers_law(rng):
+    """A u = r* - r on the constrained rows along a trajectory, N u = N (rest - q), and each step is an Euler step."""
+    Lambda = Setup("x rz").selection(rng)
+    demos = demonstrate(Setup("x rz", trajectories=6), Lambda, rng)
+    assert len(demos) == 6 and len(demos[0]) == 10
+    w = null_parts(planar_features(), demos, Lambda).reshape(6, 10, 3)
+    for t, part in zip(demos, w, strict=True):
+        assert_allclose(np.diff(t.q, axis=0), STEP * t.u[:-1], atol=1e-14)
+        A = Lambda @ jacobian(t.q)
+        goal = np.einsum("nsv,nv->ns", A, t.u) + tip(t.q) @ Lambda.T
+        assert_allclose(goal, np.tile(goal[0], (10, 1)), atol=1e-12)
+        N = np.eye(3) - np.linalg.pinv(A) @ A
+        assert_allclose(part, np.einsum("nij,nj->ni", N, REST - t.q), atol=1e-12)
+
+
+def test_targets_are_in_reach(rng):
+    """The wrist of every target is within two links, for links of any length."""
+    for length in (1.0, 100.0):
+        targets = draw_targets(500, rng, length)
+        heading = length * np.column_stack([np.cos(targets[:, 2]), np.sin(targets[:, 2])])
+        assert np.max(np.linalg.norm(targets[:, :2] - heading, axis=1)) <= 2.0 * length
+
+
+def test_noise_is_relative(rng):
+    """10 % noise changes the action by a tenth of its root mean square, joint by joint."""
+    clean = demonstrate(Setup(trajectories=50), Setup().selection(rng), np.random.default_rng(1))
+    noisy = demonstrate(Setup(trajectories=50, noise=0.1), Setup().selection(rng), np.random.default_rng(1))
+    u, v = (np.concatenate([t.u for t in demos]) for demos in (clean, noisy))
+    assert_allclose(np.std(v - u, axis=0) / np.sqrt(np.mean(u**2, axis=0)), 0.1, rtol=0.15)
+
+
+def test_scaled_rows(rng):
+    """Rows in other units are the rows times a factor, in every way to ask for them."""
+    scaled, q = ScaledRows(planar_features(), [100.0, 100.0, 1.0]), rng.uniform(-1.0, 1.0, size=3)
+    factor = np.array([100.0, 100.0, 1.0])
+    assert_allclose(scaled(q), factor[:, None] * planar_features()(q))
+    assert_allclose(scaled.batch(q[None])[0], scaled(q))
+    assert_allclose(differences(scaled, q), scaled.derivative(q), atol=1e-6)
+
+
+def test_every_way_to_learn_learns(rng):
+    """Each estimator of the table finds x, y on clean demonstrations, as well as it claims."""
+    names = tuple(n for n in ESTIMATORS if n != "joint-own")
+    outcome = learning_trial(LearningCase(Setup("x y"), names), rng)
+    for name in names:
+        assert outcome[name]["test"] < (1e-5 if "separate" in name else 1e-12), name
+        assert outcome[name]["rows"] == 2
+    assert outcome["joint-affine"]["test"] < 1e-24
+
+
+def test_refusals_are_counted(rng):
+    """What cannot be learnt is recorded as refused, and the tables say so."""
+    outcome = learning_trial(LearningCase(Setup("x y", trajectories=1), ("joint-affine", "separate")), rng)
+    assert set(outcome["joint-affine"]) == {"refused"}
+    result = variants.VariantsResult({("1 trajectory", "x y"): [outcome]})
+    assert result.to_dict()["1 trajectory"]["x y"]["ours"]["separate"]["refused"] == 1.0
+
+
+def test_table_names_are_all_explained():
+    """Each estimator of the table has words for it."""
+    assert set(table.ESTIMATORS) <= set(table.SAID)
+
+
+@pytest.fixture(scope="module")
+def singular():
+    """One result of the first comparison."""
+    return singular_start.run(1, np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def near_singular():
+    """One result of the second comparison."""
+    return near_singular_start.run(1, np.random.default_rng(0))
+
+
+def test_singular_start_is_the_papers_picture(singular):
+    """Zero is stuck at 3 m, the attractor dips, climbing keeps mu above 0.866 from step 3; at both step sizes."""
+    assert all(c.holds for c in singular.claims if c.source == "paper")
+    numbers = singular.to_dict()["ours"]
+    assert numbers["manipulability, dt 0.02 s"]["min_manipulability"] > 0.866
+    assert numbers["attractor, dt 0.01 s"]["min_manipulability"] == pytest.approx(0.0312, abs=1e-3)
+    assert numbers["attractor, dt 0.02 s"]["min_manipulability"] == pytest.approx(0.0831, abs=1e-3)
+
+
+def test_near_singular_start_is_not(near_singular):
+    """The leap of 6e11 rad/s happens in joint 2 only, whatever the policy: the printed claim does not hold."""
+    printed = [c for c in near_singular.claims if c.source == "paper"]
+    assert printed and not any(c.holds for c in printed)
+    for rollouts in near_singular.paper_law.values():
+        for rollout in rollouts.values():
+            assert np.max(np.abs(rollout.u[0])) == pytest.approx(5.73e11, rel=1e-2)
+            assert np.all(np.isfinite(rollout.q))
+
+
+def test_our_controller_stays_within_limits(singular, near_singular):
+    """From the same starts, exact and perturbed, ours reaches the target and never exceeds the arm's speed."""
+    for result in (singular, near_singular):
+        for law, runs in result.perturbed.items():
+            if law.startswith("ours"):
+                assert all(r["max_velocity"] <= 3.1416 * (1 + 1e-9) for r in runs)
+                assert all(r["final_error"] < 0.05 for r in runs)
+        assert result.product["manipulability"].task_error[-1] < 0.05
+
+
+def test_start_results_are_drawn_and_written(singular, near_singular, tmp_path):
+    """Claims, tables, figures and replays exist for both, with plain numbers; wild postures are not replayed."""
+    for result in (singular, near_singular):
+        json.dumps(result.to_dict(), allow_nan=False)
+        assert "| paper |" in result.markdown()
+        assert list(result.figures()) == [result.setting.name]
+        assert len({tuple(row) for row in result.rows()}) == 1
+    (_, rollouts), (_, tame) = (r.replays()[r.setting.name] for r in (singular, near_singular))
+    assert len(rollouts) == 6 and set(tame) == {"ours: zero", "ours: attractor", "ours: manipulability"}
+
+
+def test_turned_drawer_opens_along_an_axis():
+    """In the turned recordings the grip moves along x, or along y, and nowhere else."""
+    frame = sawyer_arm().frame("right_gripper_tip")
+    for along_x, axis in ((True, 0), (False, 1)):
+        demos = turned_recordings(along_x, 10)
+        assert len(demos) == 50 and len(demos[0]) == 10
+        places = np.array([sawyer_arm().pose(q, frame)[:3, 3] for q in demos[0].q])
+        spread = np.ptp(places, axis=0)
+        assert spread[axis] > 0.05
+        assert np.max(np.delete(spread, axis)) < 1e-3
+
+
+@pytest.mark.parametrize("case", sawyer.CASES, ids=lambda c: f"{c.source}-{c.reading}-{c.direction}")
+def test_drawer_is_learnt(case):
+    """Every reading finds its rows by itself; the model to rounding, physics to a tenth of a degree."""
+    outcome = sawyer.sawyer_trial(case, np.random.default_rng(0))
+    assert outcome["rows"] == len(sawyer.true_selection(case))
+    assert outcome["angle_deg"] < (1e-9 if case.source == "model" else 0.1)
+    assert len(outcome["rmse"]) == 20 and max(outcome["rmse"]) < 0.01
+
+
+def test_curve_features_are_consistent(rng):
+    """Gradients and second derivatives of the monomials agree with differences."""
+    q = rng.standard_normal(2)
+    assert_allclose(differences(monomials, q), gradients(q), atol=1e-8)
+    assert_allclose(differences(gradients, q), hessians(q), atol=1e-8)
+    assert_allclose(curve_features()(q), gradients(q))
+
+
+def test_quadruped_stands(rng):
+    """Feet do not move and the centre of mass obeys its rows in every sample."""
+    assert quadruped().nv == 18
+    demos, Lambda = standing_demonstrations("stand, mass over one place", 0.0, rng)
+    for t in list(demos)[:2]:
+        for q, u in list(zip(t.q, t.u, strict=True))[::10]:
+            assert_allclose(Lambda @ (standing_features()(q) @ u), 0.0, atol=1e-12)
+
+
+def test_torque_arm_dynamics(rng):
+    """M is the sum of the masses' parts, and speed torques are those of Lagrange's equations."""
+    q, dq = rng.standard_normal(4), rng.standard_normal(4)
+    assert_allclose(inertia(q), inertia(q).T)
+    dM = differences(inertia, q)
+    lagrange = np.einsum("ijk,k,j->i", dM, dq, dq) - 0.5 * np.einsum("jki,j,k->i", dM, dq, dq)
+    assert_allclose(speed_torques(q, dq), lagrange, atol=1e-7)
+    assert jacobians(q).shape == (4, 2, 4)
+    demos, Lambda = torque_demonstrations("tip accelerates along x and y", 0.0, rng)
+    assert Lambda.shape == (2, 3) and len(demos) == 40
+
+
+@pytest.mark.parametrize("case", beyond.CASES, ids=lambda c: f"{c.task}-{c.noise}")
+def test_beyond_is_learnt(case):
+    """The shipped defaults find the rows of every system: to rounding without noise, to a degree with 1 %."""
+    outcome = beyond.beyond_trial(case, np.random.default_rng(0))
+    assert outcome["rows"] == outcome["rows_true"]
+    assert outcome["angle_deg"] < (1e-9 if case.noise == 0.0 else 1.0)
+
+
+def test_page_is_filled_in():
+    """What stands between markers is replaced, again and again; the rest stays; a missing marker is named."""
+    page = "# Title\n<!-- begin a -->\nold\n<!-- end a -->\nprose\n<!-- begin b -->\n<!-- end b -->\n"
+    once = filled(page, {"a": "| \\1 |", "b": "text"})
+    assert once == (
+        "# Title\n<!-- begin a -->\n\n| \\1 |\n\n<!-- end a -->\nprose\n<!-- begin b -->\n\ntext\n\n<!-- end b -->\n"
+    )
+    assert filled(once, {"a": "| \\1 |", "b": "text"}) == once
+    with pytest.raises(OutputError, match="begin c"):
+        filled(page, {"c": ""})
+
+
+def test_page_needs_results(tmp_path):
+    """Missing, damaged or foreign results are refused with what to do."""
+    page = tmp_path / "page.md"
+    page.write_text("# Page\n")
+    with pytest.raises(OutputError, match="reproduce all"):
+        write_page(tmp_path, page)
+    for content, said in (("{", "no JSON"), ("{}", "does not hold")):
+        for part in PARTS:
+            (tmp_path / f"{part}.md").write_text("text")
+            (tmp_path / f"{part}.json").write_text(content)
+        with pytest.raises(OutputError, match=said):
+            write_page(tmp_path, page)
+    assert page.read_text() == "# Page\n"
+
+
+def test_the_page_has_all_markers():
+    """docs/reproduction.md can be filled in, and shows a picture of every part."""
+    page = Path(__file__).resolve().parents[1] / "docs" / "reproduction.md"
+    text = page.read_text(encoding="utf-8")
+    filled(text, dict.fromkeys((*PARTS, "claims", "settings"), ""))
+    for part in PARTS:
+        assert f"](reproduction/{part}.png)" in text

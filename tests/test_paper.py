@@ -1,0 +1,69 @@
+"""The reproduction at size: what the documentation says about the paper holds (minutes; `make proofs`)."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manip_learn.experiments import paper_values, reproduce, rmse, table, variants
+from manip_learn.experiments.documentation import PARTS, write_page
+from manip_learn.experiments.reproduce import PARTS as EXPERIMENTS
+from manip_learn.experiments.trial_runner import TrialRunner
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reproduction.md"
+
+
+@pytest.fixture(scope="module")
+def full_table() -> dict[str, Any]:
+    """The paper's table at its own size, 50 trials."""
+    return table.run(50, np.random.default_rng(7), TrialRunner()).to_dict()
+
+
+@pytest.mark.parametrize("rows", ["x y", "x rz", "y rz"])
+def test_joint_estimator_beats_the_table(full_table, rows):
+    """The mean of the joint estimator is 1e4 times below the printed one unmatched, and 1e15 times matched."""
+    printed, ours = paper_values.TABLE[rows]["mean"], full_table[rows]["ours"]
+    assert ours["joint-rbf"]["mean"] * 1e4 <= printed
+    for name in ("joint-affine", "auto"):
+        assert ours[name]["mean"] * 1e15 <= printed
+
+
+@pytest.mark.parametrize("rows", ["x y", "x rz", "y rz"])
+def test_papers_route_is_at_the_papers_level(full_table, rows):
+    """Separation and the row-by-row learner come within a factor of 20 of the printed mean."""
+    for name in ("separate", "separate-row-by-row"):
+        assert full_table[rows]["ours"][name]["mean"] <= 20.0 * paper_values.TABLE[rows]["mean"]
+
+
+def test_policy_is_closer_than_printed():
+    """RMSE of the learnt policy: every way is below the printed mean on all three constraints."""
+    ours = rmse.run(10, np.random.default_rng(7), TrialRunner()).to_dict()["ours"]
+    for block in ours.values():
+        assert all(block[name]["mean"] < paper_values.RMSE["mean"] for name in rmse.ESTIMATORS)
+
+
+def test_number_of_rows_is_found():
+    """With 20 trajectories or more the learner finds the number of rows in 98 % of the runs: noise, policies, units."""
+    outcomes = variants.run(10, np.random.default_rng(7), TrialRunner()).outcomes
+    told = [
+        name for name in variants.VARIANTS if name not in ("1 trajectory", "5 trajectories", "each demonstrator's own")
+    ]
+    assert variants.rank_found(outcomes, tuple(told)) >= 0.98
+
+
+def test_everything_small(tmp_path):
+    """`all` writes every part, the page can be filled in from it, and another number of workers changes nothing."""
+    out = tmp_path / "out"
+    answer = reproduce("all", trials=1, seed=2, out=out)
+    assert set(answer) == set(EXPERIMENTS) == set(PARTS)
+    page = tmp_path / "reproduction.md"
+    shutil.copy(PAGE, page)
+    write_page(out, page)
+    assert page.read_text().count("|---|") > 8
+    again = reproduce("rmse", trials=1, seed=2, workers=1)
+    assert again["rmse"] == answer["rmse"]
