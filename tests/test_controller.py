@@ -1,0 +1,262 @@
+"""The controller's promises: exact null space, task direction, limits, words, and no NaN, from any posture."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import tip_of
+
+from manip_learn.constraint import Constraint
+from manip_learn.controller import STATUSES, ResolvedRateController
+from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
+from manip_learn.features import CustomFeatures, FrameJacobian
+from manip_learn.policies import JointAttractor, ManipulabilityAscent
+from manip_learn.rollout import simulate
+from manip_learn.tasks import PointAttractor, Track
+
+ROBOTS = ["planar3", "sawyer", "panda", "kinova", "gantry", "wrist", "tree", "humanoid", "rover"]
+INVERSES = ["exact", "truncated", "damped"]
+
+
+def oblique(robot, name: str, rng: np.random.Generator, s: int = 2) -> Constraint:
+    """A dense constraint on the tip's position."""
+    axes = "planar" if name == "planar3" else "xyz"
+    return Constraint(rng.standard_normal((s, 3)), FrameJacobian(robot, tip_of(name), axes))
+
+
+def inside(robot, rng: np.random.Generator, share: float = 0.98) -> np.ndarray:
+    """A posture within the joint limits; unlimited joints anywhere in a turn."""
+    low = np.where(np.isfinite(robot.position_lower), robot.position_lower, -3.0)
+    high = np.where(np.isfinite(robot.position_upper), robot.position_upper, 3.0)
+    return 0.5 * (low + high) + 0.5 * share * (high - low) * rng.uniform(-1.0, 1.0, robot.nv)
+
+
+def wild(rng: np.random.Generator, size: float):
+    """A task that asks for anything."""
+
+    class Wild(PointAttractor):
+        def velocity(self, constraint, q, t):
+            return size * rng.standard_normal(constraint.n_constraints)
+
+    return Wild(np.zeros(3))
+
+
+def bounds_of(robot, x: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    low = np.maximum(-robot.velocity_limit, np.minimum((robot.position_lower - x) / dt, 0.0))
+    high = np.minimum(robot.velocity_limit, np.maximum((robot.position_upper - x) / dt, 0.0))
+    return low, high
+
+
+@pytest.mark.parametrize("inverse", INVERSES)
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_command_keeps_the_promises(robot_of, rng, name: str, inverse: str):
+    """A null_part = 0, A task_part along b (away from singularities), limits, finite numbers, a known word."""
+    robot = robot_of(name)
+    for k in range(25):
+        constraint = oblique(robot, name, rng, 1 + k % 2)
+        size = 10.0 ** rng.uniform(-2.0, 1.5)
+        policy = ManipulabilityAscent(constraint, gain=10.0 ** rng.uniform(-1.0, 1.0))
+        controller = ResolvedRateController(constraint, wild(rng, size), policy, inverse)
+        q = robot.configuration(inside(robot, rng)) if k % 2 else robot.random_configuration(rng)
+        command, A = controller(q), constraint(q)
+        scale = max(1.0, float(np.linalg.norm(A)) * float(np.linalg.norm(command.null_part)))
+        assert np.max(np.abs(A @ command.null_part)) <= 1e-12 * scale
+        if command.smallest_singular_value > 0.05:
+            wanted = command.task_scale * command.task_velocity
+            np.testing.assert_allclose(A @ command.velocity, wanted, rtol=0, atol=1e-11 * max(1.0, size))
+        low, high = bounds_of(robot, robot.positions(q), controller.dt)
+        assert np.all(command.velocity <= high + 1e-9) and np.all(command.velocity >= low - 1e-9)
+        assert command.status in STATUSES
+        assert 0.0 <= command.task_scale <= 1.0 and 0.0 <= command.null_scale <= 1.0
+        np.testing.assert_allclose(command.task_part + command.null_part, command.velocity, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["sawyer", "panda", "gantry", "tree"])
+def test_rollouts_never_leave_the_limits(robot_of, rng, name: str):
+    """From anywhere, at the limits too, towards anything: positions stay within the limits and speeds below theirs."""
+    robot = robot_of(name)
+    led_round = 0
+    for k in range(12):
+        q = inside(robot, rng)
+        at = rng.random(robot.nv) < 0.3 * (k % 2)
+        q = np.where(at, np.where(rng.random(robot.nv) < 0.5, robot.position_lower, robot.position_upper), q)
+        q = np.clip(np.nan_to_num(q, posinf=0.0, neginf=0.0), robot.position_lower, robot.position_upper)
+        constraint = oblique(robot, name, rng, 1 + k % 3)
+        policy = ManipulabilityAscent(constraint) if k % 3 else JointAttractor(inside(robot, rng), gain=3.0)
+        task = PointAttractor(constraint.features.coordinates(inside(robot, rng)), gain=3.0)
+        rollout = simulate(robot, ResolvedRateController(constraint, task, policy), q, 1.5, 0.02)
+        assert np.max(rollout.q - robot.position_upper) <= 1e-12
+        assert np.max(robot.position_lower - rollout.q) <= 1e-12
+        assert np.max(np.abs(rollout.u) - robot.velocity_limit) <= 1e-12
+        led_round += rollout.status.count("rerouted")
+    assert led_round > 0
+
+
+def test_from_outside_the_limits_the_arm_only_comes_back(robot_of, rng):
+    """A start outside the limits is no error: no joint goes farther out, and the task may bring it in."""
+    robot = robot_of("sawyer")
+    for _ in range(6):
+        q = inside(robot, rng)
+        j = int(rng.integers(robot.nv))
+        q[j] = robot.position_upper[j] + 0.2
+        constraint = oblique(robot, "sawyer", rng)
+        target = constraint.features.coordinates(inside(robot, rng))
+        controller = ResolvedRateController(constraint, PointAttractor(target), ManipulabilityAscent(constraint))
+        rollout = simulate(robot, controller, q, 1.0, 0.02)
+        assert np.all(np.diff(rollout.q[:, j])[rollout.q[:-1, j] > robot.position_upper[j]] <= 1e-15)
+
+
+def test_the_null_space_leads_round_position_limits(robot_of):
+    """Where joints at their limits stop the plain law, null-space motion lets most targets be reached all the same."""
+    robot = robot_of("sawyer")
+    rng = np.random.default_rng(5)
+    reached = {True: 0, False: 0}
+    for _ in range(10):
+        constraint = oblique(robot, "sawyer", rng)
+        start, target = inside(robot, rng, 0.96), constraint.features.coordinates(inside(robot, rng, 0.8))
+        for helped in (True, False):
+            controller = ResolvedRateController(constraint, PointAttractor(target, gain=2.0, max_speed=0.5))
+            if not helped:  # a null space of no dimension can lead nowhere
+                controller._room.bounds = lambda q, dt: (np.zeros(7), np.zeros(7))
+            reached[helped] += simulate(robot, controller, start, 4.0, 0.02).task_error[-1] < 0.01
+    assert reached[True] >= reached[False] + 3
+    assert reached[True] >= 8
+
+
+def test_velocity_limits_keep_the_direction_of_the_task(robot_of, rng):
+    """Too fast a task is slowed down as a whole: A u stays parallel to b, and the task part alone is at a limit."""
+    robot = robot_of("sawyer")
+    seen = 0
+    for _ in range(60):
+        constraint = oblique(robot, "sawyer", rng)
+        controller = ResolvedRateController(constraint, wild(rng, 5.0), ManipulabilityAscent(constraint))
+        q = inside(robot, rng, 0.5)
+        command = controller(q)
+        if command.status != "velocity-limited":
+            continue
+        seen += 1
+        moved, b = constraint(q) @ command.velocity, command.task_velocity
+        np.testing.assert_allclose(moved / np.linalg.norm(moved), b / np.linalg.norm(b), rtol=0, atol=1e-10)
+        assert np.max(np.abs(command.task_part) / robot.velocity_limit) == pytest.approx(1.0, abs=1e-12)
+    assert seen > 20
+
+
+@pytest.mark.parametrize("inverse", INVERSES)
+@pytest.mark.parametrize("name", ["planar3", "sawyer", "ur5", "panda"])
+def test_singular_postures_give_finite_commands_or_a_reason(robot_of, rng, name: str, inverse: str):
+    """Stretched arms, and postures within 1e-14 ... 1e-3 of them: finite and within limits, or refused in words."""
+    robot = robot_of(name)
+    axes = "x y" if name == "planar3" else "pose"
+    features = FrameJacobian(robot, tip_of(name), axes)
+    stretched = np.clip(np.zeros(robot.nv), robot.position_lower, robot.position_upper)
+    for distance in (0.0, 1e-16, 1e-14, 1e-10, 1e-6, 1e-3):
+        q = stretched + distance * rng.standard_normal(robot.nv)
+        for s in (1, features.n_rows):
+            constraint = Constraint(np.eye(features.n_rows)[:s], features)
+            policy = ManipulabilityAscent(constraint)
+            controller = ResolvedRateController(constraint, wild(rng, 1.0), policy, inverse, limits=distance != 1e-10)
+            try:
+                command = controller(q)
+            except ConfigurationError as error:
+                assert inverse != "damped" and "use inverse='damped'" in str(error)
+                continue
+            assert np.all(np.isfinite(command.velocity)) and np.isfinite(command.manipulability)
+            if inverse == "damped":
+                assert np.linalg.norm(command.task_part) <= 23.0 * np.linalg.norm(command.task_velocity)
+
+
+def test_damping_only_below_the_threshold(robot_of):
+    """Above the threshold the task is followed exactly; below it the word is 'damped', and at zero 'singular'."""
+    robot = robot_of("planar3")
+    constraint = Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y"))
+    words = {}
+    for elbow in (1.0, 0.3, 0.05, 0.01, 1e-4, 0.0):
+        q = np.array([0.2, elbow, 0.0])
+        controller = ResolvedRateController(constraint, Track(lambda t: [0.0, 0.0], gain=1e-6), limits=False)
+        command = controller(q)
+        sigma = np.linalg.svd(constraint(q), compute_uv=False)[-1]
+        followed = np.allclose(constraint(q) @ command.velocity, command.task_velocity, rtol=1e-10, atol=0)
+        assert followed == (sigma >= controller.threshold)
+        assert command.smallest_singular_value == pytest.approx(sigma, rel=1e-9, abs=1e-15)
+        words[elbow] = command.status
+    assert words == {1.0: "ok", 0.3: "ok", 0.05: "damped", 0.01: "damped", 1e-4: "damped", 0.0: "singular"}
+
+
+def test_the_words_are_right(robot_of):
+    """Each word is given for what it says, the gravest first."""
+    robot = robot_of("sawyer")
+    constraint = Constraint(np.eye(3)[:2], FrameJacobian(robot, "right_hand"))
+    q = np.radians([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 100.0])
+    here = constraint.features.coordinates(q)
+
+    def status(offset: float, gain: float = 0.0, posture: np.ndarray = q) -> str:
+        policy = ManipulabilityAscent(constraint, gain)
+        return ResolvedRateController(constraint, PointAttractor(here + offset), policy)(posture).status
+
+    assert status(0.001) == "ok"
+    assert status(0.001, gain=100.0) == "null-scaled"
+    assert status(10.0) == "velocity-limited"
+    task = ResolvedRateController(constraint, PointAttractor(here + 0.1))(q).task_part
+    blocked = q.copy()
+    j = int(np.argmax(np.abs(task)))
+    blocked[j] = (robot.position_upper if task[j] > 0 else robot.position_lower)[j]
+    moved = constraint.features.coordinates(blocked) + 0.1
+    assert ResolvedRateController(constraint, PointAttractor(moved))(blocked).status in ("rerouted", "position-limited")
+
+
+def test_bad_input_is_refused(robot_of):
+    """NaN, wrong sizes, targets that do not fit, settings out of range: an error of this library, never a number."""
+    robot = robot_of("planar3")
+    constraint = Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y"))
+    controller = ResolvedRateController(constraint, PointAttractor([1.0, 1.0]))
+    for q in ([np.nan, 0.0, 0.0], [np.inf, 0.0, 0.0], [0.0, 0.0], np.zeros((1, 3)), None):
+        with pytest.raises(ConfigurationError):
+            controller(q)
+    with pytest.raises(TargetError, match="2 numbers"):
+        ResolvedRateController(constraint, PointAttractor([1.0, 1.0, 1.0]))(np.ones(3))
+    with pytest.raises(TargetError, match="2 numbers"):
+        ResolvedRateController(constraint, None, JointAttractor(np.zeros(2), robot=None))(np.ones(3))
+    for settings in ({"threshold": 0.0}, {"damping": -1.0}, {"dt": np.nan}):
+        with pytest.raises(ConstraintError, match=next(iter(settings))):
+            ResolvedRateController(constraint, **settings)
+    with pytest.raises(ConstraintError, match="'pinv'"):
+        ResolvedRateController(constraint, inverse="pinv")  # type: ignore[arg-type]
+
+
+def test_features_without_a_robot():
+    """A system that is no arm: no limits, the bare law, and NaN is refused all the same."""
+    features = CustomFeatures(lambda q: np.array([[1.0, q[0], 0.0]]), ("r",), 3, coordinates=lambda q: q[:1])
+    controller = ResolvedRateController(Constraint([[1.0]], features), PointAttractor([2.0]), inverse="exact")
+    q = np.array([0.5, 0.0, 0.0])
+    np.testing.assert_allclose(features(q) @ controller(q).velocity, [1.5], rtol=1e-14)
+    with pytest.raises(ConfigurationError):
+        controller([np.nan, 0.0, 0.0])
+
+
+def test_the_papers_law(robot_of, rng):
+    """limits=False with the exact inverse is equation (2), A^+ b + N pi, to the last digits."""
+    robot = robot_of("sawyer")
+    for _ in range(10):
+        constraint = oblique(robot, "sawyer", rng)
+        q, rest = inside(robot, rng), inside(robot, rng)
+        target = rng.standard_normal(3)
+        controller = ResolvedRateController(
+            constraint, PointAttractor(target), JointAttractor(rest), "exact", limits=False
+        )
+        A = constraint(q)
+        b = constraint.selection @ (target - constraint.features.coordinates(q))
+        expected = np.linalg.pinv(A) @ b + (np.eye(7) - np.linalg.pinv(A) @ A) @ (rest - q)
+        np.testing.assert_allclose(controller(q).velocity, expected, rtol=0, atol=1e-11 * np.linalg.norm(expected))
+
+
+def test_commands_do_not_depend_on_the_past(robot_of, rng):
+    """The same posture gives the same command, whatever was asked in between."""
+    robot = robot_of("sawyer")
+    constraint = oblique(robot, "sawyer", rng)
+    controller = ResolvedRateController(constraint, PointAttractor(np.zeros(3)), ManipulabilityAscent(constraint))
+    q = inside(robot, rng)
+    first = controller(q).velocity.copy()
+    for _ in range(20):
+        controller(inside(robot, rng))
+    np.testing.assert_array_equal(controller(q).velocity, first)
+    assert "inverse='damped'" in repr(controller)
