@@ -13,7 +13,7 @@ refinement).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
@@ -22,7 +22,7 @@ from manip_learn.features.feature_map import FeatureMap
 from manip_learn.learning.policy_model import PolicyModel
 from manip_learn.learning.pools import Pools
 from manip_learn.learning.row_spaces import RowSpaces, row_spaces
-from manip_learn.learning.tally import Chunk, Sums
+from manip_learn.learning.tally import Chunk, Tally
 
 
 @final
@@ -46,14 +46,16 @@ class Regressors:
         return self.mixing @ self.model((q - self.centre) / self.spread).T
 
 
+Evidence = tuple[float, float, dict[int, tuple[np.ndarray, np.ndarray]]]
+
+
 @final
 @dataclass(frozen=True, eq=False)
-class JointTally(Sums):
+class JointTally(Tally):
     """One Gauss-Newton pass of variable projection.
 
-    Gathers the cost, the energy sum |N u|^2, the gradient and the Hessian for (Theta, B), and for each pool of
-    trajectories the gradient and the Hessian for B with Theta projected off; Theta is (k', nv) row by row, B is
-    (s, p' - s).
+    Gathers the cost, the energy sum |N u|^2, and for each pool of trajectories the gradient and the Hessian for
+    (Theta, B); Theta is (k', nv) row by row, B is (s, p' - s).
 
     Attributes:
         features: Phi.
@@ -61,7 +63,6 @@ class JointTally(Sums):
         n_rows: Number of rows s of Lambda.
         regressors: beta'.
         theta: Policy for beta', shape (k', nv).
-        projection: dTheta/dB of the best Theta, from the pass before, shape (k' nv, m); None in the first pass.
         pools: Pool of each trajectory.
     """
 
@@ -70,47 +71,42 @@ class JointTally(Sums):
     n_rows: int
     regressors: Regressors
     theta: Float[np.ndarray, "j nv"]
-    projection: Float[np.ndarray, "w m"] | None
     pools: Pools
 
-    def of(self, chunk: Chunk) -> tuple[Any, ...]:
-        """Cost, energy, gradient, Hessian, and the pools' gradients and Hessians of a chunk."""
+    def of(self, chunk: Chunk) -> Evidence:
+        """What a chunk says."""
         s = self.n_rows
         Phi, u = chunk.features(self.features, self.mixing)
         spaces = row_spaces(Phi[:s])
         beta = self.regressors(chunk.q)
         y = u - self.theta.T @ beta
         along, task = spaces.along(y), spaces.along(u)
-        e, a = spaces.away(y, along), spaces.dual(along)
-        J = _slopes(spaces, Phi[s:], a)
-        m, nv, n = J.shape
-        width = beta.shape[0] * nv
-        H = np.zeros((width + m, width + m))
-        H[:width, :width] = _policy_hessian(spaces, beta)
-        H[:width, width:] = (
-            -(beta @ J.transpose(2, 0, 1).reshape(n, m * nv)).reshape(-1, m, nv).transpose(0, 2, 1).reshape(width, m)
-        )
-        H[width:, :width] = H[:width, width:].T
-        flat = J.reshape(m, nv * n)
-        H[width:, width:] = flat @ flat.T
-        gradient = np.concatenate([-(beta @ e.T).reshape(-1), np.einsum("mvn,vn->m", J, e)])
+        e = spaces.away(y, along)
+        J = _slopes(spaces, Phi[s:], spaces.dual(along))
+        N = _projectors(spaces)
+        parts = {
+            pool: _normal_equations(N[:, part], beta[:, part], J[:, :, part], e[:, part])
+            for pool, part in self.pools.runs(chunk.group)
+        }
         energy = np.einsum("vn,vn->", u, u) - np.einsum("sn,sn->", task, task)
-        return np.einsum("vn,vn->", e, e), energy, gradient, H, *self._pooled(chunk, spaces, beta, J, e)
+        return float(np.einsum("vn,vn->", e, e)), float(energy), parts
 
-    def _pooled(
-        self, chunk: Chunk, spaces: RowSpaces, beta: np.ndarray, J: np.ndarray, e: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        m, nv, n = J.shape
-        if self.projection is None:
-            return np.zeros((self.pools.n_pools, m)), np.zeros((self.pools.n_pools, m, m))
-        follow = self.projection.T.reshape(m, beta.shape[0], nv)  # dTheta for each entry of B
-        left = np.empty_like(J)
-        for i in range(m):
-            followed = follow[i].T @ beta
-            left[i] = J[i] - spaces.away(followed, spaces.along(followed))
-        slopes = np.einsum("mvn,vn->mn", left, e)
-        H = np.einsum("avn,bvn->abn", left, left).reshape(m * m, n)
-        return self.pools.sums(slopes, chunk.group), self.pools.sums(H, chunk.group).reshape(-1, m, m)
+    def joined(self, before: Evidence, after: Evidence) -> Evidence:
+        """Sums, pool by pool."""
+        parts = dict(before[2])
+        for pool, (gradient, hessian) in after[2].items():
+            if pool in parts:
+                gradient, hessian = parts[pool][0] + gradient, parts[pool][1] + hessian
+            parts[pool] = gradient, hessian
+        return before[0] + after[0], before[1] + after[1], parts
+
+    def joined_parts(self, before: Evidence, after: Evidence) -> Evidence:
+        """Sums, pool by pool."""
+        return self.joined(before, after)
+
+    def finished(self, total: Evidence, notes: tuple[str, ...]) -> Evidence:
+        """As it is."""
+        return total
 
 
 def _slopes(spaces: RowSpaces, perp: np.ndarray, a: np.ndarray) -> Float[np.ndarray, "m nv n"]:
@@ -124,13 +120,34 @@ def _slopes(spaces: RowSpaces, perp: np.ndarray, a: np.ndarray) -> Float[np.ndar
     return out.reshape(s * k, nv, n)
 
 
-def _policy_hessian(spaces: RowSpaces, beta: np.ndarray) -> Float[np.ndarray, "w w"]:
-    """sum beta beta^T (x) N, both symmetric: each pair of entries once."""
-    nv, k = spaces.E.shape[1], len(beta)
-    v, w = np.triu_indices(nv)
+def _projectors(spaces: RowSpaces) -> Float[np.ndarray, "c n"]:
+    """N, the entries on and above its diagonal."""
+    v, w = np.triu_indices(spaces.E.shape[1])
     N = -np.einsum("svn,svn->vn", spaces.E[:, v], spaces.E[:, w])
     N[v == w] += 1.0
-    i, j = np.triu_indices(k)
+    return N
+
+
+def _normal_equations(
+    N: np.ndarray, beta: np.ndarray, J: np.ndarray, e: np.ndarray
+) -> tuple[Float[np.ndarray, " w"], Float[np.ndarray, "w w"]]:
+    """Gradient and Hessian of some samples."""
+    m, nv, n = J.shape
+    width = beta.shape[0] * nv
+    flat = np.ascontiguousarray(J).reshape(m, nv * n)
+    H = np.empty((width + m, width + m))
+    H[:width, :width] = _policy_hessian(N, beta, nv)
+    both = (beta @ J.transpose(2, 0, 1).reshape(n, m * nv)).reshape(-1, m, nv)
+    H[:width, width:] = -both.transpose(0, 2, 1).reshape(width, m)
+    H[width:, :width] = H[:width, width:].T
+    H[width:, width:] = flat @ flat.T
+    return np.concatenate([-(beta @ e.T).reshape(-1), np.einsum("mvn,vn->m", J, e)]), H
+
+
+def _policy_hessian(N: np.ndarray, beta: np.ndarray, nv: int) -> Float[np.ndarray, "w w"]:
+    """sum beta beta^T (x) N, both symmetric: each pair of entries once."""
+    k = len(beta)
+    (v, w), (i, j) = np.triu_indices(nv), np.triu_indices(k)
     pairs = (beta[i] * beta[j]) @ N.T
     out = np.empty((k, k, nv, nv))
     for a, b in ((v, w), (w, v)):

@@ -13,23 +13,26 @@ from jaxtyping import Float
 from manip_learn.features.feature_map import FeatureMap
 from manip_learn.learning.estimate import Estimate
 from manip_learn.learning.joint import JointFit
-from manip_learn.learning.joint_tally import JointTally, Regressors
+from manip_learn.learning.joint_tally import Evidence, JointTally, Regressors
 from manip_learn.learning.null_space_tally import NullSpaceTally
 from manip_learn.learning.passes import Passes
 from manip_learn.learning.policy_model import PolicyModel
 from manip_learn.learning.pools import Pools
 from manip_learn.learning.samples import Samples
 from manip_learn.learning.survey import Extent
-from manip_learn.learning.tally import Sums
+from manip_learn.learning.tally import Tally
 from manip_learn.linalg import complement_rows, orthonormal_rows
 
 MAX_PASSES = 20
 # length of a step [rad on the Grassmann manifold] that no longer counts, and from which rounding is all that is left
 SETTLED, ROUNDING = 1e-12, 1e-13
+WITHIN_ROUNDING = 1e-9  # shorter steps are not judged by the cost
 # directions of the normal equations, scaled to ones on the diagonal, that the samples do not determine
 UNDETERMINED = 1e-12
 # combinations of regressors that vary less than this are left out
 FLAT = 1e-9
+# sets of trajectories for the bootstrap; a set of the joint estimator has a Hessian for Theta, too
+HELD_POOLS, JOINT_POOLS = 512, 100
 TITLE = "all samples, pass {}"
 
 
@@ -40,16 +43,14 @@ class Look:
 
     Attributes:
         cost, energy: Sums of the squares of what is left, and of what there was.
-        gradient, hessian: For all unknowns; the last m are B, with dLambda = B Lambda_perp.
-        gradients, hessians: For B, of each pool of trajectories.
+        gradients, hessians: For all unknowns, of each pool of trajectories; the last unknowns are B, with
+            dLambda = B Lambda_perp.
     """
 
     cost: float
     energy: float
-    gradient: Float[np.ndarray, " w"]
-    hessian: Float[np.ndarray, "w w"]
-    gradients: Float[np.ndarray, "g m"]
-    hessians: Float[np.ndarray, "g m m"]
+    gradients: Float[np.ndarray, "g w"]
+    hessians: Float[np.ndarray, "g w w"]
 
 
 class Point(ABC):
@@ -62,13 +63,11 @@ class Point(ABC):
         """What a pass from here has gathered."""
 
     @abstractmethod
-    def tally(
-        self, features: FeatureMap, whitening: Float[np.ndarray, "r p"], pools: Pools
-    ) -> Sums:
+    def tally(self, features: FeatureMap, whitening: Float[np.ndarray, "r p"], n_groups: int) -> Tally:
         """The pass to make from here."""
 
     @abstractmethod
-    def moved(self, step: Float[np.ndarray, " w"], seen: Look) -> Point:
+    def moved(self, step: Float[np.ndarray, " w"]) -> Point:
         """The place after a step from here."""
 
 
@@ -82,13 +81,14 @@ class HeldPoint(Point):
     def look(self, total: Any) -> Look:
         """The sums of a `NullSpaceTally`."""
         cost, energy, gradients, hessians = total
-        return Look(float(cost), float(energy), gradients.sum(axis=0), hessians.sum(axis=0), gradients, hessians)
+        return Look(float(cost), float(energy), gradients, hessians)
 
-    def tally(self, features: FeatureMap, whitening: Float[np.ndarray, "r p"], pools: Pools) -> NullSpaceTally:
+    def tally(self, features: FeatureMap, whitening: Float[np.ndarray, "r p"], n_groups: int) -> NullSpaceTally:
         """A `NullSpaceTally`."""
+        pools = Pools(n_groups, HELD_POOLS)
         return NullSpaceTally(features, _mixing(self.selection, whitening), len(self.selection), pools)
 
-    def moved(self, step: Float[np.ndarray, " w"], seen: Look) -> HeldPoint:
+    def moved(self, step: Float[np.ndarray, " w"]) -> HeldPoint:
         """Lambda after a step."""
         return HeldPoint(_turned(self.selection, step))
 
@@ -102,32 +102,30 @@ class JointPoint(Point):
         selection: Lambda.
         theta: shape (k', nv).
         regressors: beta'.
-        projection: dTheta/dB at the place before.
     """
 
     selection: Float[np.ndarray, "s r"]
     theta: Float[np.ndarray, "j nv"]
     regressors: Regressors
-    projection: Float[np.ndarray, "w m"] | None = None
 
-    def look(self, total: Any) -> Look:
+    def look(self, total: Evidence) -> Look:
         """The sums of a `JointTally`."""
-        cost, energy, gradient, hessian, gradients, hessians = total
-        return Look(float(cost), float(energy), gradient, hessian, gradients, hessians)
+        cost, energy, parts = total
+        pools = sorted(parts)
+        gradients, hessians = (np.array([parts[pool][i] for pool in pools]) for i in (0, 1))
+        return Look(cost, energy, gradients, hessians)
 
-    def tally(self, features: FeatureMap, whitening: Float[np.ndarray, "r p"], pools: Pools) -> JointTally:
+    def tally(self, features: FeatureMap, whitening: Float[np.ndarray, "r p"], n_groups: int) -> JointTally:
         """A `JointTally`."""
         mixing = _mixing(self.selection, whitening)
-        s = len(self.selection)
-        return JointTally(features, mixing, s, self.regressors, self.theta, self.projection, pools)
+        pools = Pools(n_groups, JOINT_POOLS)
+        return JointTally(features, mixing, len(self.selection), self.regressors, self.theta, pools)
 
-    def moved(self, step: Float[np.ndarray, " w"], seen: Look) -> JointPoint:
+    def moved(self, step: Float[np.ndarray, " w"]) -> JointPoint:
         """Lambda and Theta after a step."""
         width = self.theta.size
-        H = seen.hessian
-        projection = -_solved(H[:width, :width], H[:width, width:])
         theta = self.theta + step[:width].reshape(self.theta.shape)
-        return JointPoint(_turned(self.selection, step[width:]), theta, self.regressors, projection)
+        return JointPoint(_turned(self.selection, step[width:]), theta, self.regressors)
 
 
 def polished(estimate: Estimate, samples: Samples, extent: Extent, passes: Passes) -> tuple[Estimate, str]:
@@ -148,12 +146,13 @@ def polished(estimate: Estimate, samples: Samples, extent: Extent, passes: Passe
     else:
         return estimate, f"learnt from {len(samples)} samples, chosen evenly out of {extent.n_samples}"
     point, seen = _descended(start, samples, extent, passes)
+    gradients, hessians = _in_own_basis(seen, len(point.selection) * (samples.n_rows - len(point.selection)))
     better = dataclasses.replace(
         estimate,
         selection=point.selection,
         unexplained=seen.cost / seen.energy if seen.energy > 0.0 else 0.0,
-        gradients=seen.gradients,
-        hessians=seen.hessians,
+        gradients=gradients,
+        hessians=hessians,
         joint=None,
     )
     return better, ""
@@ -161,26 +160,43 @@ def polished(estimate: Estimate, samples: Samples, extent: Extent, passes: Passe
 
 def _descended(point: Point, samples: Samples, extent: Extent, passes: Passes) -> tuple[Point, Look]:
     """Steps until the next one would be shorter than `SETTLED`, as judged by how fast they have become shorter."""
-    pools, first_groups = Pools(extent.n_groups), extent.first_groups
+    m = len(point.selection) * (samples.n_rows - len(point.selection))
 
     def looked(here: Point, number: int) -> Look:
-        tally = here.tally(samples.features, samples.whitening, pools)
-        return here.look(passes.total(tally, first_groups, TITLE.format(number)))
+        tally = here.tally(samples.features, samples.whitening, extent.n_groups)
+        return here.look(passes.total(tally, extent.first_groups, TITLE.format(number)))
 
     seen, before, damping = looked(point, 1), np.inf, 0.0
     for number in range(2, MAX_PASSES + 1):
-        step = -_solved(seen.hessian, seen.gradient[:, None], damping)[:, 0]
-        turn = step[len(step) - seen.gradients.shape[1] :]
-        length = float(np.linalg.norm(turn))
-        trial = point.moved(step, seen)
-        if number > 2 and (length < ROUNDING or length * min(length / before, 1.0) < SETTLED):
+        step = -_solved(seen.hessians.sum(axis=0), seen.gradients.sum(axis=0)[:, None], damping)[:, 0]
+        length = float(np.linalg.norm(step[len(step) - m :]))
+        trial = point.moved(step)
+        if length < ROUNDING or (number > 2 and length * min(length / before, 1.0) < SETTLED):
             return trial, seen  # what a further pass would change is below rounding
         found = looked(trial, number)
-        if found.cost <= seen.cost * (1.0 + 1e-9) + np.finfo(np.float64).tiny or length < ROUNDING:
+        if found.cost <= seen.cost * (1.0 + 1e-9) or length < WITHIN_ROUNDING:
             point, seen, before, damping = trial, found, length, 0.0
         else:
             damping = max(1e-3, 10.0 * damping)
     return point, seen
+
+
+def _in_own_basis(seen: Look, m: int) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
+    """The pools' gradients and Hessians, with those combinations of Theta only that the samples determine.
+
+    These are orthonormal and what B would move Theta along is taken off, for the bootstrap leaves pools out.
+    """
+    width = seen.gradients.shape[1] - m
+    if width == 0:
+        return seen.gradients, seen.hessians
+    H = seen.hessians.sum(axis=0)
+    scale, V, eigenvalues = _determined(H[:width, :width])
+    basis = scale[:, None] * V / np.sqrt(eigenvalues)
+    turn = np.zeros((width + m, basis.shape[1] + m))
+    turn[:width, : basis.shape[1]] = basis
+    turn[:width, basis.shape[1] :] = -basis @ (basis.T @ H[:width, width:])
+    turn[width:, basis.shape[1] :] = np.eye(m)
+    return seen.gradients @ turn, turn.T @ seen.hessians @ turn
 
 
 def _joint_start(fit: JointFit, samples: Samples) -> JointPoint:
@@ -209,11 +225,16 @@ def _turned(selection: np.ndarray, turn: np.ndarray) -> Float[np.ndarray, "s r"]
 
 def _solved(H: np.ndarray, y: np.ndarray, damping: float = 0.0) -> Float[np.ndarray, "w c"]:
     """H^+ y; directions that the samples do not determine stay as they are."""
-    if H.size == 0 or y.size == 0:
+    if y.size == 0:
         return np.zeros_like(y)
+    scale, V, eigenvalues = _determined(H)
+    return scale[:, None] * (V @ ((V.T @ (scale[:, None] * y)) / (eigenvalues[:, None] + damping)))
+
+
+def _determined(H: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Scale of each unknown, and eigenvectors and eigenvalues of the scaled H that are not rounding."""
     size = np.sqrt(np.maximum(np.diag(H), 0.0))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     eigenvalues, vectors = np.linalg.eigh(scale[:, None] * H * scale)
     kept = eigenvalues > UNDETERMINED * eigenvalues[-1]
-    V = vectors[:, kept]
-    return scale[:, None] * (V @ ((V.T @ (scale[:, None] * y)) / (eigenvalues[kept, None] + damping)))
+    return scale, vectors[:, kept], eigenvalues[kept]
