@@ -1,16 +1,13 @@
-"""`linalg.row_inverse` as compiled code, for matrices of a few rows. Imported only where numba is installed."""
+"""`linalg.row_inverse` as compiled code, for matrices of a few rows. For where `import numba` works."""
 
 from __future__ import annotations
 
 import math
 
-import numba
-
 from manip_learn.linalg import WELL_CONDITIONED
+from manip_learn.robot.kernel_cache import compiled
 
 SWEEPS = 8  # of Jacobi's rotations: converged to the last bit for six rows
-
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 @compiled

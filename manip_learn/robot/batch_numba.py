@@ -1,14 +1,12 @@
 """Compiled kernels of batch kinematics (the optional extra `fast`); the same numbers as the NumPy ones to 1e-12.
 
-Imported only where numba is installed. The machine code is cached on disk, so it is compiled once a machine. (numba's
-cache sees changes of this very file only: touch it after changing `chain_table.py`.)
+For where `import numba` works. The machine code is cached on disk, so it is compiled once a machine.
 """
 
 from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
 from manip_learn.robot.chain_table import (
@@ -22,8 +20,8 @@ from manip_learn.robot.chain_table import (
     columns_of,
     sine_and_cosine,
 )
+from manip_learn.robot.kernel_cache import compiled
 
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 LANES = 128  # postures a block: slides, sines and cosines of its joints stay in the first-level cache
 
 

@@ -1,18 +1,18 @@
 """A chain as one table of numbers, and its Jacobian columns out of compiled code.
 
 One array and plain indices instead of a view for each quantity: in compiled code a view costs more than the arithmetic
-on a joint. Imported only where numba is installed.
+on a joint. For where `import numba` works.
 """
 
 from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.robot.chain import Chain
+from manip_learn.robot.kernel_cache import compiled
 
 WIDTH = 12  # columns of the table
 JOINTS = 2  # rows before those of the joints
@@ -28,8 +28,6 @@ _TWO_OVER_PI = 0.6366197723675814
 _PART_1 = 1.5707963267341256
 _PART_2 = 6.077100506303966e-11
 _PART_3 = 2.0222662487959506e-21
-
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 def chain_table(chain: Chain, public: Int[np.ndarray, " j"], reference: str) -> Float[np.ndarray, "rows 12"]:
