@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from manip_learn.batch_manipulability import row_inverses
 from manip_learn.compiled_controller import CompiledController, why_not
 from manip_learn.controller import ResolvedRateController
+from manip_learn.detour import BLOCKED
 from manip_learn.features.frame_jacobian import FrameJacobian
 from manip_learn.policies.joint_attractor import JointAttractor
 from manip_learn.policies.manipulability_ascent import ManipulabilityAscent
@@ -162,8 +163,8 @@ class BatchController:
         b, error = self._task(q, t)
         task_part = np.einsum("sn,sjn->nj", b, X)
         null_part = pi - np.einsum("sn,sjn->nj", np.einsum("sjn,nj->sn", A, pi), X)
-        velocity, status = self._limited(q, dt, task_part, null_part)
-        one_by_one = one_by_one | (status == STATUSES[-1])  # there may be a way round
+        velocity, status, blocked = self._limited(q, dt, task_part, null_part)
+        one_by_one = one_by_one | blocked  # there may be a way round
         for i in np.flatnonzero(one_by_one | ~np.isfinite(velocity).all(axis=1)):
             command = controller(q[i], t, dt)
             velocity[i], mu[i], status[i] = command.velocity, command.manipulability, command.status
@@ -226,11 +227,11 @@ class BatchController:
 
     def _limited(
         self, q: np.ndarray, dt: float, task_part: np.ndarray, null_part: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The velocities within the limits, and what was done: `VelocityRoom` for many arms."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The velocities within the limits, what was done, and which are blocked: `VelocityRoom` for many arms."""
         robot, n = self.controller.robot, len(q)
         if not self.controller.limits or robot is None:
-            return task_part + null_part, STATUSES[np.zeros(n, dtype=int)]
+            return task_part + null_part, STATUSES[np.zeros(n, dtype=int)], np.zeros(n, dtype=bool)
         limit = robot.velocity_limit
         low = np.maximum(-limit, np.minimum((robot.position_lower - q) / dt, 0.0))
         high = np.minimum(limit, np.maximum((robot.position_upper - q) / dt, 0.0))
@@ -243,7 +244,8 @@ class BatchController:
         null = np.minimum(1.0, np.min(_ratio(left, np.abs(null_part)), axis=1))[:, None]
         slowed = np.where(bound < limit[binding], 3, 2)
         code = np.where(task[:, 0] < 1.0, slowed, np.where(null[:, 0] < 1.0, 1, 0))
-        return used + null * null_part, STATUSES[code]
+        blocked = (code == 3) | ((task[:, 0] == 1.0) & (null[:, 0] < BLOCKED))
+        return used + null * null_part, STATUSES[code], blocked
 
 
 def _ratio(room: np.ndarray, speed: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint import Constraint
-from manip_learn.detour import Detour, detour
+from manip_learn.detour import BLOCKED, Detour, detour, sidestep
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 from manip_learn.linalg import Inverse, inverse_singular_values, matlab_tolerance, row_inverse, svd
 from manip_learn.manipulability_measure import SINGULAR_RATIO
@@ -34,9 +34,10 @@ class Command(NamedTuple):
     Attributes:
         velocity: u, shape (nv,) [rad/s or m/s], finite and within the limits.
         status: The gravest thing that was done: `"ok"`; `"null-scaled"`: the null-space part was shortened to the room
-            that the task left; `"rerouted"`: joints at a position limit were led round it by null-space motion, the
-            task goes on at full speed; `"damped"`: the task part was damped near a singularity; `"velocity-limited"`,
-            `"position-limited"`: the task was slowed down for a limit; `"singular"`: a task direction is lost.
+            that the task left, or done without joints at a limit; `"rerouted"`: joints at a position limit were led
+            round it by null-space motion, the task goes on at full speed; `"damped"`: the task part was damped near a
+            singularity; `"velocity-limited"`, `"position-limited"`: the task was slowed down for a limit;
+            `"singular"`: a task direction is lost.
         manipulability: mu(q).
         task_velocity: b, shape (s,), as the task wanted it.
         task_part: A^+ b as commanded, shape (nv,).
@@ -150,7 +151,12 @@ class ResolvedRateController:
         Z = Vt[np.count_nonzero(sigma > matlab_tolerance(sigma, A.shape)) :]
         smallest, singular = float(sigma[-1]), bool(sigma[-1] <= SINGULAR_RATIO * sigma[0])
         mu = math.prod(sigma.tolist()) if A.shape[0] <= A.shape[1] else 0.0
-        return self._limited(q, dt, A, b, task_part, Z.dot(pi).dot(Z), mu, smallest, singular)
+        null_part = Z.dot(pi).dot(Z)
+        if singular and ascent is not None and self._room is not None:
+            # at a singularity mu climbs both ways: a limit in one way is no reason to stay
+            ways = [self._room.shares(q, dt or self.dt, task_part, way).null for way in (null_part, -null_part)]
+            null_part = null_part if ways[0] >= ways[1] else -null_part
+        return self._limited(q, dt, A, b, task_part, null_part, mu, smallest, singular)
 
     def _checked_posture(self, q: ArrayLike) -> np.ndarray:
         if self.robot is not None:
@@ -192,6 +198,9 @@ class ResolvedRateController:
                 way_round = detour(task_part, null_part, A, *bounds, task_scale)
             if way_round is not None:
                 task_scale, null_part, null_scale = way_round
+            elif task_scale == 1.0 and null_scale < BLOCKED:
+                null_part, null_scale = sidestep(task_part, null_part, A, *self._room.bounds(q, dt or self.dt))
+                null_scale = min(null_scale, 1.0 - BLOCKED)
             elif null_scale < 1.0:
                 null_part = null_scale * null_part
             if task_scale < 1.0:

@@ -1,4 +1,4 @@
-"""Round joints that are at their position limits: null-space motion that lets the task go on."""
+"""Round joints that are at their limits: null-space motion that lets the task, and the policy, go on."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ SHARES = (1.0, 0.5, 0.25, 0.1)
 ABLE = 1e-3
 # [rad/s or m/s] what rounding leaves of a bound
 ROUNDING = 1e-10
+# a null-space velocity of which less than this share fits is blocked by a joint at its bound
+BLOCKED = 1e-6
 
 
 @final
@@ -90,15 +92,40 @@ def _saturated(v: np.ndarray, Z: np.ndarray, low: np.ndarray, high: np.ndarray) 
     return None
 
 
+def sidestep(
+    task_part: Float[np.ndarray, " nv"],
+    null_part: Float[np.ndarray, " nv"],
+    A: Float[np.ndarray, "s nv"],
+    low: Float[np.ndarray, " nv"],
+    high: Float[np.ndarray, " nv"],
+) -> tuple[Float[np.ndarray, " nv"], float]:
+    """What the policy can do where a joint at its bound blocks it: its velocity without the blocked joints.
+
+    Args:
+        task_part: A^+ b as it will be commanded.
+        null_part: N pi.
+        A: Constraint matrix.
+        low: Lowest velocities allowed.
+        high: Highest velocities allowed.
+
+    Returns:
+        A null-space velocity that fits, and its share of N pi's projection on what is not blocked.
+    """
+    return _policy(task_part, null_part, null_basis(A), [], low, high)
+
+
 def _policy(
     u: np.ndarray, wanted: np.ndarray, Z: np.ndarray, at_bound: list[int], low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """What fits of the policy's velocity, in the null space of A that leaves the joints at their bounds alone."""
-    if len(at_bound) >= Z.shape[1]:
-        return np.zeros(u.shape[0]), 0.0
-    free = Z @ null_basis(Z[at_bound]) if at_bound else Z
-    p = free @ (free.T @ wanted)
-    moving = np.abs(p) > ROUNDING
-    room = np.maximum(np.where(p > 0.0, high - u, u - low), 0.0)[moving]
-    null = float(np.min(room / np.abs(p[moving]), initial=1.0))
-    return null * p, null
+    blocked = set(at_bound)
+    for _ in range(Z.shape[1] + 1):
+        free = Z @ null_basis(Z[sorted(blocked)]) if blocked else Z
+        p = free @ (free.T @ wanted)
+        moving = np.flatnonzero(np.abs(p) > ROUNDING)
+        room = np.maximum(np.where(p > 0.0, high - u, u - low), 0.0)[moving] / np.abs(p[moving])
+        null = float(np.min(room, initial=1.0))
+        if null >= BLOCKED:
+            return null * p, null
+        blocked.update(moving[room < BLOCKED].tolist())
+    return np.zeros(u.shape[0]), 0.0

@@ -44,7 +44,7 @@ def manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.nd
     At an exact singularity mu is a cone, |M step| to first order: what comes back there is its steepest ascent, the
     leading right singular vector of M times its singular value. (Both signs climb; the one whose largest entry is
     positive is chosen.) Where the rank drops by two or more mu grows with a higher power of the step, and the gradient
-    is zero.
+    is zero; `escape_direction` leads out there.
 
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
@@ -109,13 +109,30 @@ def products_of_others(sigma: Sequence[float]) -> list[float]:
     return out
 
 
+def escape_direction(
+    decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], contract: Contraction
+) -> Float[np.ndarray, " nv"]:
+    """Unit vector out of a singularity where the rank is short by two or more, where mu has no gradient.
+
+    With U_0, V_0 spanning what A has lost, U_0^T A(q + step) V_0 is linear in the step; its Frobenius norm grows
+    fastest along the direction that comes back (zero if it grows along none). A step along it finds directions again.
+    """
+    U, sigma, Vt = decomposition
+    rank = int(np.count_nonzero(sigma > SINGULAR_RATIO * sigma[0]))
+    M = np.stack([contract(np.outer(u, v)) for u in U[:, rank:].T for v in Vt[rank:]])
+    _, rate, Wt = np.linalg.svd(M, full_matrices=False)
+    return _one_sign(Wt[0]) if rate[0] > 0.0 else np.zeros(M.shape[1])
+
+
 def _cone_ascent(
     u_min: Float[np.ndarray, " s"], V_null: Float[np.ndarray, "k nv"], scale: float, contract: Contraction
 ) -> Float[np.ndarray, " nv"]:
     """Steepest ascent of |M step| with M[r, k] = scale * u_min^T (dA / dq_k) v_r, v_r spanning the null space of A."""
     M = scale * np.stack([contract(np.outer(u_min, v)) for v in V_null])
     _, rate, Wt = np.linalg.svd(M, full_matrices=False)
-    direction = Wt[0]
-    if direction[np.argmax(np.abs(direction))] < 0.0:
-        direction = -direction
-    return rate[0] * direction
+    return rate[0] * _one_sign(Wt[0])
+
+
+def _one_sign(direction: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
+    """Of two opposite directions the one whose largest entry is positive."""
+    return -direction if direction[np.argmax(np.abs(direction))] < 0.0 else direction

@@ -1,17 +1,14 @@
 """One control step as compiled code (the optional extra `fast`): the law of `controller`, away from singularities.
 
 Postures where `linalg.row_inverse` would refuse are handed back to Python, so that nothing about singularities is
-written twice. Imported only where numba is installed.
-
-numba's cache on disk sees changes of this very file only: touch it after changing one that it imports.
+written twice. For where `import numba` works.
 """
 
 from __future__ import annotations
 
 import math
 
-import numba
-
+from manip_learn.detour import BLOCKED
 from manip_learn.robot.chain_table import (
     JOINTS,
     LARGEST_ANGLE,
@@ -23,10 +20,9 @@ from manip_learn.robot.chain_table import (
     columns_of,
     sine_and_cosine,
 )
+from manip_learn.robot.kernel_cache import compiled
 from manip_learn.row_inverse_kernel import row_inverse
 from manip_learn.velocity_room import NEGLIGIBLE
-
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 REFUSED = -1  # too close to a singularity, at a position limit, or not finite: Python decides
 OK, NULL_SCALED, DAMPED, VELOCITY_LIMITED = 0, 1, 2, 3
@@ -216,7 +212,7 @@ def finished(constants, dofs, nv, q, dt, volume, smallest, out):
     task, null = 1.0, 1.0
     if constants[0, LIMITS] != 0.0:
         task, null, position_bound = shares(constants, dofs, nv, q, dt, out)
-        if position_bound:
+        if position_bound or (task == 1.0 and null < BLOCKED):
             return REFUSED
     for j in range(nv):
         out[TASK_PART, j] *= task

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint import Constraint
 from manip_learn.features.feature_map import Contraction
 from manip_learn.linalg import row_inverse, svd
-from manip_learn.manipulability_measure import gradient_from
+from manip_learn.manipulability_measure import SINGULAR_RATIO, escape_direction, gradient_from
 from manip_learn.policies.policy import NullSpacePolicy
 
 
@@ -20,7 +20,8 @@ class ManipulabilityAscent(NullSpacePolicy):
     """pi = gain * grad log mu, or gain * grad mu as printed in the paper (equation 13).
 
     grad log mu points the same way and does not depend on the units of the constraint, nor on how small mu has become:
-    raw grad mu all but vanishes in SI units where it matters most.
+    raw grad mu all but vanishes in SI units where it matters most. At a singularity the steepest way out is taken, also
+    where several directions are lost at once and grad mu is zero (not with `logarithmic=False`).
 
     Args:
         constraint: Whose manipulability is climbed; true or learnt.
@@ -54,9 +55,12 @@ class ManipulabilityAscent(NullSpacePolicy):
     ) -> Float[np.ndarray, " nv"]:
         """The same near a singularity too, see `gradient_from`."""
         mu, gradient, floor = gradient_from(shape, decomposition, contract)
-        if self.logarithmic:
-            return gradient * (self.gain / max(mu, floor, 1e-300))
-        return gradient * self.gain
+        if not self.logarithmic:
+            return gradient * self.gain
+        sigma = decomposition[1]
+        if 1 < shape[0] <= shape[1] and sigma[-2] <= SINGULAR_RATIO * sigma[0]:
+            return escape_direction(decomposition, contract) * (self.gain / SINGULAR_RATIO)
+        return gradient * (self.gain / max(mu, floor, 1e-300))
 
     def __repr__(self) -> str:
         return f"ManipulabilityAscent(gain={self.gain:g}, logarithmic={self.logarithmic})"
