@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -215,6 +216,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns 0, 2 for bad input, 1 for our own failure, 130 for Ctrl-C. No traceback."""
     from typer.main import get_command
 
+    # before NumPy is loaded: threads on matrices this small cost more than they bring
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = joined_vectors(list(sys.argv[1:] if argv is None else argv))
     if not arguments:
         return _complain("no command given: try `manip-learn demo`, or `manip-learn --help` for all commands")

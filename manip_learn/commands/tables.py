@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markdown import Markdown
 from rich.markup import escape
@@ -54,8 +55,8 @@ def print_learnt(console: Console, learnt: Learnt) -> None:
 
 def rollout_table(rollouts: dict[str, Controlled]) -> Table:
     """Policies side by side."""
-    table = Table(header_style="bold")
-    for name in ("policy", "reached", "error left", "min mu", "mean mu", "peak speed", "unhindered"):
+    table = Table(header_style="bold", box=SIMPLE_HEAD, padding=(0, 1))
+    for name in ("policy", "reached", "error", "min mu", "mean mu", "peak", "unhindered"):
         table.add_column(name, justify="left" if name == "policy" else "right", no_wrap=True)
     for name, controlled in rollouts.items():
         r = controlled.rollout

@@ -12,7 +12,7 @@ from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.conditional_pca import conditional_pca
 from manip_learn.learning.estimate import Estimate
 from manip_learn.learning.joint import JointFit, fit_joint, held_out_cost, scores
-from manip_learn.learning.own_offsets import estimate_own_offsets
+from manip_learn.learning.own_offsets import estimate_own_offsets, own_offsets_if_clear
 from manip_learn.learning.policy_model import PolicyModel, PolynomialModel, RadialModel
 from manip_learn.learning.rank import GapTable, gaps_of_residuals
 from manip_learn.learning.samples import Samples
@@ -24,6 +24,8 @@ RANDOM_STARTS = 2
 WORTH = 0.8
 ROUNDING = 1e-24
 VANISHING = 1e-16
+# share of left-out motion that no model explains from which it is worth asking whether each trajectory has its own
+POOR = 0.03
 # models are compared on at most this many samples, and fitted with at most this many columns unless asked for
 COMPARE_LIMIT = 1_500
 MAX_COLUMNS = 120
@@ -41,7 +43,11 @@ class Candidate:
 
 
 def estimate_joint(
-    samples: Samples, n_constraints: int | None, rng: np.random.Generator, policy_model: str = "auto"
+    samples: Samples,
+    n_constraints: int | None,
+    rng: np.random.Generator,
+    policy_model: str = "auto",
+    unexplained: float = np.inf,
 ) -> Estimate:
     """Number of rows and policy model by cross-validation over trajectories, then variable projection on all data.
 
@@ -49,16 +55,18 @@ def estimate_joint(
         samples: What was recorded.
         n_constraints: Number of rows; found from the data by default.
         rng: For k-means and the random starts.
-        policy_model: `"auto"`, `"constant"`, `"affine"`, `"quadratic"`, `"cubic"` or `"rbf"`; or `"own"`: affine, with a
-            constant of its own for each trajectory, where demonstrators rest in different postures.
+        policy_model: `"auto"` (tries them all), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"` or `"rbf"`; or
+            `"own"`: affine, with a constant of its own for each trajectory, where demonstrators rest in different
+            postures.
+        unexplained: Held-out share of the energy above which to give up before the expensive part.
 
     Raises:
-        NotIdentifiableError: One trajectory only, or too few samples for even the smallest model.
+        NotIdentifiableError: One trajectory only, too few samples for even the smallest model, or given up.
     """
     if samples.n_groups < 2:
         raise NotIdentifiableError(
-            "one trajectory does not identify a constraint whose task velocity is unknown: give several, from different "
-            "starts to different targets",
+            "one trajectory does not identify a constraint whose task velocity is unknown: give several, from "
+            "different starts to different targets",
             code="one-trajectory",
         )
     if policy_model == "own":
@@ -76,6 +84,12 @@ def estimate_joint(
     table = _table(few, usable)
     s = n_constraints or table.best
     chosen, residuals = _chosen(few, s, models, usable[s])
+    if policy_model == "auto" and chosen.held_out > POOR * _null_energy(samples, chosen.fit):
+        own = own_offsets_if_clear(samples, n_constraints, rng, chosen.fit.selection)
+        if own is not None:
+            return own
+    if chosen.held_out > unexplained * _null_energy(samples, chosen.fit):
+        raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
     fit = _from_random_starts(samples, chosen.fit, rng)
     gradients, hessians = scores(samples, fit)
     return Estimate(

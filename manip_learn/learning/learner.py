@@ -180,7 +180,8 @@ class ConstraintLearner:
         refusals: list[NotIdentifiableError] = []
         for features in self._candidates:
             try:
-                outcome = self._outcome(features, extent, joint_names)
+                rival_is_held = best is not None and _clearly_held(best.estimate)
+                outcome = self._outcome(features, extent, joint_names, rival_is_held)
             except NotIdentifiableError as error:
                 refusals.append(error)
                 continue
@@ -190,16 +191,18 @@ class ConstraintLearner:
             raise refusals[0]
         return best
 
-    def _outcome(self, features: FeatureMap, extent: Extent, joint_names: tuple[str, ...]) -> Outcome:
+    def _outcome(
+        self, features: FeatureMap, extent: Extent, joint_names: tuple[str, ...], rival_is_held: bool
+    ) -> Outcome:
         _, group = np.unique(extent.group, return_inverse=True)
         samples = Samples.of(features, extent.q, extent.u, group, extent.low, extent.high)
         check_fastest(samples, extent, joint_names)
         warnings = check_samples(samples, joint_names, self.n_constraints)
         rng = np.random.default_rng(self.seed)
-        estimate = self._estimate(samples, rng)
+        estimate = self._estimate(samples, rng, rival_is_held)
         return Outcome(samples, estimate, warnings + self._doubts(samples, estimate), rng)
 
-    def _estimate(self, samples: Samples, rng: np.random.Generator) -> Estimate:
+    def _estimate(self, samples: Samples, rng: np.random.Generator, rival_is_held: bool) -> Estimate:
         if self.estimator == "null-space":
             return estimate_null_space(samples, self.n_constraints)
         if self.estimator == "joint":
@@ -208,20 +211,18 @@ class ConstraintLearner:
             from manip_learn.learning.separation_estimator import estimate_separate
 
             return estimate_separate(samples, self.n_constraints, rng)
-        return self._found_out(samples, rng)
+        return self._found_out(samples, rng, rival_is_held)
 
-    def _found_out(self, samples: Samples, rng: np.random.Generator) -> Estimate:
+    def _found_out(self, samples: Samples, rng: np.random.Generator, rival_is_held: bool) -> Estimate:
         """Whether the world holds the rows (b = 0) or the demonstrator moves them."""
         held = estimate_null_space(samples, self.n_constraints)
+        # the same motion held in another frame's rows is not self-imposed in these
+        if _clearly_held(held) or rival_is_held or samples.n_groups < 2:
+            return held
         s = held.selection.shape[0]
-        clearly_held = held.table.gap(s) >= CLEAR_GAP and held.unexplained < HELD_FRACTION**2
-        if clearly_held or samples.n_groups < 2:
-            return held
         try:
-            joint = estimate_joint(samples, self.n_constraints, rng, self.policy_model)
+            joint = estimate_joint(samples, self.n_constraints, rng, self.policy_model, EXPLAINED)
         except NotIdentifiableError:
-            return held
-        if joint.held_out > EXPLAINED:
             return held  # no policy model predicts this motion: what is left is how little some directions are used
         # both explain the motion: it is held if the held directions show no more than the noise
         return held if held.unexplained * samples.energy / s <= NOISE_MARGIN**2 * joint.noise else joint
@@ -271,6 +272,11 @@ class ConstraintLearner:
 
     def __repr__(self) -> str:
         return f"ConstraintLearner({self.features!r}, n_constraints={self.n_constraints}, estimator={self.estimator!r})"
+
+
+def _clearly_held(estimate: Estimate) -> bool:
+    gap = estimate.table.gap(estimate.selection.shape[0])
+    return estimate.name == "null-space" and gap >= CLEAR_GAP and estimate.unexplained < HELD_FRACTION**2
 
 
 def _check_joints(features: FeatureMap, demos: Demonstrations) -> None:
