@@ -10,18 +10,22 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from manip_learn.batch_manipulability import manipulability_batch
+    from manip_learn.compiled_controller import CompiledController
     from manip_learn.constraint import Constraint
     from manip_learn.controller import Command, ResolvedRateController
     from manip_learn.demonstrations import Demonstrations, Trajectory
     from manip_learn.errors import ManipLearnError
     from manip_learn.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
-    from manip_learn.io import iter_demonstrations, load_demonstrations
+    from manip_learn.io import RecordingSource, iter_demonstrations, load_demonstrations
     from manip_learn.learning import ConstraintLearner
     from manip_learn.manipulability_measure import log_manipulability_gradient, manipulability, manipulability_gradient
     from manip_learn.playback import LiveViewer, replay
     from manip_learn.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
     from manip_learn.preparation import resample, thin, trim_standstill
     from manip_learn.robot import Robot, load_robot
+    from manip_learn.robot.inspection import inspect_robot
+    from manip_learn.robot.tips import likely_tips
     from manip_learn.rollout import Rollout, simulate
     from manip_learn.tasks import Hold, PointAttractor, Task, Track
     from manip_learn.velocities import derive_velocities
@@ -30,6 +34,11 @@ __version__ = "0.1.0"
 
 # loaded at first use, so that `import manip_learn` and `manip-learn --help` are quick
 _HOMES = {
+    "RecordingSource": "io",
+    "likely_tips": "robot.tips",
+    "inspect_robot": "robot.inspection",
+    "manipulability_batch": "batch_manipulability",
+    "CompiledController": "compiled_controller",
     "CentreOfMass": "features",
     "Command": "controller",
     "Constraint": "constraint",
@@ -70,6 +79,7 @@ _HOMES = {
 __all__ = [
     "CentreOfMass",
     "Command",
+    "CompiledController",
     "Constraint",
     "ConstraintLearner",
     "CustomFeatures",
@@ -83,6 +93,7 @@ __all__ = [
     "ManipulabilityAscent",
     "NullSpacePolicy",
     "PointAttractor",
+    "RecordingSource",
     "ResolvedRateController",
     "Robot",
     "Rollout",
@@ -92,11 +103,14 @@ __all__ = [
     "Trajectory",
     "ZeroPolicy",
     "derive_velocities",
+    "inspect_robot",
     "iter_demonstrations",
+    "likely_tips",
     "load_demonstrations",
     "load_robot",
     "log_manipulability_gradient",
     "manipulability",
+    "manipulability_batch",
     "manipulability_gradient",
     "replay",
     "resample",
