@@ -1,0 +1,172 @@
+"""Rollouts: order of the integrators, every kind of robot, files, and the paper's singular start."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import tip_of
+
+from manip_learn.constraint import Constraint
+from manip_learn.controller import ResolvedRateController
+from manip_learn.errors import ConfigurationError, RecordingError
+from manip_learn.features import FrameJacobian
+from manip_learn.learning import ConstraintLearner
+from manip_learn.policies import JointAttractor, ManipulabilityAscent
+from manip_learn.rollout import Rollout, simulate
+from manip_learn.tasks import PointAttractor
+
+
+def reaching(robot, frame: str, axes: str, target: list[float], **settings) -> ResolvedRateController:
+    features = FrameJacobian(robot, frame, axes)
+    constraint = Constraint(np.eye(features.n_rows)[:2], features)
+    return ResolvedRateController(constraint, PointAttractor(target), ManipulabilityAscent(constraint), **settings)
+
+
+@pytest.mark.parametrize(("method", "order"), [("euler", 1), ("rk4", 4)])
+@pytest.mark.parametrize(("name", "target"), [("planar3", [0.5, 1.2]), ("wrist", [0.4, 0.5])])
+def test_order_of_convergence(robot_of, name: str, target: list[float], method: str, order: int):
+    """Halving the step divides the error by 2^order, with continuous joints too."""
+    robot = robot_of(name)
+    controller = reaching(robot, tip_of(name), "x y", target, limits=False, inverse="exact")
+    q0 = np.linspace(0.2, 1.1, robot.nv)
+    ends = [simulate(robot, controller, q0, 0.8, dt, method).q[-1] for dt in (0.05, 0.025, 0.0125, 0.003125)]
+    errors = [np.linalg.norm(robot.difference(ends[-1], end)) for end in ends[:3]]
+    assert np.log2(errors[0] / errors[1]) > order - 0.4
+    assert np.log2(errors[1] / errors[2]) > order - 0.4
+
+
+@pytest.mark.parametrize("name", ["humanoid", "rover", "wrist", "kinova", "tree"])
+@pytest.mark.parametrize("method", ["euler", "rk4"])
+def test_every_kind_of_robot(robot_of, rng, name: str, method: str):
+    """Floating and planar bases and continuous joints: configurations stay valid, the task's error goes down."""
+    robot = robot_of(name)
+    features = FrameJacobian(robot, tip_of(name))
+    constraint = Constraint(np.eye(3)[:2], features)
+    q0 = robot.random_configuration(rng)
+    target = features.coordinates(q0) + 0.05
+    rollout = simulate(robot, ResolvedRateController(constraint, PointAttractor(target)), q0, 1.0, 0.05, method)
+    assert rollout.q.shape == (21, robot.nq)
+    for q in rollout.q:
+        np.testing.assert_allclose(robot.configuration(q), q, rtol=0, atol=1e-12)
+    assert rollout.task_error[-1] < 0.5 * rollout.task_error[0]
+
+
+def test_one_step_of_euler_is_the_command(robot_of, rng):
+    """q_1 = q_0 + dt u(q_0), time runs evenly, and the first sample is the start."""
+    robot = robot_of("sawyer")
+    controller = reaching(robot, "right_hand", "xyz", [0.5, 0.2, 0.4])
+    q0 = robot.random_configuration(rng)
+    rollout = simulate(robot, controller, q0, 0.05, 0.01)
+    np.testing.assert_array_equal(rollout.q[0], q0)
+    np.testing.assert_allclose(rollout.q[1], q0 + 0.01 * controller(q0, 0.0, 0.01).velocity, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(rollout.time, 0.01 * np.arange(6))
+    assert len(rollout) == 6 == len(rollout.status)
+
+
+def test_escape_from_the_papers_singular_start(robot_of):
+    """From (90 + 1e-12, 360, -360) degrees, on the target's line: the product's law arrives; the paper's zero policy does not."""
+    robot = robot_of("planar3")
+    q0 = np.radians([90.0 + 1e-12, 360.0, -360.0])
+    zero = np.zeros(2)
+    rows = Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y"))
+    climbing = ResolvedRateController(rows, PointAttractor(zero), ManipulabilityAscent(rows))
+    rollout = simulate(robot, climbing, q0, 8.0, 0.02)
+    assert rollout.task_error[0] == pytest.approx(3.0)
+    assert rollout.task_error[-1] < 0.01
+    assert np.min(rollout.manipulability[50:]) > 0.5
+    plain = ResolvedRateController(rows, PointAttractor(zero), inverse="truncated", limits=False)
+    assert simulate(robot, plain, q0, 8.0, 0.02).task_error[-1] == pytest.approx(3.0, abs=1e-6)
+
+
+def test_climbing_pays_on_an_oblique_task(robot_of):
+    """Reaching along two oblique rows: least and mean mu are higher with the ascent than without, in the mean."""
+    robot = robot_of("sawyer")
+    rng = np.random.default_rng(20)
+    least, mean = [], []
+    for _ in range(10):
+        constraint = Constraint(rng.standard_normal((2, 3)), FrameJacobian(robot, "right_hand"))
+        middle = 0.5 * (robot.position_lower + robot.position_upper)
+        start, end = (
+            middle + 0.35 * (robot.position_upper - robot.position_lower) * rng.uniform(-1, 1, 7) for _ in range(2)
+        )
+        task = PointAttractor(constraint.features.coordinates(end))
+        runs = [
+            simulate(robot, ResolvedRateController(constraint, task, policy), start, 4.0, 0.02).manipulability
+            for policy in (ManipulabilityAscent(constraint), None)
+        ]
+        least.append(np.log(np.min(runs[0]) / np.min(runs[1])))
+        mean.append(np.log(np.mean(runs[0]) / np.mean(runs[1])))
+    assert np.exp(np.mean(least)) > 1.05
+    assert np.exp(np.mean(mean)) > 1.2
+
+
+def test_a_rollout_can_be_learnt_from_again(robot_of):
+    """Rollouts are demonstrations: from reaching ones with a resting policy the controller's own rows come back."""
+    robot = robot_of("planar3")
+    features = FrameJacobian(robot, "tip", "planar")
+    truth, rng = Constraint(np.array([[1.0, 0.3, 0.2], [-0.2, 0.9, 0.1]]), features), np.random.default_rng(21)
+    demos = []
+    for _ in range(20):
+        q0 = np.array([0.1, 1.5, 0.2]) + 0.2 * rng.uniform(-1, 1, 3)
+        task = PointAttractor(features.coordinates(q0) + rng.uniform(-1, 1, 3))
+        controller = ResolvedRateController(truth, task, JointAttractor([0.3, -0.2, 0.4]), "exact", limits=False)
+        demos.append(simulate(robot, controller, q0, 0.3, 0.02).trajectory())
+    learner = ConstraintLearner(features).fit(demos)
+    outside = learner.constraint_.selection - learner.constraint_.selection @ truth.selection.T @ truth.selection
+    assert np.linalg.norm(outside) < 1e-9
+
+
+def test_evidence_of_a_rollout(robot_of, rng):
+    """violation is |A u|, and manipulability_of another constraint is that constraint's."""
+    robot = robot_of("sawyer")
+    controller = reaching(robot, "right_hand", "xyz", [0.5, 0.2, 0.4])
+    rollout = simulate(robot, controller, robot.random_configuration(rng), 0.1, 0.01)
+    other = Constraint([[0.0, 0.0, 1.0]], controller.constraint.features)
+    np.testing.assert_allclose(rollout.violation(other)[3], np.abs(other(rollout.q[3]) @ rollout.u[3])[0])
+    np.testing.assert_allclose(rollout.manipulability_of(other)[3], np.linalg.norm(other(rollout.q[3])))
+    np.testing.assert_allclose(rollout.manipulability_of(controller.constraint), rollout.manipulability, rtol=1e-10)
+    assert sum(rollout.status_counts.values()) == len(rollout)
+    with pytest.raises(ValueError, match="read-only"):
+        rollout.q[0] = 0.0
+
+
+def test_files(robot_of, rng, tmp_path):
+    """A rollout comes back from its file to the last bit; what is no rollout is refused in words."""
+    robot = robot_of("wrist")
+    controller = reaching(robot, "tip", "xyz", [0.4, 0.2, 0.4])
+    rollout = simulate(robot, controller, robot.random_configuration(rng), 0.1, 0.01)
+    loaded = Rollout.load(rollout.save(tmp_path / "rollout.npz"))
+    for name in ("time", "q", "u", "manipulability", "task_error"):
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(rollout, name))
+    assert (loaded.status, loaded.joint_names) == (rollout.status, rollout.joint_names)
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    (tmp_path / "text.npz").write_text("hello")
+    (tmp_path / "empty.npz").write_bytes(b"")
+    for name, words in (
+        ("other", "no rollout"),
+        ("text", "no rollout"),
+        ("empty", "no rollout"),
+        ("none", "not exist"),
+    ):
+        with pytest.raises(RecordingError, match=words):
+            Rollout.load(tmp_path / f"{name}.npz")
+
+
+def test_bad_arguments(robot_of):
+    """Steps that are not positive, unknown methods, and starts of the wrong size or with NaN: refused."""
+    robot = robot_of("planar3")
+    controller = reaching(robot, "tip", "x y", [1.0, 1.0])
+    for settings in ({"dt": 0.0}, {"dt": np.nan}, {"duration": -1.0}, {"duration": np.inf}, {"method": "heun"}):
+        with pytest.raises(ConfigurationError):
+            simulate(robot, controller, np.ones(3), **settings)
+    for q0 in (np.ones(2), [np.nan, 0.0, 0.0]):
+        with pytest.raises(ConfigurationError):
+            simulate(robot, controller, q0)
+
+
+def test_progress_is_told(robot_of):
+    """The share done rises to 1."""
+    robot = robot_of("planar3")
+    shares: list[float] = []
+    simulate(robot, reaching(robot, "tip", "x y", [1.0, 1.0]), np.ones(3), 0.1, 0.01, progress=shares.append)
+    assert shares == sorted(shares) and shares[-1] == 1.0
