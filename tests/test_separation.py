@@ -119,15 +119,21 @@ def test_constant_of_each_trajectory(rng):
     assert_allclose(model(rng.standard_normal((4, 2)))[:, 3:], 0.0)
 
 
-def test_demonstrators_with_postures_of_their_own(rng):
-    """Told so, the learner finds the exact rows although each demonstrator rests elsewhere; untold it warns."""
-    setup = Setup("y rz", trajectories=40, policy="own")
+@pytest.mark.parametrize("rows", ["x y", "x rz", "y rz"])
+def test_demonstrators_with_postures_of_their_own(rng, rows):
+    """Each demonstrator rests elsewhere: told so or not, the learner finds the exact rows, and how many."""
+    setup = Setup(rows, trajectories=40, policy="own")
     Lambda = setup.selection(rng)
     demos = demonstrate(setup, Lambda, rng)
-    learner = ConstraintLearner(planar_features(), estimator="joint", policy_model="own").fit(demos)
-    assert row_space_angle(learner.constraint_.selection, Lambda) < 1e-9
-    try:
-        untold = ConstraintLearner(planar_features()).fit(demos)
-    except NotIdentifiableError:
-        return
-    assert untold.report_.warnings
+    for policy_model in ("own", "auto"):
+        learner = ConstraintLearner(planar_features(), policy_model=policy_model).fit(demos)
+        assert row_space_angle(learner.constraint_.selection, Lambda) < 1e-9
+        assert learner.report_.policy_model == "affine-own"
+
+
+def test_offsets_are_not_seen_where_there_are_none(rng):
+    """Noise, or a policy that is no polynomial, is not mistaken for demonstrators' own postures."""
+    for setup in (Setup("x rz", noise=0.1), Setup("x y", policy="sinusoidal"), Setup("y rz", trajectories=20)):
+        demos = demonstrate(setup, setup.selection(rng), rng)
+        learner = ConstraintLearner(planar_features(), estimator="joint").fit(demos)
+        assert learner.report_.policy_model != "affine-own"

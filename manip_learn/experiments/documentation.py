@@ -112,7 +112,10 @@ def _ranks(variants: dict[str, Any]) -> list[Sequence[object]]:
     share = sum(plain) / len(plain)
     out.append([aim, f"{100 * share:.1f} %", "yes" if share >= 0.98 else "no"])
     share = sum(own) / len(own)
-    out.append(["... each demonstrator resting elsewhere, and the learner not told", f"{100 * share:.0f} %", "**no**"])
+    verdict = "yes" if share >= 0.98 else "**no**"
+    out.append(
+        ["... where each demonstrator rests elsewhere, and the learner is not told", f"{100 * share:.0f} %", verdict]
+    )
     return out
 
 

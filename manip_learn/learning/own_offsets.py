@@ -20,11 +20,15 @@ from manip_learn.learning.rank import gaps_of_residuals
 from manip_learn.learning.samples import Samples
 
 FEW = 16  # trajectories on which the starts are compared
-STARTS = 24
-POLISHED = 10
+FEW_SAMPLES = 600
+STARTS = 20
+IDLE_ROUNDS = 2  # so many rounds of starts without anything better end the search
+POLISHED = 8
 LOOK: dict[str, Any] = {"max_iterations": 5, "gain": 1e-3}
 ROUNDING = 1e-24
 N_FOLDS = 5
+# offsets must lower the cost by so much to be tried, and explain the motion so well to be believed unasked
+HELPFUL, BEYOND_DOUBT, EXACT = 0.3, 30.0, 1e-3
 
 
 def estimate_own_offsets(samples: Samples, n_constraints: int | None, rng: np.random.Generator) -> Estimate:
@@ -38,7 +42,7 @@ def estimate_own_offsets(samples: Samples, n_constraints: int | None, rng: np.ra
     Raises:
         NotIdentifiableError: Too few samples a trajectory.
     """
-    few = samples.subset(samples.group < FEW)
+    few = _few(samples)
     if len(few) < 2 * samples.nv * _model(few).n_terms:
         raise NotIdentifiableError(
             f"{len(samples)} samples of {samples.n_groups} trajectories are too few for a policy with a constant of "
@@ -68,6 +72,36 @@ def estimate_own_offsets(samples: Samples, n_constraints: int | None, rng: np.ra
     )
 
 
+def own_offsets_if_clear(
+    samples: Samples, n_constraints: int | None, rng: np.random.Generator, selection: Float[np.ndarray, "s r"]
+) -> Estimate | None:
+    """The same where it is worth a try and its answer beyond doubt; else None.
+
+    Args:
+        samples: What was recorded.
+        n_constraints: Number of rows, or None.
+        rng: For the starts.
+        selection: What was learnt without offsets: if they do not help there, they are not tried.
+    """
+    few = _few(samples)
+    shared = PolynomialModel(1, samples.q.shape[1])
+    if len(few) < 2 * samples.nv * _model(few).n_terms:
+        return None
+    without, offsets = (
+        held_out_cost(few, selection, model, N_FOLDS, by_sample=True) for model in (shared, _model(few))
+    )
+    if offsets > HELPFUL * without:
+        return None
+    estimate = estimate_own_offsets(samples, n_constraints, rng)
+    s = estimate.selection.shape[0]
+    return estimate if estimate.table.gap(s) >= BEYOND_DOUBT and estimate.held_out < EXACT else None
+
+
+def _few(samples: Samples) -> Samples:
+    every = -(-int(np.count_nonzero(samples.group < FEW)) // FEW_SAMPLES)
+    return samples.subset((samples.group < FEW) & (np.arange(len(samples)) % every == 0))
+
+
 def _model(samples: Samples) -> OwnOffsetModel:
     return OwnOffsetModel(PolynomialModel(1, samples.q.shape[1]), samples.n_groups)
 
@@ -77,11 +111,24 @@ def _best_of_starts(samples: Samples, s: int, rng: np.random.Generator) -> Joint
     first = conditional_pca(samples, PolynomialModel(1, samples.q.shape[1]))[1][:s]
     if s in (0, r):
         return fit_joint(samples, first, model)
-    starts: list[Float[np.ndarray, "s r"]] = [first, *(rng.standard_normal((s, r)) for _ in range(STARTS))]
-    fits = sorted((fit_joint(samples, start, model, **LOOK) for start in starts), key=lambda fit: fit.cost)
+    best: JointFit | None = None
+    idle, starts = 0, [first]
+    while idle < IDLE_ROUNDS:
+        starts += [rng.standard_normal((s, r)) for _ in range(STARTS - len(starts))]
+        trial = _polished([fit_joint(samples, start, model, **LOOK) for start in starts], samples)
+        idle = 0 if best is None or trial.cost < 0.9 * best.cost else idle + 1
+        best = trial if best is None or trial.cost < best.cost else best
+        if best.cost <= ROUNDING * best.energy:
+            break
+        starts = []
+    return best if best is not None else fit_joint(samples, first, model)
+
+
+def _polished(fits: list[JointFit], samples: Samples) -> JointFit:
+    fits = sorted(fits, key=lambda fit: fit.cost)
     best = fits[0]
     for fit in fits[:POLISHED]:
-        best = min(best, fit_joint(samples, fit.selection, model), key=lambda f: f.cost)
+        best = min(best, fit_joint(samples, fit.selection, fit.model), key=lambda f: f.cost)
         if best.cost <= ROUNDING * best.energy:
             break
     return best
