@@ -159,8 +159,6 @@ class Constraint:
             return Constraint(content["selection"], features, content.get("provenance"))
         except (KeyError, TypeError, AttributeError) as error:
             raise ConstraintMismatchError(f"{path}: the file is damaged ({error!r}); save it again") from error
-        except ConstraintMismatchError:
-            raise
         except ManipLearnError as error:
             raise ConstraintMismatchError(f"{path}: {error}") from error
 

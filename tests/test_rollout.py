@@ -64,7 +64,7 @@ def test_one_step_of_euler_is_the_command(robot_of, rng):
 
 
 def test_escape_from_the_papers_singular_start(robot_of):
-    """From (90 + 1e-12, 360, -360) degrees, on the target's line: the product's law arrives; the paper's zero policy does not."""
+    """From (90 + 1e-12, 360, -360) degrees the product's law arrives; the paper's law with no policy is stuck."""
     robot = robot_of("planar3")
     q0 = np.radians([90.0 + 1e-12, 360.0, -360.0])
     zero = np.zeros(2)
