@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
 from manip_learn.experiments import EXPERIMENTS, reproduce, rmse, table
@@ -55,6 +56,16 @@ def test_number_of_workers_does_not_change_numbers():
     case = LearningCase(Setup("x y", trajectories=20), ("joint-affine", "separate"))
     one, two = (TrialRunner(workers=w).map("few", learning_trial, [case], 2 * PART, seed=1)[0] for w in (1, 2))
     assert [[{**t[n], "seconds": 0} for n in t] for t in one] == [[{**t[n], "seconds": 0} for n in t] for t in two]
+
+
+def test_threads_of_linear_algebra_do_not_change_numbers():
+    """The last digit is the same whatever number of threads BLAS was given."""
+    case = LearningCase(Setup("x rz"), ("joint-rbf",))
+    outcomes = []
+    for threads in (1, 2):
+        with threadpool_limits(limits=threads):
+            outcomes.append(TrialRunner(workers=1).map("blas", learning_trial, [case], 1, seed=3)[0][0]["joint-rbf"])
+    assert {**outcomes[0], "seconds": 0} == {**outcomes[1], "seconds": 0}
 
 
 def test_threads_give_the_same_numbers():

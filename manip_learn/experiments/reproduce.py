@@ -20,6 +20,7 @@ from manip_learn.experiments import beyond, near_singular_start, rmse, sawyer, s
 from manip_learn.experiments.charts import save_figure
 from manip_learn.experiments.experiment_result import ExperimentResult
 from manip_learn.experiments.part_store import PartStore
+from manip_learn.experiments.one_thread import one_thread
 from manip_learn.experiments.trial_runner import BACKENDS, Backend, Progress, TrialRunner
 from manip_learn.playback.replay_page import replay
 
@@ -99,7 +100,8 @@ def reproduce(
     results: dict[str, Any] = {}
     for part in parts:
         rng = np.random.default_rng([seed, zlib.crc32(part.encode())])
-        result = PARTS[part].run(trials, rng, runner)
+        with one_thread():
+            result = PARTS[part].run(trials, rng, runner)
         results[part] = result.to_dict()
         if on_result is not None:
             on_result(part, result)

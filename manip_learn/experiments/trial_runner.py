@@ -12,6 +12,7 @@ from typing import Any, Literal, final
 import numpy as np
 
 from manip_learn.errors import MissingExtraError
+from manip_learn.experiments.one_thread import one_thread
 from manip_learn.experiments.part_store import PartStore, library_digest
 
 Progress = Callable[[int, int], None]
@@ -80,12 +81,13 @@ class TrialRunner:
                 results[i, first] = kept
                 self.advance(key["count"])
         work = [(trial, settings[i], key) for i, _, key in missing]
-        for number, part in self._run(work):
-            i, first, key = missing[number]
-            results[i, first] = part
-            if self.store is not None:
-                self.store.keep(key, part)
-            self.advance(len(part))
+        with one_thread():  # here too: threads of this process share the setting
+            for number, part in self._run(work):
+                i, first, key = missing[number]
+                results[i, first] = part
+                if self.store is not None:
+                    self.store.keep(key, part)
+                self.advance(len(part))
         return [[r for first in range(0, trials, PART) for r in results[i, first]] for i in range(len(settings))]
 
     def advance(self, trials: int = 1) -> None:
@@ -120,10 +122,9 @@ class TrialRunner:
 
 def _numbered(number: int, trial: Trial, one: Any, key: dict[str, Any]) -> tuple[int, list[dict[str, Any]]]:
     label = zlib.crc32(f"{key['experiment']} {sorted(key['settings'].items())}".encode())
-    out = []
-    for i in range(key["first"], key["first"] + key["count"]):
-        out.append(trial(one, np.random.default_rng([key["seed"], label, i])))
-    return number, out
+    numbers = range(key["first"], key["first"] + key["count"])
+    with one_thread():
+        return number, [trial(one, np.random.default_rng([key["seed"], label, i])) for i in numbers]
 
 
 @contextlib.contextmanager
