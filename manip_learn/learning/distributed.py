@@ -13,12 +13,16 @@ from manip_learn.learning.reading import Reading
 from manip_learn.learning.tally import Chunk, Tally, both
 
 try:
+    import dask
     from dask.distributed import Client, Future, LocalCluster, as_completed
     from distributed.scheduler import KilledWorker
 except ImportError as error:
     raise MissingExtraError("learning on a dask cluster", "dask") from error
 
 LOOPBACK = "127.0.0.1"
+PATIENCE = "10s"
+# a worker of this machine that does not answer is gone: no half minute of waiting for it
+LOCAL_CONFIG = {"distributed.comm.timeouts.connect": "3s"}
 # every call of a client needs names of its own: the same name would stand for the result of an earlier fit
 _CALLS = itertools.count()
 
@@ -36,7 +40,7 @@ def dask_client(address: str, n_workers: int | None = None) -> Iterator[Client]:
     """
     if address != "local":
         try:
-            client = Client(address, timeout="10s")
+            client = Client(address, timeout=PATIENCE)
         except (OSError, ValueError) as error:
             raise ManipLearnError(
                 f"there is no dask scheduler at {address!r} ({error}): start one with `dask scheduler`, or use 'local'"
@@ -46,6 +50,7 @@ def dask_client(address: str, n_workers: int | None = None) -> Iterator[Client]:
         return
     # dask's own defaults would listen on all networks
     with (
+        dask.config.set(LOCAL_CONFIG),
         LocalCluster(
             n_workers=n_workers, threads_per_worker=1, host=LOOPBACK, dashboard_address=f"{LOOPBACK}:0"
         ) as cluster,

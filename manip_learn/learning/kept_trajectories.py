@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import weakref
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import BinaryIO, final
@@ -93,7 +94,8 @@ class KeptTrajectories(TrajectorySource):
             self._held.append(trajectory)
             return
         if self._file is None:
-            self._file = tempfile.TemporaryFile(prefix="manip_learn_")  # noqa: SIM115  # closed with this object
+            self._file = tempfile.TemporaryFile(prefix="manip_learn_")
+            weakref.finalize(self, self._file.close)
         offset = self._file.seek(0, 2)
         for array in arrays:
             self._file.write(array.tobytes())  # type: ignore[union-attr]

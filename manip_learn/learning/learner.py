@@ -19,8 +19,9 @@ from manip_learn.learning.estimate import Estimate
 from manip_learn.learning.excitation import check_fastest, check_samples
 from manip_learn.learning.joint_estimator import estimate_joint
 from manip_learn.learning.kept_trajectories import KeptTrajectories
+from manip_learn.learning.made_by import made_by
 from manip_learn.learning.null_space_estimator import estimate_null_space
-from manip_learn.learning.passes import Progress, made_by
+from manip_learn.learning.passes import Progress
 from manip_learn.learning.polish import polished
 from manip_learn.learning.rank import CLEAR_GAP
 from manip_learn.learning.reading import reading

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Any, final
 
 import numpy as np
@@ -29,22 +28,6 @@ class Passes(ABC):
             first_groups: Part -> number of trajectories before it; a part that is not named starts at 0.
             title: For the progress.
         """
-
-
-@contextmanager
-def made_by(client: Any, reading: Reading, progress: Progress | None = None) -> Iterator[Passes]:
-    """Passes made by the workers of a dask client, or by this process without one.
-
-    Raises:
-        MissingExtraError: A client is given, and dask is not installed.
-    """
-    if client is None:
-        yield LocalPasses(reading, progress)
-        return
-    from manip_learn.learning.distributed import dask_passes
-
-    with dask_passes(client, reading, progress) as passes:
-        yield passes
 
 
 @final

@@ -1,0 +1,67 @@
+"""Many samples of motion with known truth, made in bulk: for the tests and benchmarks of learning at scale."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from manip_learn.demonstrations import Demonstrations, Trajectory
+from manip_learn.features import FrameJacobian
+
+DT = 0.02
+
+
+def motions(
+    features: FrameJacobian,
+    selection: np.ndarray,
+    rng: np.random.Generator,
+    n_trajectories: int,
+    n_points: int = 100,
+    noise: float = 0.0,
+    held: bool = False,
+) -> Demonstrations:
+    """u = A^+ b + N pi with b towards a target and pi towards a rest posture; `held`: b = 0, and pi is pushed about."""
+    nv, robot = features.nv, features.robot
+    rest = np.full(nv, 0.2)
+    push, target = rng.standard_normal((n_trajectories, nv)), rng.uniform(-1, 1, (n_trajectories, len(selection)))
+    q = rng.uniform(-1.2, 1.2, (n_trajectories, nv))
+    positions, velocities = np.empty((2, n_trajectories, n_points, nv))
+    for t in range(n_points):
+        A = np.einsum("sp,npv->nsv", selection, features.batch(q))
+        gram = A @ A.transpose(0, 2, 1) + 1e-4 * np.eye(len(selection))
+        pi = rest - q + (push * np.cos(0.3 * t) if held else 0.0)
+        task = np.zeros_like(target) if held else 0.3 * target * np.exp(-t * DT)
+        exact = np.linalg.pinv(A)
+        w = pi - np.einsum("nvs,nsw,nw->nv", exact, A, pi)
+        # damped in the task part only, which may be anything: no bursts near singularities
+        u = w + np.einsum("nsv,ns->nv", A, np.linalg.solve(gram, task[:, :, None])[:, :, 0])
+        positions[:, t] = q
+        velocities[:, t] = u + noise * np.sqrt(np.mean(u**2)) * rng.standard_normal(u.shape)
+        q = q + DT * u
+    time = DT * np.arange(n_points)
+    pairs = zip(positions, velocities, strict=True)
+    return Demonstrations([Trajectory(time, a, b, robot.joint_names, f"motion {i}") for i, (a, b) in enumerate(pairs)])
+
+
+class Stream:
+    """Trajectories that exist only while they are read: the same ones at each pass.
+
+    Args:
+        features: Whose robot moves.
+        selection: Lambda.
+        n_trajectories: How many.
+        batch: How many are made at a time.
+        held: See `motions`.
+    """
+
+    def __init__(self, features: FrameJacobian, selection: np.ndarray, n_trajectories: int, batch: int, held: bool):
+        self.features, self.selection, self.held = features, selection, held
+        self.n_trajectories, self.batch = n_trajectories, batch
+        self.passes = 0
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        self.passes += 1
+        for start in range(0, self.n_trajectories, self.batch):
+            rng = np.random.default_rng([7, start])
+            yield from motions(self.features, self.selection, rng, self.batch, noise=0.01, held=self.held)
