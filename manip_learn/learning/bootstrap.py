@@ -47,9 +47,13 @@ def bootstrap_angle_deg(
         return None
     influence = _influences(gradients, hessians)[:, -m:]
     weights = rng.multinomial(n, np.full(n, 1.0 / n), size=repetitions) - 1.0
+    # where few trajectories carry most of the influence their spread is itself uncertain: Student's distribution
+    energy = np.sum((influence @ _whitener(influence)) ** 2, axis=1)
+    freedom = max(float(energy.sum() ** 2 / np.sum(energy**2)), 2.0)
+    spread = np.sqrt(rng.chisquare(freedom, size=repetitions) / freedom)
     perp, selection = complement_rows(Lambda), samples.selection(Lambda)
     angles = []
-    for step in -weights @ influence:
+    for step in (-weights @ influence) / spread[:, None]:
         moved = orthonormal_rows(Lambda + step.reshape(s, r - s) @ perp)
         angles.append(row_space_angle(samples.selection(moved), selection))
     return float(np.degrees(np.quantile(angles, quantile)))
@@ -63,3 +67,10 @@ def _influences(gradients: Float[np.ndarray, "g d"], hessians: Float[np.ndarray,
     rest = (total - hessians) / np.outer(size, size) + LEVERAGE_FLOOR / n * np.eye(d)
     steps = np.linalg.solve(rest, (gradients / size)[:, :, None])[:, :, 0] / size
     return np.sqrt((n - 1.0) / n) * (steps - steps.mean(axis=0))
+
+
+def _whitener(influence: Float[np.ndarray, "g m"]) -> Float[np.ndarray, "m m"]:
+    """Makes all directions of the influences equally strong."""
+    values, vectors = np.linalg.eigh(influence.T @ influence)
+    keep = values > 1e-12 * values[-1]
+    return vectors * np.where(keep, 1.0 / np.sqrt(np.where(keep, values, 1.0)), 0.0)

@@ -1,0 +1,156 @@
+"""The learner's parts on their own: samples, gaps, policy models, starts, words, report."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from generated_motions import arm_features, guided_motions, oblique, paper_motions
+
+from manip_learn.features import CustomFeatures
+from manip_learn.learning import ConstraintLearner
+from manip_learn.learning.conditional_pca import conditional_pca
+from manip_learn.learning.joint import fit_joint, scores
+from manip_learn.learning.null_space import fit_null_space, levels
+from manip_learn.learning.policy_model import PolynomialModel, RadialModel
+from manip_learn.learning.rank import gaps_of_levels, gaps_of_residuals
+from manip_learn.learning.samples import Samples
+from manip_learn.learning.words import free_directions
+from manip_learn.linalg import orthonormal_rows, row_space_angle
+
+
+@pytest.fixture(scope="module")
+def reaching():
+    demos, truth = paper_motions([0, 1], np.random.default_rng(1), n_trajectories=40, noise=0.01)
+    return Samples.collect(truth.features, demos), truth
+
+
+def test_features_are_whitened(reaching):
+    """sum Phi' Phi'^T / n = I, and a selection in whitened coordinates comes back in the features' own."""
+    samples, truth = reaching
+    total = sum(np.einsum("npv,nqv->pq", b.Phi, b.Phi) for b in samples.blocks())
+    np.testing.assert_allclose(total / len(samples), np.eye(samples.n_rows), atol=1e-9)
+    whitened = truth.selection @ np.linalg.pinv(samples.whitening)
+    assert row_space_angle(samples.selection(whitened), truth.selection) < 1e-9
+    assert max(np.max(np.abs(b.x)) for b in samples.blocks()) <= 1.0 + 1e-12
+
+
+def test_null_space_fit_from_random_starts():
+    """The closed-form start leads to the best optimum that random starts find, and nearly all of them find it."""
+    rng = np.random.default_rng(2)
+    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, 8, 15, 0.05, noise=0.05)
+    samples = Samples.collect(truth.features, demos)
+    _, directions = levels(samples)
+    best = fit_null_space(samples, directions[:2])
+    assert np.max(np.abs(best.scores.sum(axis=0))) < 1e-6 * np.max(np.abs(best.scores))
+    assert row_space_angle(best.selection, directions[:2]) < 0.1
+    others = [fit_null_space(samples, rng.standard_normal((2, 3))) for _ in range(12)]
+    assert min(other.cost for other in others) >= best.cost * (1.0 - 1e-9)
+    assert sum(row_space_angle(other.selection, best.selection) < 1e-6 for other in others) >= 10
+
+
+def test_null_space_cost_is_equation_10():
+    """The cost is the mean of w^T A^+ A w, written out."""
+    rng = np.random.default_rng(3)
+    demos, truth = guided_motions(arm_features(), oblique(1, 3, rng), rng, 4, 10, 0.05, noise=0.1)
+    samples = Samples.collect(truth.features, demos)
+    fit = fit_null_space(samples, rng.standard_normal((1, 3)))
+    total = 0.0
+    for block in samples.blocks():
+        for Phi, w in zip(block.Phi, block.u, strict=True):
+            A = fit.selection @ Phi
+            total += w @ np.linalg.pinv(A) @ A @ w
+    assert fit.cost == pytest.approx(total / len(samples))
+
+
+def test_joint_fit_is_an_optimum(reaching):
+    """No small turn of Lambda lowers the cost, however the policy follows; the trajectories' gradients cancel."""
+    samples, truth = reaching
+    model = PolynomialModel(1, 3)
+    fit = fit_joint(samples, truth.selection @ np.linalg.pinv(samples.whitening), model)
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        turned = orthonormal_rows(fit.selection + 1e-3 * rng.standard_normal(fit.selection.shape))
+        assert fit_joint(samples, turned, model, max_iterations=0).cost > fit.cost
+    gradients, hessians = scores(samples, fit)
+    m = fit.selection.shape[0] * (samples.n_rows - fit.selection.shape[0])
+    assert np.max(np.abs(gradients.sum(axis=0))) < 1e-3 * np.max(np.linalg.norm(gradients, axis=1))
+    # the policy's part is orthonormal and already eliminated from Lambda's
+    total, k = hessians.sum(axis=0), hessians.shape[1] - m
+    np.testing.assert_allclose(total[:k, :k], np.eye(k), atol=1e-4)
+    assert np.max(np.abs(total[:k, k:])) < 1e-3 * np.sqrt(np.max(np.diag(total)[k:]))
+
+
+def test_conditional_pca_is_a_good_start(reaching):
+    """The closed form is within a few degrees of the truth, and its gap shows the number of rows."""
+    samples, truth = reaching
+    sizes, directions = conditional_pca(samples, PolynomialModel(2, 3))
+    assert np.degrees(row_space_angle(samples.selection(directions[:2]), truth.selection)) < 10.0
+    assert sizes[1] > 2.0 * sizes[2]
+
+
+def test_polynomials(rng):
+    """All monomials up to the degree, once each."""
+    x = rng.standard_normal((20, 3))
+    for degree, n in ((0, 1), (1, 4), (2, 10), (3, 20)):
+        beta = PolynomialModel(degree, 3)(x)
+        assert beta.shape == (20, n)
+        assert np.linalg.matrix_rank(beta) == n
+    np.testing.assert_allclose(PolynomialModel(2, 2)(np.array([[2.0, 3.0]])), [[1, 2, 3, 4, 6, 9]])
+
+
+def test_radial_functions(rng):
+    """Shares of the centres sum to 1 everywhere, far away too; fewer postures than centres are no error."""
+    model = RadialModel(rng.uniform(-1, 1, (200, 3)), 16, rng)
+    far = model(np.array([[1e3, -1e3, 1e3], [0.0, 0.0, 0.0]]))
+    np.testing.assert_allclose(far.sum(axis=1), 1.0)
+    assert np.all(np.isfinite(far))
+    assert RadialModel(np.zeros((5, 2)), 16, rng).n_terms == 1
+
+
+def test_gaps():
+    """The largest ratio of levels, or the last row that still helps; clear, weak and none as documented."""
+    table = gaps_of_levels(np.array([1e-3, 2e-3, 0.5, 1.0]), 6)
+    assert (table.best, table.verdict(2), table.verdict(1)) == (2, "clear", "none")
+    assert gaps_of_levels(np.array([0.1, 0.5, 0.6]), 6).verdict(1) == "weak"
+    # levels below rounding say nothing, whatever their ratio
+    assert gaps_of_levels(np.array([0.0, 2e-8, 1.0]), 6).best == 2
+    residuals = gaps_of_residuals({0: 1.0, 1: 0.1, 2: 0.01, 3: 0.0099}, 0.0, 10_000)
+    assert residuals.best == 2
+    assert residuals.gap(7) == 0.0
+
+
+def test_free_directions_are_free():
+    """They are orthonormal, orthogonal to the rows, and avoid feature rows that cannot move."""
+    rng = np.random.default_rng(5)
+    selection = np.zeros((2, 5))
+    selection[:, [0, 2, 4]] = oblique(2, 3, rng)
+    used = np.array([True, False, True, False, True])
+    free = free_directions(selection, used)
+    assert free.shape == (1, 5)
+    np.testing.assert_allclose(free @ selection.T, 0.0, atol=1e-14)
+    np.testing.assert_array_equal(free[:, ~used], 0.0)
+
+
+def test_report_in_json_and_in_words():
+    """NaN becomes null, tuples become lists, and the warnings are printed under the sentence."""
+    demos, truth = guided_motions(arm_features(), np.eye(3)[:2], np.random.default_rng(6), 1, 60, noise=0.01)
+    report = ConstraintLearner(truth.features, estimator="null-space").fit(demos).report_
+    plain = json.loads(json.dumps(report.to_dict(), allow_nan=False))
+    assert plain["uncertainty_deg"] is None
+    assert isinstance(plain["warnings"], list) and set(plain["gap_table"]) == {"1", "2", "3"}
+    assert str(report).splitlines()[0] == report.sentence
+    assert "warning: only one trajectory" in str(report)
+
+
+def test_rows_in_other_units_give_the_same_answer():
+    """Millimetres or metres, noise and all: the columns of Lambda change by the factor, nothing else does."""
+    rng = np.random.default_rng(7)
+    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, 8, 15, 0.05, noise=0.05)
+    factors = np.array([1000.0, 1.0, 0.01])
+    scaled = CustomFeatures(lambda q: factors[:, None] * truth.features(q), ("x", "y", "z"), 7)
+    one = ConstraintLearner(truth.features, 2, "null-space").fit(demos)
+    other = ConstraintLearner(scaled, 2, "null-space").fit(demos)
+    assert row_space_angle(other.constraint_.selection * factors, one.constraint_.selection) < 1e-7
+    assert other.report_.gap == pytest.approx(one.report_.gap, rel=1e-6)
