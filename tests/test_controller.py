@@ -161,6 +161,8 @@ def test_singular_postures_give_finite_commands_or_a_reason(robot_of, rng, name:
                 assert inverse != "damped" and "use inverse='damped'" in str(error)
                 continue
             assert np.all(np.isfinite(command.velocity)) and np.isfinite(command.manipulability)
+            scale = max(1.0, float(np.linalg.norm(command.null_part)))
+            assert np.max(np.abs(constraint(q) @ command.null_part)) <= 1e-12 * scale
             if inverse == "damped":
                 assert np.linalg.norm(command.task_part) <= 23.0 * np.linalg.norm(command.task_velocity)
 
