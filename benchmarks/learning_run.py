@@ -1,0 +1,97 @@
+"""One fit in a process of its own, for `bench_learning.py`: arguments in, a JSON line with time and memory out."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+import numpy as np
+from peak_memory import peak_megabytes
+from scale_motions import motions
+
+from manip_learn.demonstrations import Demonstrations, Trajectory
+from manip_learn.features import FrameJacobian
+from manip_learn.learning import ConstraintLearner, learner
+from manip_learn.learning.distributed import dask_client
+from manip_learn.learning.survey import Survey
+from manip_learn.linalg import row_space_angle
+from manip_learn.robot import load_robot
+from manip_learn.robot.planar_arm import planar_arm_urdf
+
+BASE = 500  # trajectories of 100 samples that are made; more are the same with other noise
+NOISE = 0.02
+
+
+class Repeated:
+    """The base trajectories again and again, each time with noise of its own; none is kept.
+
+    Args:
+        base: Without noise.
+        n: Number of trajectories.
+    """
+
+    def __init__(self, base: Demonstrations, n: int):
+        self.base, self.n, self.passes = base, n, 0
+        self.size = NOISE * float(np.sqrt(np.mean([np.mean(t.u**2) for t in base])))
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        self.passes += 1
+        for i in range(self.n):
+            t = self.base[i % len(self.base)]
+            noise = self.size * np.random.default_rng(i).standard_normal(t.u.shape)
+            yield Trajectory(t.time, t.q, t.u + noise, t.joint_names, t.name)
+
+
+def features_of(joints: int, axes: str, folder: Path) -> FrameJacobian:
+    """Rows of a 7-joint arm's tip, or of a planar arm's with another number of joints."""
+    if joints == 7:
+        return FrameJacobian(load_robot("sawyer"), "right_gripper_tip", axes)
+    path = folder / f"planar{joints}.urdf"
+    path.write_text(planar_arm_urdf([1.0] * joints), encoding="utf-8")
+    return FrameJacobian(load_robot(path), "tip", "planar")
+
+
+def run(job: dict) -> dict:
+    """Time of the fit [s of one core], peak memory [MB], and how far the answer is off [degrees]."""
+    features = features_of(job["joints"], job["axes"], Path(job["folder"]))
+    s, held = job["constraints"], job["kind"] == "held"
+    rng = np.random.default_rng(1)
+    selection = np.linalg.qr(rng.standard_normal((features.n_rows, s)))[0].T
+    stream = Repeated(motions(features, selection, rng, BASE, held=held), job["samples"] // 100)
+    source = stream if job["how"] == "stream" else list(stream)
+    if job["how"] == "at once":
+        learner.Survey = lambda: Survey(10**9)  # type: ignore[misc,assignment]
+    model = {} if held else {"policy_model": "affine"}
+    fit = ConstraintLearner(features, s, "null-space" if held else "joint", **model)
+    before = peak_megabytes()
+    started, wall = time.process_time(), time.perf_counter()
+    if job["how"] == "dask":
+        with dask_client("local", job["workers"]) as client:
+            wall = time.perf_counter()
+            fit.fit(source, client=client)
+            wall = time.perf_counter() - wall
+    else:
+        fit.fit(source)
+        wall = time.perf_counter() - wall
+    cpu, passes = time.process_time() - started, stream.passes
+    if job["how"] == "stream":
+        clock = time.process_time()
+        for _ in stream:  # what making the samples costs is not the learner's
+            pass
+        cpu -= passes * (time.process_time() - clock)
+    return {
+        "cpu": cpu,
+        "wall": wall,
+        "before": before,
+        "peak": peak_megabytes(),
+        "angle": float(np.degrees(row_space_angle(selection, fit.constraint_.selection))),
+    }
+
+
+if __name__ == "__main__":
+    print(json.dumps(run(json.loads(sys.argv[1]))))
