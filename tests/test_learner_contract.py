@@ -26,10 +26,11 @@ def subject_of(name: str) -> Subject:
     return Subject(lambda features, n: ConstraintLearner(features, n, estimator=estimator), kind, accuracy)
 
 
-# several fits each, at a second a fit of the paper's own route, about what all estimators share
-SLOW_FOR_SEPARATE = {"other_kinds_of_arrays", "integers", "trajectories_twice", "faster_motion", "stiction"}
+# several fits each, about what all estimators share: where fits are slow or done twice already, only in long runs
+REPEATED = {"separate", "auto on held motions"}
+SLOW_WHEN_REPEATED = {"other_kinds_of_arrays", "integers", "trajectories_twice", "faster_motion", "stiction"}
 CASES = [
-    pytest.param(name, check, marks=[pytest.mark.slow] if name == "separate" and check in SLOW_FOR_SEPARATE else [])
+    pytest.param(name, check, marks=[pytest.mark.slow] if name in REPEATED and check in SLOW_WHEN_REPEATED else [])
     for name in ESTIMATORS
     for check in checks()
 ]

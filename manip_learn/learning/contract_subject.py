@@ -151,5 +151,9 @@ class Subject:
         return float(np.degrees(row_space_angle(found, expected)))
 
     def broken(self, what: str, cause: BaseException | None = None) -> NoReturn:
-        """The check has failed."""
+        """The check has failed.
+
+        Raises:
+            LearnerContractError: Always.
+        """
         raise LearnerContractError(what) from cause
