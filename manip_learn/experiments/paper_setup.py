@@ -25,7 +25,7 @@ STEP = 0.02  # [s]
 REST = np.deg2rad([10.0, -10.0, 10.0])  # psi*, where the null-space policy leads [rad]
 START_LOW, START_HIGH = np.deg2rad([0.0, 90.0, 0.0]), np.deg2rad([10.0, 100.0, 10.0])
 TARGET_LOW, TARGET_HIGH = np.array([-1.0, 0.0, 0.0]), np.array([1.0, 2.0, np.pi])  # x, y [m], theta [rad]
-AXES = "x y rz"
+AXES: str = "x y rz"
 SELECTIONS = ("x y", "x rz", "y rz")
 
 PolicyName = Literal["attractor", "sinusoidal", "zero", "own"]
