@@ -44,7 +44,7 @@ def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **o
         from matplotlib.figure import Figure
     except ImportError as error:
         raise MissingExtraError("drawing figures", "experiments") from error
-    with matplotlib.rc_context(STYLE):
+    with matplotlib.rc_context(STYLE):  # type: ignore[arg-type]
         figure = Figure(figsize=(width, height))
         axes = figure.subplots(rows, columns, squeeze=False, **options)  # type: ignore[arg-type]
     return figure, axes
@@ -61,7 +61,7 @@ def save_figure(figure: Figure, folder: Path, name: str, dpi: int = 110) -> list
     paths = []
     for kind, options in (("png", {"dpi": dpi, "metadata": {"Software": None}}), ("svg", {"metadata": {"Date": None}})):
         stream = io.BytesIO()
-        with matplotlib.rc_context(STYLE):
+        with matplotlib.rc_context(STYLE):  # type: ignore[arg-type]
             figure.savefig(stream, format=kind, **options)  # type: ignore[arg-type]
         paths.append(write_atomically(folder / f"{name}.{kind}", stream.getvalue()))
     return paths

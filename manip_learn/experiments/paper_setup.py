@@ -57,7 +57,8 @@ class Setup:
         """True Lambda, orthonormal rows; drawn for `"oblique"`."""
         if self.rows == "oblique":
             return orthonormal_rows(rng.standard_normal((2, 3)))
-        return np.eye(3)[[AXES.split().index(name) for name in self.rows.split()]]
+        names: list[str] = list(AXES.split())
+        return np.eye(3)[[names.index(name) for name in self.rows.split()]]
 
 
 @cache

@@ -10,9 +10,7 @@ from manip_learn.learning.policy_model import PolicyModel
 from manip_learn.learning.samples import Samples
 
 
-def conditional_pca(
-    samples: Samples, model: PolicyModel
-) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r r"]]:
+def conditional_pca(samples: Samples, model: PolicyModel) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r r"]]:
     """Directions of whitened feature space by how much the task moved along them, most first.
 
     g = (Phi Phi^T)^-1 Phi u = G pi(q) + Lambda^T c, so that what a regression of g on the posture leaves over lies in
@@ -22,16 +20,13 @@ def conditional_pca(
     Returns:
         Square roots of the eigenvalues, and the orthonormalised directions as rows.
     """
-    r, k = samples.n_rows, None
-    left = cross = right = S_G = None
+    r, k = samples.n_rows, model.n_terms
+    left, cross = np.zeros((k, k)), np.zeros((k, r))
+    right, S_G = np.zeros((r, r)), np.zeros((r, r))
     for block in samples.blocks():
         g, GG, weight = _minimal_features(block.Phi, block.u)
         root = np.sqrt(weight)[:, None]
         beta, g = model(block.x) * root, g * root
-        if left is None:
-            k = beta.shape[1]
-            left, cross = np.zeros((k, k)), np.zeros((k, r))
-            right, S_G = np.zeros((r, r)), np.zeros((r, r))
         left += beta.T @ beta
         cross += beta.T @ g
         right += g.T @ g

@@ -50,7 +50,7 @@ def dask_client(address: str, n_workers: int | None = None) -> Iterator[Client]:
         return
     # dask's own defaults would listen on all networks
     with (
-        dask.config.set(LOCAL_CONFIG),
+        dask.config.set(LOCAL_CONFIG),  # pyright: ignore[reportPrivateImportUsage]
         LocalCluster(
             n_workers=n_workers, threads_per_worker=1, host=LOOPBACK, dashboard_address=f"{LOOPBACK}:0"
         ) as cluster,

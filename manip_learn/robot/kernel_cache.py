@@ -15,6 +15,9 @@ from typing import Any
 
 import numba
 
+# numba fills its settings in while it runs: no type checker can know them
+_SETTINGS: Any = numba.config  # pyright: ignore[reportPrivateImportUsage]
+
 PACKAGE = Path(__file__).resolve().parents[1]
 KERNEL_FILES = ("robot/chain_table.py", "robot/batch_numba.py", "row_inverse_kernel.py", "step_kernel.py")
 # the constants that the kernels take from elsewhere
@@ -33,8 +36,8 @@ def content_stamp(package: Path = PACKAGE) -> str:
 
 def _cache_folder() -> Path:
     name = f"kernels-{content_stamp()}"
-    if numba.config.CACHE_DIR:  # the user has chosen a place
-        return Path(numba.config.CACHE_DIR) / name
+    if _SETTINGS.CACHE_DIR:  # the user has chosen a place
+        return Path(_SETTINGS.CACHE_DIR) / name
     here = PACKAGE / "__pycache__" / name
     try:
         here.mkdir(parents=True, exist_ok=True)
@@ -49,9 +52,9 @@ _FOLDER = _cache_folder()
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function, compiled at its first call or read from the cache; runs without the interpreter's lock."""
     with _lock:
-        before = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = str(_FOLDER)
+        before = _SETTINGS.CACHE_DIR
+        _SETTINGS.CACHE_DIR = str(_FOLDER)
         try:
             return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
         finally:
-            numba.config.CACHE_DIR = before
+            _SETTINGS.CACHE_DIR = before
