@@ -169,6 +169,17 @@ def row_space_angle(M1: Float[np.ndarray, "s p"], M2: Float[np.ndarray, "k p"]) 
     return float(np.max(principal_angles(Q1, Q2), initial=0.0))
 
 
+def row_space_angles(stack: Float[np.ndarray, "n s p"], M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, " n"]:
+    """Largest principal angle [rad] between the row space of M and each of a stack; all rows must be independent."""
+    Q1 = np.linalg.qr(stack.transpose(0, 2, 1))[0].transpose(0, 2, 1)
+    Q2 = row_basis(M)
+    shared = Q1 @ Q2.T
+    cosines = np.linalg.svd(shared, compute_uv=False)
+    # both together are accurate for tiny angles and for right ones
+    sines = np.linalg.svd(Q1 - shared @ Q2, compute_uv=False)
+    return np.arctan2(sines[:, 0], cosines[:, -1])
+
+
 def batch_row_spaces(
     A: Float[np.ndarray, "n s nv"],
 ) -> tuple[Float[np.ndarray, "n nv nv"], Float[np.ndarray, "n s s"]]:

@@ -27,7 +27,13 @@ from manip_learn.learning.sample_source import IteratedTrajectories, ListedTraje
 from manip_learn.learning.samples import Samples
 from manip_learn.learning.survey import Survey
 from manip_learn.learning.tally import Sums, chunks, tallied, tree_total
-from manip_learn.linalg import batch_row_spaces, complement_rows, orthonormal_rows, row_space_angle
+from manip_learn.linalg import (
+    batch_row_spaces,
+    complement_rows,
+    orthonormal_rows,
+    row_space_angle,
+    row_space_angles,
+)
 from manip_learn.robot.loading import load_robot
 
 ONE = orthonormal_rows(np.array([[0.5, 1.0, -0.4]]))
@@ -123,6 +129,14 @@ def test_joint_tally(features, moved, s):
     np.testing.assert_allclose(H[-m:, -m:] - C.T @ np.linalg.lstsq(K, C, rcond=1e-12)[0], expected_H, rtol=1e-7)
     reduced = g[-m:] - C.T @ np.linalg.lstsq(K, g[:-m], rcond=1e-12)[0]
     np.testing.assert_allclose(reduced, expected_g, rtol=1e-6, atol=1e-7 * np.abs(H).max() ** 0.5)
+
+
+@pytest.mark.parametrize(("s", "p", "size"), [(1, 3, 1e-4), (2, 3, 0.1), (3, 6, 5.0), (5, 6, 1e-3)])
+def test_angles_of_many_row_spaces(s, p, size, rng):
+    """The bootstrap's angles are those of one row space at a time."""
+    M = orthonormal_rows(rng.standard_normal((s, p)))
+    stack = M + size * rng.standard_normal((20, s, p))
+    np.testing.assert_allclose(row_space_angles(stack, M), [row_space_angle(x, M) for x in stack], rtol=1e-8)
 
 
 # ---- the order of sums, the choice of few ----------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.learning.samples import Samples
-from manip_learn.linalg import complement_rows, orthonormal_rows, row_space_angle
+from manip_learn.linalg import complement_rows, row_space_angles
 
 # a trajectory that alone determines a direction has no say about it when it is left out
 LEVERAGE_FLOOR = 1e-3
@@ -51,11 +51,9 @@ def bootstrap_angle_deg(
     energy = np.sum((influence @ _whitener(influence)) ** 2, axis=1)
     freedom = max(float(energy.sum() ** 2 / np.sum(energy**2)), 2.0)
     spread = np.sqrt(rng.chisquare(freedom, size=repetitions) / freedom)
-    perp, selection = complement_rows(Lambda), samples.selection(Lambda)
-    angles = []
-    for step in (-weights @ influence) / spread[:, None]:
-        moved = orthonormal_rows(Lambda + step.reshape(s, r - s) @ perp)
-        angles.append(row_space_angle(samples.selection(moved), selection))
+    steps = (-weights @ influence) / spread[:, None]
+    moved = Lambda + steps.reshape(repetitions, s, r - s) @ complement_rows(Lambda)
+    angles = row_space_angles(moved @ samples.whitening, samples.selection(Lambda))
     return float(np.degrees(np.quantile(angles, quantile)))
 
 
