@@ -379,8 +379,13 @@ def test_partial_fit_keeps_what_is_usable(features, held):
     with pytest.raises(NotIdentifiableError):
         learning.partial_fit([held[0].part(slice(0, 4))])
     bad = Trajectory(held[1].time, held[1].q, held[1].u, tuple(f"x{n}" for n in held[1].joint_names))
-    with pytest.raises(RecordingError):
-        learning.partial_fit([bad])
+
+    class Mixed:
+        def __iter__(self):
+            return iter([held[1], held[2], bad])
+
+    with pytest.raises(RecordingError, match="sorts by name"):
+        learning.partial_fit(Mixed())
     with pytest.raises(RecordingError):
         learning.partial_fit(lambda: None)  # type: ignore[arg-type]
     assert learning.partial_fit(held[1:]).report_.n_samples == 5904
