@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.errors import OutputError
+from manip_learn.errors import ManipLearnError, OutputError
 from manip_learn.experiments.summary import markdown_table, mean_and_sd, number
 
 PARTS = ("table", "variants", "rmse", "singular-start", "near-singular-start", "sawyer", "beyond")
@@ -147,8 +147,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("results", type=Path, help="output folder of `manip-learn reproduce all`")
     parser.add_argument("page", type=Path, help="docs/reproduction.md")
     options = parser.parse_args(arguments)
-    for path in write_page(options.results, options.page):
-        print(path)
+    try:
+        written = write_page(options.results, options.page)
+    except ManipLearnError as error:
+        parser.exit(2, f"error: {error}\n")
+    print(*written, sep="\n")
 
 
 if __name__ == "__main__":
