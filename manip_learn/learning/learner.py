@@ -21,6 +21,7 @@ from manip_learn.learning.joint_estimator import estimate_joint
 from manip_learn.learning.kept_trajectories import KeptTrajectories
 from manip_learn.learning.made_by import made_by
 from manip_learn.learning.null_space_estimator import estimate_null_space
+from manip_learn.learning.one_thread import one_thread
 from manip_learn.learning.passes import Progress
 from manip_learn.learning.polish import polished
 from manip_learn.learning.rank import CLEAR_GAP
@@ -162,20 +163,21 @@ class ConstraintLearner:
         return ListedTrajectories(demos.trajectories, demos.notes)
 
     def _learn(self, source: TrajectorySource, client: Any, progress: Progress | None) -> None:
-        started = time.perf_counter()
-        read = reading(source, self._candidates, self.velocities)
-        with made_by(client, read, progress) as passes:
-            extent: Extent = passes.total(Survey(), {}, "all samples, a first look")
-            best = self._best_candidate(extent, read.joint_names)
-            estimate, note = polished(best.estimate, best.samples, extent, passes)
-            best = dataclasses.replace(best, estimate=estimate)
-        if note:
-            extent = dataclasses.replace(extent, notes=(*extent.notes, note))
-        uncertainty = bootstrap_angle_deg(
-            best.samples, estimate.selection, estimate.gradients, estimate.hessians, best.rng
-        )
-        seconds = time.perf_counter() - started
-        self.constraint_, self.report_ = concluded(best, extent, read.joint_names, uncertainty, seconds)
+        with one_thread():
+            started = time.perf_counter()
+            read = reading(source, self._candidates, self.velocities)
+            with made_by(client, read, progress) as passes:
+                extent: Extent = passes.total(Survey(), {}, "all samples, a first look")
+                best = self._best_candidate(extent, read.joint_names)
+                estimate, note = polished(best.estimate, best.samples, extent, passes)
+                best = dataclasses.replace(best, estimate=estimate)
+            if note:
+                extent = dataclasses.replace(extent, notes=(*extent.notes, note))
+            uncertainty = bootstrap_angle_deg(
+                best.samples, estimate.selection, estimate.gradients, estimate.hessians, best.rng
+            )
+            seconds = time.perf_counter() - started
+            self.constraint_, self.report_ = concluded(best, extent, read.joint_names, uncertainty, seconds)
 
     def _best_candidate(self, extent: Extent, joint_names: tuple[str, ...]) -> Outcome:
         """The first candidate, unless another is better by more than chance."""
