@@ -28,7 +28,7 @@ class Stacked(FeatureMap):
         self.parts = tuple(parts)
         sizes = {part.nv for part in self.parts}
         if len(sizes) != 1:
-            raise FeatureError(f"stacked feature maps must act on the same velocities, these have nv = {sorted(sizes)}")
+            raise FeatureError(f"stacked feature maps must act on one robot's velocities: nv is {sorted(sizes)}")
         robots = [r for r in (getattr(part, "robot", None) for part in self.parts) if r is not None]
         if any(r.fingerprint != robots[0].fingerprint for r in robots):
             raise FeatureError(f"stacked feature maps must share one robot, got {[r.name for r in robots]}")

@@ -58,8 +58,8 @@ class ConstraintLearner:
         estimator: `"null-space"` for motions that the world constrains (b = 0); `"joint"` for motions whose
             constrained rows the demonstrator moves on purpose (b unknown, a null-space policy that depends on the
             posture); `"separate"` for the paper's own route; `"auto"` finds out which it is.
-        policy_model: Joint estimator: `"auto"` (cross-validation), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"`
-            or `"rbf"`.
+        policy_model: Joint estimator: `"auto"` (cross-validation), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"`,
+            `"rbf"`, or `"own"` (affine, with a rest posture of its own for each trajectory).
         velocities: How missing velocities are derived, see `derive_velocities`.
         seed: Seed of everything random (bootstrap, random starts, k-means).
 
