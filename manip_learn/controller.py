@@ -123,9 +123,11 @@ class ResolvedRateController:
             dt: Look-ahead for the position limits [s].
 
         Raises:
-            ConfigurationError: q has the wrong size or is not finite.
+            ConfigurationError: q has the wrong size or is not finite, or dt is not positive.
             TargetError: The task's target does not fit the constraint.
         """
+        if dt is not None and not 0.0 < dt < math.inf:
+            raise ConfigurationError(f"dt must be a positive number of seconds, got {dt!r}")
         if not (self._features_check and type(q) is np.ndarray and q.dtype.char == "d"):
             q = self._checked_posture(q)
         ascent = self._ascent

@@ -262,3 +262,12 @@ def test_commands_do_not_depend_on_the_past(robot_of, rng):
         controller(inside(robot, rng))
     np.testing.assert_array_equal(controller(q).velocity, first)
     assert "inverse='damped'" in repr(controller)
+
+
+@pytest.mark.parametrize("dt", [0.0, -0.01, float("nan"), float("inf")])
+def test_a_look_ahead_that_is_no_time_is_refused(robot_of, dt):
+    """A zero, negative or infinite step would turn the position limits round or off: it is refused."""
+    robot = robot_of("planar3")
+    controller = ResolvedRateController(Constraint([[1, 0, 0]], FrameJacobian(robot, "tip", "planar")))
+    with pytest.raises(ConfigurationError, match="positive"):
+        controller(robot.neutral(), 0.0, dt)
