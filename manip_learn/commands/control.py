@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from manip_learn.commands.robot_for import load_for_joints
 from manip_learn.constraint import Constraint
 from manip_learn.controller import ResolvedRateController
-from manip_learn.errors import ConstraintMismatchError, ManipLearnError, TargetError
+from manip_learn.errors import ConstraintMismatchError, ManipLearnError, TargetError, UnknownNameError
 from manip_learn.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.robot import Robot, load_robot
 from manip_learn.rollout import Progress, Rollout, simulate
@@ -111,15 +111,15 @@ def robot_of_constraint(robot_name: str, constraint_file: str, package_dirs: lis
         joints, locked = list(described["joint_names"]), dict(described.get("locked", {}))
     except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError):
         return load_robot(robot_name, package_dirs)  # Constraint.load says what is wrong with the file
-    plain = load_robot(robot_name, package_dirs)
-    held = {name: position for name, position in locked.items() if name in plain.joint_names}
-    if any(j not in plain.joint_names for j in joints):
+    try:
+        return load_for_joints(robot_name, joints, locked, package_dirs)
+    except UnknownNameError as error:
+        if error.kind != "joint":
+            raise
         raise ConstraintMismatchError(
             f"{constraint_file} was made for robot {described.get('name')!r} with the joints "
-            f"{', '.join(map(str, joints))}; "
-            f"{plain.name!r} has {', '.join(plain.joint_names)}: name the robot that it was learnt on"
-        )
-    return load_for_joints(robot_name, joints, held, package_dirs)
+            f"{', '.join(map(str, joints))}, {robot_name!r} lacks {error.name!r}: name the robot that it was learnt on"
+        ) from error
 
 
 def null_policy(

@@ -73,8 +73,7 @@ def estimate_joint(
         return estimate_own_offsets(samples, n_constraints, rng)
     few = _few(samples)
     models = _models(few, rng, policy_model)
-    scan = {s: _best(few, s, models[:2]) for s in _counts(samples)}
-    usable = {s: c for s, c in scan.items() if c is not None}
+    usable = _scan(few, models[:2])
     if n_constraints is None and len(usable) < 2 or (n_constraints is not None and n_constraints not in usable):
         raise NotIdentifiableError(
             f"{len(samples)} samples are too few for the joint estimator on {samples.n_rows} rows and {samples.nv} "
@@ -144,22 +143,30 @@ def _counts(samples: Samples) -> range:
     return range(min(samples.n_rows, samples.nv - 1) + 1)
 
 
-def _best(samples: Samples, s: int, models: list[PolicyModel]) -> Candidate | None:
-    """Best of the models for s rows; a richer one only if it is worth its parameters."""
-    best: Candidate | None = None
-    for model in models:
-        candidate = _candidate(samples, s, model)
-        if candidate is not None and (best is None or candidate.held_out < WORTH * best.held_out):
+def _scan(samples: Samples, models: list[PolicyModel]) -> dict[int, Candidate]:
+    """Best of the models for each number of rows that there are samples enough for, all from one closed-form start."""
+    fitting = {s: [m for m in models if _enough(samples, s, m)] for s in _counts(samples)}
+    if not any(fitting.values()):
+        return {}
+    _, directions = conditional_pca(samples, PolynomialModel(_start_degree(samples), samples.q.shape[1]))
+    return {s: _best(samples, fit, directions[:s]) for s, fit in fitting.items() if fit}
+
+
+def _best(samples: Samples, models: list[PolicyModel], start: np.ndarray) -> Candidate:
+    """Best of the models from a start; a richer one only if it is worth its parameters."""
+    best = _candidate(samples, models[0], start)
+    for model in models[1:]:
+        candidate = _candidate(samples, model, start)
+        if candidate.held_out < WORTH * best.held_out:
             best = candidate
     return best
 
 
-def _candidate(samples: Samples, s: int, model: PolicyModel, start: np.ndarray | None = None) -> Candidate | None:
-    if len(samples) * (samples.nv - s) * (1.0 - 1.0 / N_FOLDS) < 2.0 * model.n_terms * samples.nv:
-        return None
-    if start is None:
-        _, directions = conditional_pca(samples, PolynomialModel(_start_degree(samples), samples.q.shape[1]))
-        start = directions[:s]
+def _enough(samples: Samples, s: int, model: PolicyModel) -> bool:
+    return len(samples) * (samples.nv - s) * (1.0 - 1.0 / N_FOLDS) >= 2.0 * model.n_terms * samples.nv
+
+
+def _candidate(samples: Samples, model: PolicyModel, start: np.ndarray) -> Candidate:
     fit = fit_joint(samples, start, model, **COMPARE)
     folds = min(N_FOLDS, samples.n_groups)
     return Candidate(fit, held_out_cost(samples, fit.selection, model, folds))
@@ -185,9 +192,9 @@ def _chosen(
     for model in models:
         if model.name in residuals or best.held_out <= ROUNDING * best.fit.energy:
             continue
-        candidate = _candidate(samples, s, model, best.fit.selection)
-        if candidate is None:
+        if not _enough(samples, s, model):
             continue
+        candidate = _candidate(samples, model, best.fit.selection)
         residuals[model.name] = candidate.held_out / _null_energy(samples, candidate.fit)
         if candidate.held_out < WORTH * best.held_out:
             best = candidate
