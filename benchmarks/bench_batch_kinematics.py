@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 from timing import rounds_of, summary
 
-from manip_learn.batch_manipulability import manipulability_batch
-from manip_learn.constraint import Constraint
-from manip_learn.features import FrameJacobian
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.robot import Robot, load_robot
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.planar_arm import planar_arm_urdf
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(600)]
@@ -77,7 +78,7 @@ def test_rows_derivatives_and_manipulability(robot: Robot, q: np.ndarray) -> Non
         "frame's own axes, numpy": lambda: own.batch(q, compiled=False),
         "with derivative, numpy": lambda: pose.batch_with_derivative(q, compiled=False),
         "mu and gradient, numpy": lambda: manipulability_batch(constraint, q),
-        "poses, numpy": lambda: robot.pose_batch(q, xyz.frame),
+        "poses, numpy": lambda: batch_kinematics(robot, xyz.frame).pose(q),
     }
     if COMPILED:
         candidates["with derivative, compiled"] = lambda: pose.batch_with_derivative(q, compiled=True)

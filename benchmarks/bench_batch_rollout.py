@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from timing import rounds_of, summary
 
-from manip_learn.batch_rollout import run_batch
-from manip_learn.constraint import Constraint
-from manip_learn.controller import ResolvedRateController
-from manip_learn.features import FrameJacobian
-from manip_learn.policies import ManipulabilityAscent
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.control.batch import run_batch
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.policies import ManipulabilityAscent
+from manip_learn.control.rollout import simulate
+from manip_learn.control.tasks import PointAttractor
 from manip_learn.robot import load_robot
-from manip_learn.rollout import simulate
-from manip_learn.tasks import PointAttractor
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(600)]
 CENTRE = np.array([0.1, -0.6, 0.2, 1.3, -0.2, 0.7, 0.4])  # elbow bent, far from limits and singularities

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manip_learn.io import load_demonstrations
+from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import load_robot
 
 SAMPLES = 360_000

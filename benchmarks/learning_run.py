@@ -14,12 +14,12 @@ import numpy as np
 from peak_memory import peak_megabytes
 from scale_motions import motions
 
-from manip_learn.demonstrations import Demonstrations, Trajectory
-from manip_learn.features import FrameJacobian
+from manip_learn.constraint.features import FrameJacobian
 from manip_learn.learning import ConstraintLearner, learner
-from manip_learn.learning.distributed import dask_client
-from manip_learn.learning.survey import Survey
+from manip_learn.learning.streaming.dask_executor import dask_client
+from manip_learn.learning.streaming.summary_pass import Survey
 from manip_learn.linalg import row_space_angle
+from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
 from manip_learn.robot import load_robot
 from manip_learn.robot.planar_arm import planar_arm_urdf
 

@@ -10,71 +10,74 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from manip_learn.batch_manipulability import manipulability_batch
-    from manip_learn.compiled_controller import CompiledController
-    from manip_learn.constraint import Constraint
-    from manip_learn.controller import Command, ResolvedRateController
-    from manip_learn.demonstrations import Demonstrations, Trajectory
+    from manip_learn.constraint.constraint import Constraint
+    from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
+    from manip_learn.constraint.manipulability import (
+        log_manipulability_gradient,
+        manipulability,
+        manipulability_gradient,
+    )
+    from manip_learn.constraint.manipulability_batch import manipulability_batch
+    from manip_learn.control.compiled.compiled_controller import CompiledController
+    from manip_learn.control.controller import Command, ResolvedRateController
+    from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
+    from manip_learn.control.rollout import Rollout, simulate
+    from manip_learn.control.tasks import Hold, PointAttractor, Task, Track
     from manip_learn.errors import ManipLearnError
-    from manip_learn.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
-    from manip_learn.io import RecordingSource, iter_demonstrations, load_demonstrations
     from manip_learn.learning import ConstraintLearner
-    from manip_learn.manipulability_measure import log_manipulability_gradient, manipulability, manipulability_gradient
     from manip_learn.playback import LiveViewer, replay
-    from manip_learn.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
-    from manip_learn.preparation import resample, thin, trim_standstill
+    from manip_learn.recordings import RecordingSource, iter_demonstrations, load_demonstrations
+    from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+    from manip_learn.recordings.preprocessing import resample, thin, trim_standstill
+    from manip_learn.recordings.velocities import derive_velocities
     from manip_learn.robot import Robot, load_robot
-    from manip_learn.robot.inspection import inspect_robot
+    from manip_learn.robot.inspection.robot_summary import inspect_robot
     from manip_learn.robot.tips import likely_tips
-    from manip_learn.rollout import Rollout, simulate
-    from manip_learn.tasks import Hold, PointAttractor, Task, Track
-    from manip_learn.velocities import derive_velocities
 
 __version__ = "0.1.0"
 
 # loaded at first use, so that `import manip_learn` and `manip-learn --help` are quick
 _HOMES = {
-    "RecordingSource": "io",
+    "RecordingSource": "recordings",
     "likely_tips": "robot.tips",
-    "inspect_robot": "robot.inspection",
-    "manipulability_batch": "batch_manipulability",
-    "CompiledController": "compiled_controller",
-    "CentreOfMass": "features",
-    "Command": "controller",
-    "Constraint": "constraint",
+    "inspect_robot": "robot.inspection.robot_summary",
+    "manipulability_batch": "constraint.manipulability_batch",
+    "CompiledController": "control.compiled.compiled_controller",
+    "CentreOfMass": "constraint.features",
+    "Command": "control.controller",
+    "Constraint": "constraint.constraint",
     "ConstraintLearner": "learning",
-    "CustomFeatures": "features",
-    "Demonstrations": "demonstrations",
-    "FeatureMap": "features",
-    "FrameJacobian": "features",
-    "Hold": "tasks",
-    "JointAttractor": "policies",
+    "CustomFeatures": "constraint.features",
+    "Demonstrations": "recordings.demonstrations",
+    "FeatureMap": "constraint.features",
+    "FrameJacobian": "constraint.features",
+    "Hold": "control.tasks",
+    "JointAttractor": "control.policies",
     "LiveViewer": "playback",
     "ManipLearnError": "errors",
-    "ManipulabilityAscent": "policies",
-    "NullSpacePolicy": "policies",
-    "PointAttractor": "tasks",
-    "ResolvedRateController": "controller",
+    "ManipulabilityAscent": "control.policies",
+    "NullSpacePolicy": "control.policies",
+    "PointAttractor": "control.tasks",
+    "ResolvedRateController": "control.controller",
     "Robot": "robot",
-    "Rollout": "rollout",
-    "Stacked": "features",
-    "Task": "tasks",
-    "Track": "tasks",
-    "Trajectory": "demonstrations",
-    "ZeroPolicy": "policies",
-    "derive_velocities": "velocities",
-    "iter_demonstrations": "io",
-    "load_demonstrations": "io",
+    "Rollout": "control.rollout",
+    "Stacked": "constraint.features",
+    "Task": "control.tasks",
+    "Track": "control.tasks",
+    "Trajectory": "recordings.demonstrations",
+    "ZeroPolicy": "control.policies",
+    "derive_velocities": "recordings.velocities",
+    "iter_demonstrations": "recordings",
+    "load_demonstrations": "recordings",
     "load_robot": "robot",
-    "log_manipulability_gradient": "manipulability_measure",
-    # the file is not called manipulability.py: importing it would put the module where the function belongs
-    "manipulability": "manipulability_measure",
-    "manipulability_gradient": "manipulability_measure",
+    "log_manipulability_gradient": "constraint.manipulability",
+    "manipulability": "constraint.manipulability",
+    "manipulability_gradient": "constraint.manipulability",
     "replay": "playback",
-    "resample": "preparation",
-    "simulate": "rollout",
-    "thin": "preparation",
-    "trim_standstill": "preparation",
+    "resample": "recordings.preprocessing",
+    "simulate": "control.rollout",
+    "thin": "recordings.preprocessing",
+    "trim_standstill": "recordings.preprocessing",
 }
 __all__ = [
     "CentreOfMass",

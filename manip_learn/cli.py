@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from manip_learn.commands.terminal import console, finite, progress, waiting
+from manip_learn.commands.output import console, finite, progress, waiting
 from manip_learn.commands.vectors import joined_vectors, vector
 from manip_learn.errors import ManipLearnError
 
@@ -83,7 +83,7 @@ def learn(
 ) -> None:
     """Learn a constraint from recordings, and say what was learnt."""
     from manip_learn.commands.learn import learn as run
-    from manip_learn.commands.reading import read_options
+    from manip_learn.commands.read_options import read_options
 
     options = read_options(
         degrees=degrees,
@@ -176,7 +176,7 @@ def replay(
     as_json: Json = False,
 ) -> None:
     """Write a browser replay with the manipulability plot: one file, no server, no network."""
-    from manip_learn.commands.show import show
+    from manip_learn.commands.replay import show
 
     with waiting(as_json, "writing the replay"):
         page = show(robot, rollouts, html=html, open_browser=open_browser, tip=tip, package_dirs=package_dir)

@@ -5,12 +5,15 @@ Shapes: A (s, n) with s <= n in general, but nothing here needs it.
 
 from __future__ import annotations
 
+import functools
 import math
-from typing import Literal
+from contextlib import AbstractContextManager
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg.lapack import dgesdd, dposv, dsyev  # pyright: ignore[reportAttributeAccessIssue]
+from threadpoolctl import ThreadpoolController
 
 Inverse = Literal["exact", "truncated", "damped"]
 EPS = float(np.finfo(np.float64).eps)
@@ -200,3 +203,18 @@ def batch_row_spaces(
         work[:, j:, j:] -= (beta[:, None] * v)[:, :, None] * np.einsum("ni,nik->nk", v, work[:, j:, j:])[:, None, :]
         Q[:, :, j:] -= np.einsum("nki,ni->nk", Q[:, :, j:], v)[:, :, None] * (beta[:, None] * v)[:, None, :]
     return Q, np.triu(work[:, :s, :])
+
+
+@functools.cache
+def _libraries() -> ThreadpoolController:
+    # looking for the loaded BLAS libraries takes milliseconds: once is enough, NumPy and SciPy stay loaded
+    return ThreadpoolController()
+
+
+def one_thread() -> AbstractContextManager[Any]:
+    """A context in which BLAS and LAPACK use one thread; the number set before is restored at its end.
+
+    On matrices as small as a constraint's a second thread costs more than it brings, and sums that are split
+    differently differ in their last digits.
+    """
+    return _libraries().limit(limits=1, user_api="blas")

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from manip_learn.constraint import Constraint
-from manip_learn.demonstrations import Demonstrations, Trajectory
-from manip_learn.features import FeatureMap, FrameJacobian
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FeatureMap, FrameJacobian
+from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from manip_learn.demonstrations import Demonstrations, Trajectory
-from manip_learn.features import FrameJacobian
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
 
 DT = 0.02
 

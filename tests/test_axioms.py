@@ -8,8 +8,9 @@ from conftest import TIPS, URDFS, tip_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manip_learn.constraint import Constraint
-from manip_learn.features import FrameJacobian
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.manipulability import manipulability, manipulability_gradient, products_of_others
 from manip_learn.linalg import (
     matlab_tolerance,
     null_projector,
@@ -18,7 +19,6 @@ from manip_learn.linalg import (
     pseudo_inverse,
     row_space_angle,
 )
-from manip_learn.manipulability_measure import manipulability, manipulability_gradient, products_of_others
 
 ROBOTS = [*URDFS, *TIPS]
 

@@ -9,10 +9,10 @@ import pinocchio as pin
 import pytest
 from conftest import TIPS, URDFS, tip_of
 
+from manip_learn.constraint.features import CentreOfMass, FrameJacobian, Stacked
 from manip_learn.errors import ConfigurationError, MissingExtraError
-from manip_learn.features import CentreOfMass, FrameJacobian, Stacked
-from manip_learn.robot.batch import CHUNK, BatchKinematics, batch_kinematics
-from manip_learn.robot.coupling import Mimic
+from manip_learn.robot.batch.batch_kinematics import CHUNK, BatchKinematics, batch_kinematics
+from manip_learn.robot.description.coupling import Mimic
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]
@@ -46,7 +46,9 @@ def test_batch_equals_pinocchio_one_by_one(
         np.testing.assert_allclose(Phi, [s[0] for s in single], rtol=0, atol=TOLERANCE)
         np.testing.assert_allclose(dPhi, [s[1] for s in single], rtol=0, atol=TOLERANCE)
     frame = robot.frame(tip_of(name))
-    np.testing.assert_allclose(robot.pose_batch(q, frame), [robot.pose(x, frame) for x in q], rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(
+        batch_kinematics(robot, frame).pose(q), [robot.pose(x, frame) for x in q], rtol=0, atol=TOLERANCE
+    )
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -81,29 +83,29 @@ def test_compiled_kernels_give_the_same_numbers(
 
 def test_compiled_kernels_are_taken_by_number_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few postures: NumPy; many: compiled; without numba: NumPy, and an error that names the extra if insisted on."""
-    from manip_learn.robot import compiled
+    from manip_learn.robot.batch import compiled_choice
 
-    assert compiled.kernels(None, compiled.COMPILED_FROM - 1) is None
-    assert compiled.kernels(False, 10**9) is None
-    monkeypatch.setattr(compiled, "find_spec", lambda name: None)
-    assert compiled.kernels(None, 10**9) is None
+    assert compiled_choice.kernels(None, compiled_choice.COMPILED_FROM - 1) is None
+    assert compiled_choice.kernels(False, 10**9) is None
+    monkeypatch.setattr(compiled_choice, "find_spec", lambda name: None)
+    assert compiled_choice.kernels(None, 10**9) is None
     with pytest.raises(MissingExtraError, match="fast"):
-        compiled.kernels(True, 1)
+        compiled_choice.kernels(True, 1)
 
 
 def test_chain_that_disagrees_with_pinocchio_is_not_used(robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> None:
     """The check at first use catches an error of 1e-9 m in a chain's geometry."""
-    from manip_learn.robot import batch
+    from manip_learn.robot.batch import batch_kinematics
 
     robot = robot_of("sawyer")
-    true_chain = batch.chain_to
+    true_chain = batch_kinematics.chain_to
 
     def bent(model: pin.Model, frame: object) -> object:
         chain = true_chain(model, frame)
         chain.shift[2, 0] += 1e-9
         return chain
 
-    monkeypatch.setattr(batch, "chain_to", bent)
+    monkeypatch.setattr(batch_kinematics, "chain_to", bent)
     kinematics = BatchKinematics(robot, robot.frame("right_hand"))
     assert not kinematics.fast
     q = np.zeros((2, robot.nv))
@@ -145,7 +147,7 @@ def test_chunks_leave_no_seam(n: int, robot_of: RobotOf, rng: np.random.Generato
     features = FrameJacobian(robot, "right_hand", "x rz")
     Phi, dPhi = features.batch_with_derivative(q)
     assert features.batch(q).shape == (n, 2, 7) and Phi.shape == (n, 2, 7) and dPhi.shape == (n, 2, 7, 7)
-    assert robot.pose_batch(q, features.frame).shape == (n, 4, 4)
+    assert batch_kinematics(robot, features.frame).pose(q).shape == (n, 4, 4)
     for i in {0, n // 2, n - 1} if n else ():
         np.testing.assert_allclose(features.batch(q)[i], features(q[i]), rtol=0, atol=TOLERANCE)
         np.testing.assert_allclose(dPhi[i], features.derivative(q[i]), rtol=0, atol=TOLERANCE)
@@ -199,7 +201,7 @@ def test_not_finite_names_row_and_joint(value: float, robot_of: RobotOf) -> None
         with pytest.raises(ConfigurationError, match=rf"row 1234, joint '{robot.joint_names[5]}'"):
             call(q)
     with pytest.raises(ConfigurationError, match="row 1234"):
-        robot.pose_batch(q, robot.frame("right_hand"))
+        batch_kinematics(robot, robot.frame("right_hand")).pose(q)
 
 
 def test_wrong_tables_are_refused(robot_of: RobotOf) -> None:

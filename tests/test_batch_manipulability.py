@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from conftest import TIPS, URDFS, tip_of
 
-from manip_learn.batch_manipulability import manipulability_batch
-from manip_learn.constraint import Constraint
-from manip_learn.errors import ConfigurationError
-from manip_learn.features import CentreOfMass, FeatureMap, FrameJacobian, Stacked
-from manip_learn.manipulability_measure import (
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import CentreOfMass, FeatureMap, FrameJacobian, Stacked
+from manip_learn.constraint.manipulability import (
     log_manipulability_gradient,
     manipulability,
     manipulability_gradient,
 )
+from manip_learn.constraint.manipulability_batch import manipulability_batch
+from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]

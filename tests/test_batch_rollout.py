@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from conftest import tip_of
 
-from manip_learn import batch_rollout
-from manip_learn.batch_rollout import run_batch
-from manip_learn.constraint import Constraint
-from manip_learn.controller import ResolvedRateController
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FrameJacobian
+from manip_learn.control import batch
+from manip_learn.control.batch import run_batch
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
+from manip_learn.control.rollout import Rollout, simulate
+from manip_learn.control.tasks import Hold, PointAttractor, Track
 from manip_learn.errors import ConfigurationError, ConstraintError
-from manip_learn.features import CentreOfMass, CustomFeatures, FrameJacobian
-from manip_learn.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.robot.robot import Robot
-from manip_learn.rollout import Rollout, simulate
-from manip_learn.tasks import Hold, PointAttractor, Track
 
 RobotOf = Callable[[str], Robot]
 
@@ -41,7 +41,7 @@ def test_many_starts_are_single_starts(
 ) -> None:
     """Postures, velocities, mu, distances and statuses to 1e-9 at the end of a second, for every task and policy."""
     robot = robot_of(name)
-    monkeypatch.setattr(batch_rollout, "TOGETHER_FROM", 1)
+    monkeypatch.setattr(batch, "TOGETHER_FROM", 1)
     starts = starts_of(robot, rng, 3)
     features = FrameJacobian(robot, tip_of(name), "x y")
     target = features.coordinates(robot.random_configuration(rng))
@@ -61,7 +61,7 @@ def test_many_starts_are_single_starts(
 
 def test_singular_starts(robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> None:
     """Arms that start stretched out are asked one by one and join the others later."""
-    monkeypatch.setattr(batch_rollout, "TOGETHER_FROM", 1)
+    monkeypatch.setattr(batch, "TOGETHER_FROM", 1)
     robot = robot_of("planar3")
     features = FrameJacobian(robot, "tip", "x y")
     constraint = Constraint(np.eye(2), features)
@@ -96,7 +96,7 @@ def test_configurations_come_back_as_configurations(
     robot_of: RobotOf, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Starts as (cos, sin) of continuous joints give postures of the same kind."""
-    monkeypatch.setattr(batch_rollout, "TOGETHER_FROM", 1)
+    monkeypatch.setattr(batch, "TOGETHER_FROM", 1)
     robot = robot_of("wrist")
     constraint = Constraint(np.eye(3)[:1], FrameJacobian(robot, "tip"))
     controller = ResolvedRateController(constraint, null_policy=ManipulabilityAscent(constraint))
@@ -121,8 +121,8 @@ def test_few_starts_go_one_by_one_and_many_together(robot_of: RobotOf) -> None:
     """Which way is taken depends on the number of starts and steps only."""
     robot = robot_of("sawyer")
     controller = ResolvedRateController(Constraint(np.eye(3), FrameJacobian(robot, "right_hand")))
-    assert not batch_rollout.pays(controller, 3, 10, "euler")
-    assert batch_rollout.pays(controller, batch_rollout.TOGETHER_FROM, 10, "euler")
+    assert not batch.pays(controller, 3, 10, "euler")
+    assert batch.pays(controller, batch.TOGETHER_FROM, 10, "euler")
 
 
 def test_no_start_and_bad_starts(robot_of: RobotOf) -> None:

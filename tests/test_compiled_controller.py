@@ -9,16 +9,16 @@ import pytest
 from conftest import tip_of
 from test_control_step import close
 
-from manip_learn import compiled_controller
-from manip_learn.compiled_controller import CompiledController, why_not
-from manip_learn.constraint import Constraint
-from manip_learn.controller import ResolvedRateController
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import CentreOfMass, FrameJacobian
+from manip_learn.control.compiled import compiled_controller
+from manip_learn.control.compiled.compiled_controller import CompiledController, why_not
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
+from manip_learn.control.rollout import simulate
+from manip_learn.control.tasks import Hold, PointAttractor, Track
 from manip_learn.errors import ConfigurationError, ConstraintError, MissingExtraError
-from manip_learn.features import CentreOfMass, FrameJacobian
-from manip_learn.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.robot.robot import Robot
-from manip_learn.rollout import simulate
-from manip_learn.tasks import Hold, PointAttractor, Track
 
 pytest.importorskip("numba", reason="the extra 'fast' is not installed")
 RobotOf = Callable[[str], Robot]

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from generated_motions import arm_features, guided_motions, oblique
 
-from manip_learn.constraint import Constraint
-from manip_learn.demonstrations import Trajectory
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FrameJacobian, Stacked
 from manip_learn.errors import ConstraintError, ConstraintMismatchError, FeatureError
-from manip_learn.features import CentreOfMass, CustomFeatures, FrameJacobian, Stacked
+from manip_learn.recordings.demonstrations import Trajectory
 
 
 @pytest.fixture

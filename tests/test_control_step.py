@@ -9,15 +9,15 @@ import pytest
 from conftest import tip_of
 
 from manip_learn import linalg
-from manip_learn.constraint import Constraint
-from manip_learn.controller import Command, ResolvedRateController
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
+from manip_learn.control.controller import Command, ResolvedRateController
+from manip_learn.control.policies import ManipulabilityAscent
+from manip_learn.control.tasks import PointAttractor, Task
+from manip_learn.control.velocity_limits import VelocityRoom
 from manip_learn.errors import ConfigurationError, TargetError
-from manip_learn.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
 from manip_learn.linalg import WELL_CONDITIONED, row_inverse
-from manip_learn.policies import ManipulabilityAscent
 from manip_learn.robot.robot import Robot
-from manip_learn.tasks import PointAttractor, Task
-from manip_learn.velocity_room import VelocityRoom
 
 RobotOf = Callable[[str], Robot]
 
@@ -43,7 +43,7 @@ def test_cholesky_and_svd_give_the_same_command(
     commands: list[list[Command]] = []
     for shortcut in (True, False):
         if not shortcut:
-            monkeypatch.setattr("manip_learn.controller.row_inverse", lambda A: None)
+            monkeypatch.setattr("manip_learn.control.controller.row_inverse", lambda A: None)
         rng, here = np.random.default_rng(5), []
         for axes in ("x y", "xyz", "pose"):
             features = FrameJacobian(robot, tip_of(name), axes)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from conftest import tip_of
 
-from manip_learn.constraint import Constraint
-from manip_learn.controller import STATUSES, ResolvedRateController
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import CustomFeatures, FrameJacobian
+from manip_learn.control.controller import STATUSES, ResolvedRateController
+from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
+from manip_learn.control.rollout import simulate
+from manip_learn.control.tasks import PointAttractor, Track
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
-from manip_learn.features import CustomFeatures, FrameJacobian
-from manip_learn.policies import JointAttractor, ManipulabilityAscent
-from manip_learn.rollout import simulate
-from manip_learn.tasks import PointAttractor, Track
 
 ROBOTS = ["planar3", "sawyer", "panda", "kinova", "gantry", "wrist", "tree", "humanoid", "rover"]
 INVERSES = ["exact", "truncated", "damped"]

@@ -13,17 +13,17 @@ import pytest
 from scale_motions import motions
 
 from manip_learn.cli import main
+from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import ManipLearnError, MissingExtraError, RecordingError
-from manip_learn.features import FrameJacobian
-from manip_learn.io import RecordingSource
-from manip_learn.learning import ConstraintLearner, learner, sample_source
-from manip_learn.learning.survey import Survey
+from manip_learn.learning import ConstraintLearner, learner
+from manip_learn.learning.streaming.summary_pass import Survey
 from manip_learn.linalg import orthonormal_rows
+from manip_learn.recordings import RecordingSource, trajectory_source
 from manip_learn.robot.loading import load_robot
 
 pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-from manip_learn.learning import distributed  # noqa: E402
-from manip_learn.learning.distributed import dask_client  # noqa: E402
+from manip_learn.learning.streaming import dask_executor
+from manip_learn.learning.streaming.dask_executor import dask_client  # noqa: E402
 
 TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
 HELD = {"n_constraints": 2, "estimator": "null-space"}
@@ -47,7 +47,7 @@ def client():
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch):
     """Many parts of few samples, and an answer from few to begin with."""
-    monkeypatch.setattr(sample_source, "PART", 700)
+    monkeypatch.setattr(trajectory_source, "PART", 700)
     monkeypatch.setattr(learner, "Survey", lambda: Survey(1000))
 
 
@@ -123,7 +123,7 @@ def test_errors_of_workers_come_back(client, features):
     """A recording that a worker refuses ends the fit with the same sentence as without a cluster."""
     demos = motions(features, TWO, np.random.default_rng(4), 30, held=True)
 
-    class Broken(sample_source.TrajectorySource):
+    class Broken(trajectory_source.TrajectorySource):
         n_parts = 1
 
         def part(self, index, notes=None):
@@ -136,7 +136,7 @@ def test_errors_of_workers_come_back(client, features):
 
 def test_a_folder_of_episodes(client, features, tmp_path, monkeypatch):
     """Workers read the files themselves; the answer is that of the same source in this process."""
-    from manip_learn.io import recording_source
+    from manip_learn.recordings import recording_source
 
     monkeypatch.setattr(recording_source, "PART_BYTES", 50_000)
     demos = motions(features, TWO, np.random.default_rng(5), 40, noise=0.02, held=True)
@@ -167,7 +167,7 @@ def test_command_line(client, features, tmp_path, capsys):
 
 def test_without_a_scheduler(monkeypatch):
     """Nobody at the address: says so, and what to do."""
-    monkeypatch.setattr(distributed, "PATIENCE", "1s")
+    monkeypatch.setattr(dask_executor, "PATIENCE", "1s")
     with pytest.raises(ManipLearnError, match="start one with `dask scheduler`"), dask_client("tcp://127.0.0.1:9"):
         pass
 
@@ -175,7 +175,7 @@ def test_without_a_scheduler(monkeypatch):
 def test_without_the_extra(features, monkeypatch):
     """Without dask, a client or `--dask` names the extra that brings it."""
     monkeypatch.setitem(sys.modules, "dask.distributed", None)
-    monkeypatch.delitem(sys.modules, "manip_learn.learning.distributed")
+    monkeypatch.delitem(sys.modules, "manip_learn.learning.streaming.dask_executor")
     demos = motions(features, TWO, np.random.default_rng(7), 5, held=True)
     with pytest.raises(MissingExtraError, match="dask"):
         ConstraintLearner(features).fit(demos, client=object())

@@ -8,8 +8,8 @@ import pickle
 import numpy as np
 import pytest
 
-from manip_learn.demonstrations import Demonstrations, Trajectory
 from manip_learn.errors import RecordingError
+from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
 
 NAMES = ("a", "b")
 

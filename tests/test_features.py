@@ -9,9 +9,9 @@ import pytest
 from conftest import tip_of
 from scipy.spatial.transform import Rotation
 
+from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FrameJacobian, Stacked
+from manip_learn.constraint.features.frame_jacobian import AXES, parse_axes
 from manip_learn.errors import FeatureError, TargetError, UnknownNameError
-from manip_learn.features import CentreOfMass, CustomFeatures, FrameJacobian, Stacked
-from manip_learn.features.frame_jacobian import AXES, parse_axes
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from urdf_corpus_case import ARM, edited
 
 from manip_learn.errors import RobotError
 from manip_learn.robot import urdf_robot
-from manip_learn.robot.gate import check_urdf
+from manip_learn.robot.description.validation import check_urdf
 from manip_learn.robot.urdf_robot import robot_from_urdf
 
 PATH = Path("some/arm.urdf")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from conftest import LOCKED, TIPS, URDFS, tip_of
 
-from manip_learn.constraint import Constraint
-from manip_learn.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
-from manip_learn.manipulability_measure import (
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
+from manip_learn.constraint.manipulability import (
     gradient_of,
     log_manipulability_gradient,
     manipulability,

@@ -10,7 +10,7 @@ import pytest
 from urdf_corpus_case import ARM
 
 from manip_learn.robot.c_stderr import captured_c_stderr
-from manip_learn.robot.inspection import inspect_robot
+from manip_learn.robot.inspection.robot_summary import inspect_robot
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.tips import likely_tips
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from recording_corpus import FULL, HEADER, TABLE, VELOCITIES, csv
 
 from manip_learn.errors import RecordingError
-from manip_learn.io import load_demonstrations
+from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import Robot, load_robot
 
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manip_learn.demonstrations import Demonstrations
 from manip_learn.errors import RecordingError
-from manip_learn.io import load_demonstrations
-from manip_learn.io.velocity_checks import compare_velocities
+from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.validation.velocity_checks import compare_velocities
 from manip_learn.robot import Robot, load_robot
 
 

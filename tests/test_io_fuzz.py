@@ -12,7 +12,7 @@ import pytest
 from recording_corpus import GOOD, JOINTS, TIME, Q, U, npz
 
 from manip_learn.errors import RecordingError
-from manip_learn.io import load_demonstrations
+from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import Robot, load_robot
 
 TRIALS = 2000 if os.environ.get("HYPOTHESIS_PROFILE") == "fuzz" else 40

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from manip_learn.errors import RecordingError
-from manip_learn.io import iter_demonstrations, load_demonstrations
-from manip_learn.io.lerobot_dataset import entry_names
+from manip_learn.recordings import iter_demonstrations, load_demonstrations
+from manip_learn.recordings.readers.lerobot_dataset import entry_names
 from manip_learn.robot import Robot, load_robot
 
 pa = pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from recording_corpus import JOINTS, TIME, Q, U
 
+from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
-from manip_learn.io import load_demonstrations
+from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import Robot, load_robot
-from manip_learn.rollout import Rollout
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from manip_learn.errors import RecordingError
-from manip_learn.io import load_demonstrations
+from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import Robot, load_robot
 
 h5py = pytest.importorskip("h5py", reason="the extra 'robomimic' is not installed")

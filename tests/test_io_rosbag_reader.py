@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from manip_learn.errors import RecordingError
-from manip_learn.io import load_demonstrations
-from manip_learn.io.joint_state_layout import cdr_layout, ros1_layout
+from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.readers.joint_state_layout import cdr_layout, ros1_layout
 from manip_learn.robot import Robot, load_robot
 
 pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")

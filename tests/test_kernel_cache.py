@@ -10,13 +10,13 @@ import pytest
 
 pytest.importorskip("numba", reason="the extra 'fast' is not installed")
 
-from manip_learn.robot.kernel_cache import CONSTANT_FILES, KERNEL_FILES, PACKAGE, content_stamp  # noqa: E402
+from manip_learn.robot.batch.kernel_cache import CONSTANT_FILES, KERNEL_FILES, PACKAGE, content_stamp  # noqa: E402
 
 
 def test_a_change_of_any_kernel_file_makes_a_new_cache(tmp_path: Path) -> None:
     """One byte more in one of the files gives another folder; the same content gives the same."""
     for name in (*KERNEL_FILES, *CONSTANT_FILES):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(PACKAGE / name, tmp_path / name)
     assert content_stamp(tmp_path) == content_stamp()
     seen = {content_stamp()}
@@ -29,10 +29,15 @@ def test_a_change_of_any_kernel_file_makes_a_new_cache(tmp_path: Path) -> None:
 
 def test_all_kernel_files_are_known() -> None:
     """Every file with compiled functions, and every file of the library that one of them imports from, is counted."""
-    known = {*KERNEL_FILES, *CONSTANT_FILES, "robot/chain.py", "robot/kernel_cache.py"}  # the last two: Python only
+    known = {
+        *KERNEL_FILES,
+        *CONSTANT_FILES,
+        "robot/batch/chain.py",
+        "robot/batch/kernel_cache.py",
+    }  # the last two: Python only
     for path in PACKAGE.rglob("*.py"):
         text, name = path.read_text(encoding="utf-8"), str(path.relative_to(PACKAGE))
-        if "@compiled" in text and name != "robot/kernel_cache.py":
+        if "@compiled" in text and name != "robot/batch/kernel_cache.py":
             assert name in KERNEL_FILES, name
             for node in ast.walk(ast.parse(text)):
                 if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("manip_learn."):
@@ -41,6 +46,6 @@ def test_all_kernel_files_are_known() -> None:
 
 def test_compiled_functions_live_in_that_cache() -> None:
     """The kernels' machine code is kept in the folder that is named after their content."""
-    from manip_learn.robot import batch_numba
+    from manip_learn.robot.batch import compiled_kinematics
 
-    assert content_stamp() in batch_numba.jacobians.stats.cache_path
+    assert content_stamp() in compiled_kinematics.jacobians.stats.cache_path

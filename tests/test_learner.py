@@ -18,12 +18,12 @@ from generated_motions import (
     planar_features,
 )
 
-from manip_learn.demonstrations import Demonstrations
+from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import FeatureError, NotIdentifiableError
-from manip_learn.features import FrameJacobian
-from manip_learn.io import load_demonstrations
+from manip_learn.experiments.metrics import nmie
 from manip_learn.learning import ConstraintLearner
-from manip_learn.metrics import nmie
+from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.robot.loading import load_robot
 
 RECORDINGS = Path(__file__).resolve().parents[1] / "examples" / "data"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manip_learn.constraint import Constraint
+from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import LearnerContractError
 from manip_learn.learning import ConstraintLearner, check_learner
 from manip_learn.learning.contract import checks

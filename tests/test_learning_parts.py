@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from generated_motions import arm_features, guided_motions, oblique, paper_motions
 
-from manip_learn.features import CustomFeatures
+from manip_learn.constraint.features import CustomFeatures
 from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.conditional_pca import conditional_pca
-from manip_learn.learning.joint import fit_joint, scores
-from manip_learn.learning.null_space import fit_null_space, levels
-from manip_learn.learning.policy_model import PolynomialModel, RadialModel
-from manip_learn.learning.rank import gaps_of_levels, gaps_of_residuals
+from manip_learn.learning.estimators.conditional_pca import conditional_pca
+from manip_learn.learning.estimators.null_space import fit_null_space, levels
+from manip_learn.learning.estimators.policy_model import PolynomialModel, RadialModel
+from manip_learn.learning.estimators.rank import gaps_of_levels, gaps_of_residuals
+from manip_learn.learning.estimators.variable_projection import fit_joint, scores
 from manip_learn.learning.samples import Samples
 from manip_learn.learning.words import free_directions
 from manip_learn.linalg import orthonormal_rows, row_space_angle

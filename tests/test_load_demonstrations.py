@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from recording_corpus import GOOD, HEADER, JOINTS, TABLE, TIME, Q, csv
 
-from manip_learn.demonstrations import Demonstrations
 from manip_learn.errors import MissingExtraError, RecordingError
-from manip_learn.io import iter_demonstrations, load_demonstrations
-from manip_learn.io.recording_files import natural_order
+from manip_learn.recordings import iter_demonstrations, load_demonstrations
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.readers.recording_files import natural_order
 from manip_learn.robot import Robot, load_robot
 
 
@@ -150,10 +150,10 @@ def test_missing_libraries_name_the_extra(
         return real(name, *arguments, **keywords)
 
     monkeypatch.setattr(builtins, "__import__", absent)
-    for name in [n for n in sys.modules if n == "manip_learn.io" or n.startswith("manip_learn.io.")]:
+    for name in [n for n in sys.modules if n.startswith("manip_learn.recordings.readers.")]:
         monkeypatch.delitem(sys.modules, name)
     with pytest.raises(Exception) as caught:  # noqa: PT011 - the class is a new one after the new import
-        __import__(f"manip_learn.io.{reader}")
+        __import__(f"manip_learn.recordings.readers.{reader}")
     assert type(caught.value).__name__ == MissingExtraError.__name__
     assert caught.value.extra == extra and f"manip_learn[{extra}]" in str(caught.value)
 
@@ -161,7 +161,7 @@ def test_missing_libraries_name_the_extra(
 def test_tables_need_no_heavy_library(folder: Path) -> None:
     """Reading CSV imports none of the readers' libraries."""
     code = (
-        "import sys; from manip_learn.io import load_demonstrations; from manip_learn.robot import load_robot; "
+        "import sys; from manip_learn.recordings import load_demonstrations; from manip_learn.robot import load_robot; "
         f"load_demonstrations({str(folder)!r}, load_robot('planar3')); "
         "sys.exit(any(m in sys.modules for m in ('rosbags', 'pyarrow', 'h5py', 'pandas')))"
     )

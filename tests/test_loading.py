@@ -16,9 +16,9 @@ import pytest
 from urdf_corpus_case import ARM, edited
 
 from manip_learn.errors import MissingExtraError, RobotError, UnknownNameError
-from manip_learn.robot import names
+from manip_learn.robot.description import catalogue
+from manip_learn.robot.description.catalogue import example_robots, find_robot, robot_names
 from manip_learn.robot.loading import load_robot
-from manip_learn.robot.names import example_robots, find_robot, robot_names
 
 PANDA_FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 
@@ -98,7 +98,7 @@ def test_without_the_data_package(monkeypatch):
     def missing(name):
         raise importlib.metadata.PackageNotFoundError(name)
 
-    monkeypatch.setattr(names.importlib.metadata, "distribution", missing)
+    monkeypatch.setattr(catalogue.importlib.metadata, "distribution", missing)
     example_robots.cache_clear()
     try:
         with pytest.raises(MissingExtraError, match=r"manip_learn\[robots\]"):
@@ -112,7 +112,7 @@ def test_without_the_data_package(monkeypatch):
 
 def test_the_data_package_without_a_record(monkeypatch):
     """Packages that were not installed by pip have no RECORD: the list of files serves as well."""
-    package = importlib.metadata.distribution(names.DATA_PACKAGE)
+    package = importlib.metadata.distribution(catalogue.DATA_PACKAGE)
     expected = example_robots()
     listed = package.files
 
@@ -122,7 +122,7 @@ def test_the_data_package_without_a_record(monkeypatch):
 
         files = listed
 
-    monkeypatch.setattr(names.importlib.metadata, "distribution", lambda name: Bare(package._path))
+    monkeypatch.setattr(catalogue.importlib.metadata, "distribution", lambda name: Bare(package._path))
     example_robots.cache_clear()
     try:
         assert example_robots() == expected
@@ -133,19 +133,19 @@ def test_the_data_package_without_a_record(monkeypatch):
 
 def test_shipped_robots_are_found_in_a_wheel(tmp_path, monkeypatch):
     """Installed, the robots lie inside the package; in a checkout beside it."""
-    assert names.shipped_folder() == Path(__file__).resolve().parents[1] / "robots"
+    assert catalogue.shipped_folder() == Path(__file__).resolve().parents[1] / "robots"
     (tmp_path / "_robots").mkdir()
     (tmp_path / "_robots" / "planar3.urdf").write_text(ARM, encoding="utf-8")
-    monkeypatch.setattr(names.importlib.resources, "files", lambda package: tmp_path)
-    assert names.shipped_folder() == tmp_path / "_robots"
+    monkeypatch.setattr(catalogue.importlib.resources, "files", lambda package: tmp_path)
+    assert catalogue.shipped_folder() == tmp_path / "_robots"
     assert load_robot("planar3").name == "arm"
 
 
 def test_every_short_name_exists():
     """The table of short names fits the installed robot data."""
-    catalogue = example_robots()
-    assert not [name for name in names.SHORT_NAMES if name not in catalogue]
-    assert all(path.is_file() for path in catalogue.values())
+    robots = example_robots()
+    assert not [name for name in catalogue.SHORT_NAMES if name not in robots]
+    assert all(path.is_file() for path in robots.values())
 
 
 def test_model_counts_everything_in_the_file():

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manip_learn.constraint import Constraint
-from manip_learn.errors import ConfigurationError
-from manip_learn.features import CustomFeatures, FrameJacobian
-from manip_learn.manipulability_measure import (
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import CustomFeatures, FrameJacobian
+from manip_learn.constraint.manipulability import (
     log_manipulability_gradient,
     manipulability,
     manipulability_gradient,
     manipulability_of,
     products_of_others,
 )
+from manip_learn.errors import ConfigurationError
 
 
 def test_definition(robot_of, rng):

@@ -13,10 +13,10 @@ import pytest
 from urdf_corpus_meshes import OBJ, dae, glb, gltf, stl
 
 from manip_learn.errors import RobotError
-from manip_learn.robot import mesh_reader
-from manip_learn.robot.mesh_content import checked_mesh
-from manip_learn.robot.mesh_paths import find_mesh, mesh_roots
-from manip_learn.robot.mesh_reader import read_meshes
+from manip_learn.robot.visuals import mesh_reader
+from manip_learn.robot.visuals.mesh_content import checked_mesh
+from manip_learn.robot.visuals.mesh_paths import find_mesh, mesh_roots
+from manip_learn.robot.visuals.mesh_reader import read_meshes
 
 
 @pytest.fixture(autouse=True)

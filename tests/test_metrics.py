@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manip_learn.constraint import Constraint
-from manip_learn.features import FrameJacobian
-from manip_learn.metrics import mie, nmie, policy_rmse, row_space_error, scale_free_nmie
-from manip_learn.policies import JointAttractor
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.control.policies import JointAttractor
+from manip_learn.experiments.metrics import mie, nmie, policy_rmse, row_space_error, scale_free_nmie
 
 
 def test_definitions(robot_of, rng):

@@ -10,9 +10,9 @@ import pinocchio as pin
 import pytest
 
 from manip_learn.errors import RobotError
-from manip_learn.robot.coupling import Mimic
+from manip_learn.robot.description.catalogue import example_robots
+from manip_learn.robot.description.coupling import Mimic
 from manip_learn.robot.loading import load_robot
-from manip_learn.robot.names import example_robots
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.urdf_robot import robot_from_urdf
 

@@ -15,15 +15,15 @@ from xml.sax.saxutils import escape
 import numpy as np
 import pytest
 
-from manip_learn.demonstrations import Trajectory
+from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConfigurationError, OutputError, RecordingError, UnknownNameError
 from manip_learn.playback import replay
 from manip_learn.playback.page_writer import json_in_html
 from manip_learn.playback.palette import COLOURS, rollout_colours
 from manip_learn.playback.tip_frame import tip_frame
+from manip_learn.recordings.demonstrations import Trajectory
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.planar_arm import planar_arm_urdf
-from manip_learn.rollout import Rollout
 
 EVIL = '</script><script>window.hacked=1</script><img src=x onerror="window.hacked=2">'
 

@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 from test_playback import waving
 
+from manip_learn.control.rollout import Rollout
 from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
 from manip_learn.playback.recorded_motion import (
     MAX_CURVE_POINTS,
@@ -17,7 +18,6 @@ from manip_learn.playback.recorded_motion import (
 )
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.playback.shape import Appearance
-from manip_learn.rollout import Rollout
 
 ROBOTS = ("planar3", "sawyer", "panda", "kinova", "gantry", "wrist", "humanoid", "rover", "tree", "mimic")
 

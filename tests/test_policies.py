@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manip_learn.constraint import Constraint
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import CustomFeatures, FrameJacobian
+from manip_learn.constraint.manipulability import log_manipulability_gradient, manipulability, manipulability_gradient
+from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.errors import ConfigurationError, TargetError
-from manip_learn.features import CustomFeatures, FrameJacobian
-from manip_learn.manipulability_measure import log_manipulability_gradient, manipulability, manipulability_gradient
-from manip_learn.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 
 
 def test_zero_policy():

@@ -76,7 +76,7 @@ def test_names_work_without_the_extras():
 
 def test_names_are_the_same_object_every_time():
     """Two ways to a name lead to one object."""
-    from manip_learn.constraint import Constraint
+    from manip_learn.constraint.constraint import Constraint
 
     assert ml.Constraint is Constraint
     assert ml.Constraint is ml.Constraint

@@ -8,7 +8,7 @@ import pytest
 from recording_corpus import CASES, Case
 
 from manip_learn.errors import ManipLearnError, RecordingError
-from manip_learn.io import load_demonstrations
+from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import Robot, load_robot
 
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from conftest import tip_of
 
-from manip_learn.constraint import Constraint
-from manip_learn.controller import ResolvedRateController
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
+from manip_learn.control.rollout import Rollout, simulate
+from manip_learn.control.tasks import PointAttractor
 from manip_learn.errors import ConfigurationError, RecordingError
-from manip_learn.features import FrameJacobian
 from manip_learn.learning import ConstraintLearner
-from manip_learn.policies import JointAttractor, ManipulabilityAscent
-from manip_learn.rollout import Rollout, simulate
-from manip_learn.tasks import PointAttractor
 
 
 def reaching(robot, frame: str, axes: str, target: list[float], **settings) -> ResolvedRateController:

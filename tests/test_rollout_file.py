@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError
-from manip_learn.rollout import Rollout
 
 T = 4
 ROLLOUT = Rollout(

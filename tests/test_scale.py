@@ -10,23 +10,20 @@ import numpy as np
 import pytest
 from scale_motions import Stream, motions
 
-from manip_learn.demonstrations import Demonstrations, Trajectory
+from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, RecordingError
-from manip_learn.features import FrameJacobian
-from manip_learn.io import RecordingSource, load_demonstrations
-from manip_learn.learning import ConstraintLearner, learner, sample_source
-from manip_learn.learning.joint import _normal_equations, fit_joint
-from manip_learn.learning.joint_tally import JointTally, Regressors
-from manip_learn.learning.kept_trajectories import KeptTrajectories
-from manip_learn.learning.null_space import _moments
-from manip_learn.learning.null_space_tally import NullSpaceTally
-from manip_learn.learning.policy_model import PolynomialModel
-from manip_learn.learning.pools import Pools
-from manip_learn.learning.row_spaces import row_spaces
-from manip_learn.learning.sample_source import IteratedTrajectories, ListedTrajectories, source_of
+from manip_learn.learning import ConstraintLearner, learner
+from manip_learn.learning.estimators.null_space import _moments
+from manip_learn.learning.estimators.policy_model import PolynomialModel
+from manip_learn.learning.estimators.variable_projection import _normal_equations, fit_joint
 from manip_learn.learning.samples import Samples
-from manip_learn.learning.survey import Survey
-from manip_learn.learning.tally import Sums, chunks, tallied, tree_total
+from manip_learn.learning.streaming.accumulator import Sums, chunks, tallied, tree_total
+from manip_learn.learning.streaming.joint_normal_equations import JointTally, Regressors
+from manip_learn.learning.streaming.null_space_normal_equations import NullSpaceTally
+from manip_learn.learning.streaming.row_spaces import row_spaces
+from manip_learn.learning.streaming.summary_pass import Survey
+from manip_learn.learning.streaming.trajectory_buffer import KeptTrajectories
+from manip_learn.learning.streaming.trajectory_pools import Pools
 from manip_learn.linalg import (
     batch_row_spaces,
     complement_rows,
@@ -34,6 +31,9 @@ from manip_learn.linalg import (
     row_space_angle,
     row_space_angles,
 )
+from manip_learn.recordings import RecordingSource, load_demonstrations, trajectory_source
+from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.trajectory_source import IteratedTrajectories, ListedTrajectories, source_of
 from manip_learn.robot.loading import load_robot
 
 ONE = orthonormal_rows(np.array([[0.5, 1.0, -0.4]]))
@@ -212,7 +212,7 @@ def test_few_are_spread_evenly(features):
 def test_extent_counts_trajectories_on_over_parts(features, held, monkeypatch):
     """Cut into parts, the survey names the same trajectories."""
     whole = tallied(Survey(10**6), chunks(held))
-    monkeypatch.setattr(sample_source, "PART", 700)
+    monkeypatch.setattr(trajectory_source, "PART", 700)
     source = ListedTrajectories(held)
     assert source.n_parts > 5
     total = tree_total(
@@ -349,7 +349,7 @@ def test_partial_fit_is_one_fit(request, features, monkeypatch, kind, settings, 
     """Demonstrations that arrive in three lots give the same Lambda and evidence as all at once, bit by bit."""
     demos = request.getfixturevalue(kind)
     from_few(monkeypatch, few)
-    monkeypatch.setattr(sample_source, "PART", 900)
+    monkeypatch.setattr(trajectory_source, "PART", 900)
     whole = ConstraintLearner(features, **settings).fit(demos)
     arriving = ConstraintLearner(features, **settings)
     for lot in (demos[:10], iter(demos[10:35]), list(demos[35:])):
@@ -397,7 +397,7 @@ def test_partial_fit_keeps_what_is_usable(features, held):
 
 def test_files_are_a_source(features, held, tmp_path, monkeypatch):
     """A folder of files, read part by part at each pass, gives the answer of the same files loaded at once."""
-    from manip_learn.io import recording_source
+    from manip_learn.recordings import recording_source
 
     robot = features.robot
     for i, t in enumerate(held):
@@ -417,7 +417,7 @@ def test_lerobot_episodes_are_parts(tmp_path, monkeypatch):
     pa = pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")
     import pyarrow.parquet as pq
 
-    from manip_learn.io import recording_source
+    from manip_learn.recordings import recording_source
 
     monkeypatch.setattr(recording_source, "PART_BYTES", 1)
     robot = load_robot("planar3")

@@ -8,12 +8,12 @@ from numpy.testing import assert_allclose
 
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments.paper_setup import Setup, demonstrate, null_parts, planar_features
+from manip_learn.learning.estimators.policy_model import OwnOffsetModel, PolynomialModel, RadialModel
+from manip_learn.learning.estimators.row_by_row import fit_row_by_row, unit_vector
+from manip_learn.learning.estimators.separation import residual_and_jacobian, separate
+from manip_learn.learning.estimators.separation_estimator import estimate_separate, separated
 from manip_learn.learning.learner import ConstraintLearner
-from manip_learn.learning.policy_model import OwnOffsetModel, PolynomialModel, RadialModel
-from manip_learn.learning.row_by_row import fit_row_by_row, unit_vector
 from manip_learn.learning.samples import Samples
-from manip_learn.learning.separation import residual_and_jacobian, separate
-from manip_learn.learning.separation_estimator import estimate_separate, separated
 from manip_learn.linalg import row_space_angle
 
 

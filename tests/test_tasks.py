@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manip_learn.constraint import Constraint
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import CustomFeatures, FrameJacobian
+from manip_learn.control.tasks import Hold, PointAttractor, Track
 from manip_learn.errors import FeatureError, TargetError
-from manip_learn.features import CustomFeatures, FrameJacobian
-from manip_learn.tasks import Hold, PointAttractor, Track
 
 
 @pytest.fixture

@@ -8,11 +8,11 @@ import pytest
 from urdf_corpus_case import ARM
 from urdf_corpus_meshes import stl
 
+from manip_learn.robot.description.catalogue import example_package_dir, example_robots
 from manip_learn.robot.loading import load_robot
-from manip_learn.robot.mesh_colour import mesh_colour
-from manip_learn.robot.names import example_package_dir, example_robots
-from manip_learn.robot.shapes import Box, Capsule, Cylinder, Sphere, Triangles
-from manip_learn.robot.visuals import resolve_meshes, visual_shapes
+from manip_learn.robot.visuals.mesh_colour import mesh_colour
+from manip_learn.robot.visuals.shapes import Box, Capsule, Cylinder, Sphere, Triangles
+from manip_learn.robot.visuals.visual_shapes import resolve_meshes, visual_shapes
 
 TIP = '<link name="tip"/>'
 
@@ -140,9 +140,7 @@ def test_meshes_are_found_from_another_folder(tmp_path, monkeypatch):
 
 def test_without_meshes_no_file_is_opened(monkeypatch):
     """`meshes=False` draws plain shapes only."""
-    from manip_learn.robot import visuals
-
-    monkeypatch.setattr(visuals, "read_meshes", None)
+    monkeypatch.setattr("manip_learn.robot.visuals.visual_shapes.read_meshes", None)
     shapes = visual_shapes(load_robot("panda"), meshes=False)
     assert shapes and not any(isinstance(v.shape, Triangles) for v in shapes)
 

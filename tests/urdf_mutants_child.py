@@ -19,7 +19,7 @@ from urdf_mutants import mutant
 
 from manip_learn.errors import ManipLearnError, RobotError
 from manip_learn.robot.loading import robot_from_text
-from manip_learn.robot.visuals import visual_shapes
+from manip_learn.robot.visuals.visual_shapes import visual_shapes
 
 SECONDS_EACH = 5
 

@@ -10,14 +10,14 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_learn.commands.robot_for import load_for_joints
-from manip_learn.constraint import Constraint
-from manip_learn.controller import ResolvedRateController
+from manip_learn.commands.robot_loading import load_for_joints
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
+from manip_learn.control.rollout import Progress, Rollout, simulate
+from manip_learn.control.tasks import Hold, PointAttractor, Task
 from manip_learn.errors import ConstraintMismatchError, ManipLearnError, TargetError, UnknownNameError
-from manip_learn.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.robot import Robot, load_robot
-from manip_learn.rollout import Progress, Rollout, simulate
-from manip_learn.tasks import Hold, PointAttractor, Task
 
 POLICIES = ("manipulability", "zero", "attractor")
 

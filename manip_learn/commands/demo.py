@@ -12,13 +12,13 @@ import numpy as np
 
 from manip_learn.commands.control import Controlled
 from manip_learn.commands.learn import Learnt, learn
-from manip_learn.controller import ResolvedRateController
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
+from manip_learn.control.rollout import simulate
+from manip_learn.control.tasks import PointAttractor
 from manip_learn.errors import UnknownNameError
 from manip_learn.playback import ReplayResult, replay
-from manip_learn.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.robot import Robot, load_robot
-from manip_learn.rollout import simulate
-from manip_learn.tasks import PointAttractor
 
 DT, TOLERANCE = 0.01, 0.01
 # step name, share of the whole work that is done once it ends

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
-from manip_learn.commands.robot_for import load_for_recordings, source_for_recordings
-from manip_learn.constraint import Constraint
-from manip_learn.demonstrations import Demonstrations
+from manip_learn.commands.robot_loading import load_for_recordings, source_for_recordings
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import FeatureError, RecordingError
-from manip_learn.features import FrameJacobian
-from manip_learn.io.load_demonstrations import ReadOptions
 from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.learner import EstimatorName
-from manip_learn.learning.passes import Progress
-from manip_learn.preparation import thin
+from manip_learn.learning.streaming.executor import Progress
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.load_demonstrations import ReadOptions
+from manip_learn.recordings.preprocessing import thin
+from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.robot import Reference
-from manip_learn.velocities import with_velocities
 
 REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": ("local",), "auto": ("world", "local")}
 
@@ -98,7 +98,7 @@ def _client(dask: str | None) -> Iterator[Any]:
     if dask is None:
         yield None
         return
-    from manip_learn.learning.distributed import dask_client
+    from manip_learn.learning.streaming.dask_executor import dask_client
 
     with dask_client(dask) as client:
         yield client

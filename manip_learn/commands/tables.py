@@ -11,14 +11,14 @@ from rich.markdown import Markdown
 from rich.markup import escape
 from rich.table import Table
 
-from manip_learn.learning.rank import CLEAR_GAP
+from manip_learn.learning.estimators.rank import CLEAR_GAP
 
 if TYPE_CHECKING:  # so that printing one command's answer does not load the others
     from manip_learn.commands.control import Controlled
     from manip_learn.commands.demo import Demo
     from manip_learn.commands.learn import Learnt
     from manip_learn.commands.reproduce import Reproduction
-    from manip_learn.robot.inspection import RobotSummary
+    from manip_learn.robot.inspection.robot_summary import RobotSummary
 
 UNDER_WAY = 0.1  # a nearly singular start is no fault of the policy: look from here on [s]
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from manip_learn.control.rollout import Rollout
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments import charts
 from manip_learn.experiments.curve_constraint import CURVES, curve_demonstrations, curve_features, drawn_level
@@ -22,7 +23,6 @@ from manip_learn.experiments.trial_runner import TrialRunner
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.linalg import row_space_angle
 from manip_learn.robot.robot import Robot
-from manip_learn.rollout import Rollout
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

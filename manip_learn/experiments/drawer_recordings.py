@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from manip_learn.demonstrations import Demonstrations, Trajectory
 from manip_learn.errors import RecordingError
-from manip_learn.io.load_demonstrations import load_demonstrations
-from manip_learn.preparation import thin
+from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.load_demonstrations import load_demonstrations
+from manip_learn.recordings.preprocessing import thin
+from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
-from manip_learn.velocities import with_velocities
 
 FRAME = "right_gripper_tip"
 DRAWER_DIRECTION = np.deg2rad(25.0)  # of the recordings, about the vertical, from x

@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from manip_learn.control.rollout import Rollout
 from manip_learn.robot.robot import Robot
-from manip_learn.rollout import Rollout
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,17 +11,17 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.demonstrations import Demonstrations
+from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments.paper_setup import Setup, demonstrate, null_parts, planar_features
 from manip_learn.experiments.scaled_rows import ScaledRows
-from manip_learn.features.feature_map import FeatureMap
-from manip_learn.learning.joint_estimator import estimate_joint
+from manip_learn.learning.estimators.joint_estimator import estimate_joint
+from manip_learn.learning.estimators.null_space import fit_null_space, levels
+from manip_learn.learning.estimators.separation_estimator import Learner, estimate_separate
 from manip_learn.learning.learner import ConstraintLearner
-from manip_learn.learning.null_space import fit_null_space, levels
 from manip_learn.learning.samples import Samples
-from manip_learn.learning.separation_estimator import Learner, estimate_separate
 from manip_learn.linalg import row_space_angle
+from manip_learn.recordings.demonstrations import Demonstrations
 
 Matrix = Float[np.ndarray, "s p"]
 Learnt = tuple[np.ndarray, dict[str, Any]]

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.demonstrations import Demonstrations, Trajectory
+from manip_learn.constraint.features.centre_of_mass import CentreOfMass
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.stacked import Stacked
 from manip_learn.experiments.curve_constraint import with_noise
-from manip_learn.features.centre_of_mass import CentreOfMass
-from manip_learn.features.frame_jacobian import FrameJacobian
-from manip_learn.features.stacked import Stacked
 from manip_learn.linalg import null_basis
+from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from manip_learn.control.rollout import Rollout
 from manip_learn.experiments.paper_setup import true_constraint
 from manip_learn.experiments.singular_start import starts
 from manip_learn.experiments.start_comparison import BadStart, Claim, StartResult, compare
 from manip_learn.experiments.trial_runner import TrialRunner
-from manip_learn.rollout import Rollout
 
 # r* is not stated in the paper: that of the first comparison
 SETTING = BadStart(

@@ -19,9 +19,9 @@ from manip_learn.errors import ExperimentError, UnknownNameError
 from manip_learn.experiments import beyond, near_singular_start, rmse, sawyer, singular_start, table, variants
 from manip_learn.experiments.charts import save_figure
 from manip_learn.experiments.experiment_result import ExperimentResult
-from manip_learn.experiments.one_thread import one_thread
 from manip_learn.experiments.part_store import PartStore
 from manip_learn.experiments.trial_runner import BACKENDS, Backend, Progress, TrialRunner
+from manip_learn.linalg import one_thread
 from manip_learn.playback.replay_page import replay
 
 MAX_TRIALS = 100_000

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.batch_manipulability import manipulability_batch
-from manip_learn.constraint import Constraint
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.manipulability_batch import manipulability_batch
+from manip_learn.control.rollout import Rollout
 from manip_learn.experiments import charts, paper_values
 from manip_learn.experiments.experiment_result import ExperimentResult
 from manip_learn.experiments.learning_trial import ESTIMATORS as WAYS
@@ -27,7 +28,6 @@ from manip_learn.experiments.paper_setup import (
 from manip_learn.experiments.summary import markdown_table, mean_and_sd, number, summary
 from manip_learn.experiments.trial_runner import TrialRunner
 from manip_learn.robot.robot import Robot
-from manip_learn.rollout import Rollout
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

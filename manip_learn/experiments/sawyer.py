@@ -14,20 +14,21 @@ from typing import TYPE_CHECKING, Any, Literal, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.batch_manipulability import manipulability_batch
-from manip_learn.constraint import Constraint
-from manip_learn.demonstrations import Demonstrations, Trajectory
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.manipulability_batch import manipulability_batch
+from manip_learn.control.rollout import Rollout
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments import charts, paper_values
 from manip_learn.experiments.drawer_recordings import FRAME, sawyer_arm, turned_recordings
 from manip_learn.experiments.experiment_result import ExperimentResult
 from manip_learn.experiments.summary import markdown_table, mean_and_sd, number, summary
 from manip_learn.experiments.trial_runner import TrialRunner
-from manip_learn.features.frame_jacobian import FrameJacobian
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.linalg import row_space_angle
+from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Robot
-from manip_learn.rollout import Rollout
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -134,7 +135,7 @@ def simulated(true: Constraint, rng: np.random.Generator) -> Demonstrations:
     targets = rng.uniform(-1.0, 1.0, size=(DEMONSTRATIONS, features.n_rows))
     postures, actions = [], []
     for _ in range(POINTS):
-        A, r = Lambda @ features.batch(q), arm.pose_batch(q, frame)[:, :3, 3]
+        A, r = Lambda @ features.batch(q), batch_kinematics(arm, frame).pose(q)[:, :3, 3]
         b, pi = (targets - r) @ Lambda.T, DEFAULT_POSE - q
         u = pi + np.einsum("nvs,ns->nv", np.linalg.pinv(A), b - np.einsum("nsv,nv->ns", A, pi))
         postures.append(q)
@@ -155,7 +156,7 @@ def _rmse(true: Constraint, learnt: Constraint, rng: np.random.Generator) -> lis
     for _ in range(ROLLOUT_POINTS):
         pi = manipulability_batch(true, q).gradient
         squares.append(np.sum((manipulability_batch(learnt, q).gradient - pi) ** 2, axis=1))
-        A, r = Lambda @ features.batch(q), arm.pose_batch(q, frame)[:, axes, 3]
+        A, r = Lambda @ features.batch(q), batch_kinematics(arm, frame).pose(q)[:, axes, 3]
         gram = A @ A.transpose(0, 2, 1) + DAMPING**2 * np.eye(len(Lambda))
         b = (targets - r) @ Lambda.T - np.einsum("nsv,nv->ns", A, pi)
         q = q + STEP * (pi + np.einsum("nsv,ns->nv", A, np.linalg.solve(gram, b[:, :, None])[:, :, 0]))

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.features.feature_map import FeatureMap
+from manip_learn.constraint.features.feature_map import FeatureMap
 
 
 @final

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from manip_learn.control.rollout import Rollout
 from manip_learn.experiments.start_comparison import REACHED, BadStart, Claim, StartResult, compare
 from manip_learn.experiments.trial_runner import TrialRunner
-from manip_learn.rollout import Rollout
 
 SETTING = BadStart(
     "singular-start",

@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
 
-from manip_learn.constraint import Constraint
-from manip_learn.controller import ResolvedRateController
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.policies.joint_attractor import JointAttractor
+from manip_learn.control.policies.manipulability_ascent import ManipulabilityAscent
+from manip_learn.control.policies.policy import NullSpacePolicy
+from manip_learn.control.policies.zero_policy import ZeroPolicy
+from manip_learn.control.rollout import Rollout, simulate
+from manip_learn.control.tasks.point_attractor import PointAttractor
 from manip_learn.experiments import charts
 from manip_learn.experiments.experiment_result import ExperimentResult
 from manip_learn.experiments.learning_trial import ESTIMATORS
 from manip_learn.experiments.paper_setup import Setup, demonstrate, planar_arm, planar_features, true_constraint
 from manip_learn.experiments.summary import markdown_table, number
 from manip_learn.experiments.trial_runner import TrialRunner
-from manip_learn.policies.joint_attractor import JointAttractor
-from manip_learn.policies.manipulability_ascent import ManipulabilityAscent
-from manip_learn.policies.policy import NullSpacePolicy
-from manip_learn.policies.zero_policy import ZeroPolicy
 from manip_learn.robot.robot import Robot
-from manip_learn.rollout import Rollout, simulate
-from manip_learn.tasks.point_attractor import PointAttractor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,8 +12,8 @@ from typing import Any, Literal, final
 import numpy as np
 
 from manip_learn.errors import MissingExtraError
-from manip_learn.experiments.one_thread import one_thread
 from manip_learn.experiments.part_store import PartStore, library_digest
+from manip_learn.linalg import one_thread
 
 Progress = Callable[[int, int], None]
 Backend = Literal["loky", "threading", "dask"]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from manip_learn.control.rollout import Rollout
 from manip_learn.experiments import charts
 from manip_learn.experiments.experiment_result import ExperimentResult
 from manip_learn.experiments.learning_trial import LearningCase, learning_trial
@@ -15,7 +16,6 @@ from manip_learn.experiments.paper_setup import SELECTIONS, Setup
 from manip_learn.experiments.summary import markdown_table, number, summary
 from manip_learn.experiments.trial_runner import TrialRunner
 from manip_learn.robot.robot import Robot
-from manip_learn.rollout import Rollout
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,12 +7,12 @@ from typing import final
 
 import numpy as np
 
-from manip_learn.constraint import Constraint
-from manip_learn.learning.estimate import Estimate
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.learning.estimators.estimate import Estimate
 from manip_learn.learning.excitation import shares
 from manip_learn.learning.report import LearningReport
 from manip_learn.learning.samples import Samples
-from manip_learn.learning.survey import Extent
+from manip_learn.learning.streaming.summary_pass import Extent
 from manip_learn.learning.words import free_directions, in_words
 
 MOST_NOTES = 20

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from manip_learn.constraint import Constraint
-from manip_learn.demonstrations import Demonstrations
-from manip_learn.features.custom_features import CustomFeatures
-from manip_learn.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.custom_features import CustomFeatures
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.learning.contract_motions import ONE_ROW, ROUNDING_DEG, planar_motion
 from manip_learn.learning.contract_subject import Learner, Subject
+from manip_learn.recordings.demonstrations import Demonstrations
 
 
 def clean_motion_is_learnt(subject: Subject) -> None:

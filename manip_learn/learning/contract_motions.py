@@ -8,10 +8,10 @@ from typing import Literal, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.demonstrations import Demonstrations, Trajectory
-from manip_learn.features.feature_map import FeatureMap
-from manip_learn.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.linalg import orthonormal_rows
+from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
 from manip_learn.robot.loading import load_robot
 
 MotionKind = Literal["held", "moved"]

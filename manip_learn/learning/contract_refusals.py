@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from manip_learn.demonstrations import Demonstrations, Trajectory
+from manip_learn.constraint.features.custom_features import CustomFeatures
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import ManipLearnError
-from manip_learn.features.custom_features import CustomFeatures
-from manip_learn.features.frame_jacobian import FrameJacobian
 from manip_learn.learning.contract_motions import (
     ONE_ROW,
     TWO_ROWS,
@@ -18,6 +17,7 @@ from manip_learn.learning.contract_motions import (
     velocities,
 )
 from manip_learn.learning.contract_subject import Subject
+from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
 from manip_learn.robot.loading import load_robot
 
 

@@ -8,13 +8,13 @@ from typing import Any, Literal, NoReturn, Protocol, final
 
 import numpy as np
 
-from manip_learn.constraint import Constraint
-from manip_learn.demonstrations import Trajectory
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import LearnerContractError, ManipLearnError
-from manip_learn.features.feature_map import FeatureMap
 from manip_learn.learning.contract_motions import Motion, MotionKind, planar_motion
 from manip_learn.learning.report import LearningReport
 from manip_learn.linalg import row_space_angle
+from manip_learn.recordings.demonstrations import Trajectory
 
 Verdict = Literal["accepted", "warned", "refused"]
 # what bad input must not end in

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning.postures import check_postures
 from manip_learn.learning.samples import Samples
-from manip_learn.learning.survey import Extent
+from manip_learn.learning.streaming.summary_pass import Extent
 
 OUTLIER_FACTOR = 1e4
 STILL_SHARE = 1e-6

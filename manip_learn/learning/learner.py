@@ -9,28 +9,28 @@ from typing import Any, Literal, final
 
 import numpy as np
 
-from manip_learn.constraint import Constraint
-from manip_learn.demonstrations import Demonstrations, Trajectory
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import FeatureError, NotIdentifiableError, RecordingError
-from manip_learn.features.feature_map import FeatureMap
 from manip_learn.learning.bootstrap import bootstrap_angle_deg
 from manip_learn.learning.conclusion import Outcome, concluded
-from manip_learn.learning.estimate import Estimate
+from manip_learn.learning.estimators.estimate import Estimate
+from manip_learn.learning.estimators.joint_estimator import estimate_joint
+from manip_learn.learning.estimators.null_space_estimator import estimate_null_space
+from manip_learn.learning.estimators.rank import CLEAR_GAP
 from manip_learn.learning.excitation import check_fastest, check_samples
-from manip_learn.learning.joint_estimator import estimate_joint
-from manip_learn.learning.kept_trajectories import KeptTrajectories
-from manip_learn.learning.made_by import made_by
-from manip_learn.learning.null_space_estimator import estimate_null_space
-from manip_learn.learning.one_thread import one_thread
-from manip_learn.learning.passes import Progress
-from manip_learn.learning.polish import polished
-from manip_learn.learning.rank import CLEAR_GAP
-from manip_learn.learning.reading import reading
 from manip_learn.learning.report import LearningReport
-from manip_learn.learning.sample_source import ListedTrajectories, TrajectorySource, source_of
 from manip_learn.learning.samples import Samples
-from manip_learn.learning.survey import Extent, Survey
-from manip_learn.velocities import VelocityMethod, with_velocities
+from manip_learn.learning.streaming.executor import Progress
+from manip_learn.learning.streaming.made_by import made_by
+from manip_learn.learning.streaming.refinement import polished
+from manip_learn.learning.streaming.sample_stream import reading
+from manip_learn.learning.streaming.summary_pass import Extent, Survey
+from manip_learn.learning.streaming.trajectory_buffer import KeptTrajectories
+from manip_learn.linalg import one_thread
+from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.trajectory_source import ListedTrajectories, TrajectorySource, source_of
+from manip_learn.recordings.velocities import VelocityMethod, with_velocities
 
 EstimatorName = Literal["auto", "joint", "null-space", "separate"]
 ESTIMATORS = ("auto", "joint", "null-space", "separate")
@@ -120,7 +120,7 @@ class ConstraintLearner:
 
         Args:
             demonstrations: Trajectories in memory; or an object that yields them anew each time it is iterated over;
-                or a `TrajectorySource`, e.g. `manip_learn.io.RecordingSource` for files larger than memory.
+                or a `TrajectorySource`, e.g. `manip_learn.recordings.RecordingSource` for files larger than memory.
             client: A `dask.distributed.Client` whose workers make the passes over the samples; the answer does not
                 depend on their number.
             progress: Called with what is being done and the share of it that is done.
@@ -216,7 +216,7 @@ class ConstraintLearner:
         if self.estimator == "joint":
             return estimate_joint(some, self.n_constraints, rng, self.policy_model)
         if self.estimator == "separate":
-            from manip_learn.learning.separation_estimator import estimate_separate
+            from manip_learn.learning.estimators.separation_estimator import estimate_separate
 
             return estimate_separate(samples, self.n_constraints, rng)
         return self._found_out(samples, some, rng, rival_is_held)

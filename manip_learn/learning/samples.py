@@ -9,9 +9,9 @@ from typing import final
 import numpy as np
 from jaxtyping import Float, Int
 
-from manip_learn.demonstrations import Demonstrations
+from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError, RecordingError
-from manip_learn.features.feature_map import FeatureMap
+from manip_learn.recordings.demonstrations import Demonstrations
 
 BLOCK = 4096
 # rows of Phi below this share of the largest (after scaling each to its own size) are linear copies or identically zero

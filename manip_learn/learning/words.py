@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from manip_learn.features.feature_map import FeatureMap
+from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.linalg import null_basis
 
 NEGLIGIBLE = 5e-3

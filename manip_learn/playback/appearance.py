@@ -12,8 +12,8 @@ from manip_learn.playback.mesh_budget import within_budget
 from manip_learn.playback.plain_figure import plain_figure, rods
 from manip_learn.playback.shape import Appearance, Shape, TriangleMesh
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.shapes import Box, Capsule, Cylinder, Sphere, Triangles, Visual
-from manip_learn.robot.visuals import visual_shapes
+from manip_learn.robot.visuals.shapes import Box, Capsule, Cylinder, Sphere, Triangles, Visual
+from manip_learn.robot.visuals.visual_shapes import visual_shapes
 
 MAX_TRIANGLES = 60_000  # about 0.9 MB in the page
 

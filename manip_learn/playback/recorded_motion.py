@@ -8,12 +8,12 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.demonstrations import Trajectory
+from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks
+from manip_learn.recordings.demonstrations import Trajectory
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
-from manip_learn.rollout import Rollout
 
 KEY_FRAMES_PER_SECOND = 60.0
 MAX_KEY_FRAMES = 6000

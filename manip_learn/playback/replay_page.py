@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import final
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.demonstrations import Trajectory
+from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError
 from manip_learn.playback.appearance import appearance
 from manip_learn.playback.kinematic_tree import kinematic_tree
@@ -21,8 +21,8 @@ from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.recorded_motion import recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.playback.tip_frame import tip_frame
+from manip_learn.recordings.demonstrations import Trajectory
 from manip_learn.robot.robot import Robot
-from manip_learn.rollout import Rollout
 
 Recording = Rollout | Trajectory
 MAX_GHOSTS = 12  # as in page/scene.js

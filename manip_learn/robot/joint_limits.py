@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from manip_learn.robot.coupling import Mimic
+from manip_learn.robot.description.coupling import Mimic
 from manip_learn.robot.joint_block import JointBlock
 
 

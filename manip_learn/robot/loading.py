@@ -10,13 +10,13 @@ from typing import Literal
 import pinocchio as pin
 
 from manip_learn.errors import RobotError
-from manip_learn.robot.description_file import read_description
-from manip_learn.robot.locking import Locked, names_of
-from manip_learn.robot.mjcf import check_mjcf
-from manip_learn.robot.names import find_robot
+from manip_learn.robot.description.catalogue import find_robot
+from manip_learn.robot.description.description_file import read_description
+from manip_learn.robot.description.locking import Locked, names_of
+from manip_learn.robot.description.mjcf import check_mjcf
+from manip_learn.robot.description.xacro_file import expanded_xacro
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.urdf_robot import robot_from_parts, robot_from_urdf
-from manip_learn.robot.xacro_file import expanded_xacro
 
 Base = Literal["fixed", "floating", "planar"]
 SUFFIXES = (".urdf", ".xml", ".xacro", ".mjcf")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, final
 
@@ -14,8 +14,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.errors import ConfigurationError, UnknownNameError
-from manip_learn.robot.batch import batch_kinematics
-from manip_learn.robot.coupling import Coupling, Mimic
+from manip_learn.robot.description.coupling import Coupling, Mimic
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.joint_block import JointBlock, joint_kind
 from manip_learn.robot.joint_limits import joint_limits
@@ -419,14 +418,6 @@ class Robot:
         data = self._data
         pin.forwardKinematics(self._model, data, self._finite_vector(q) if self._plain else self._pin_q(q))
         return pin.updateFramePlacement(self._model, data, frame.index).translation.copy()
-
-    def pose_batch(self, q: ArrayLike, frame: Frame) -> Float[np.ndarray, "n 4 4"]:
-        """`pose` at n postures, the rows of q.
-
-        Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
-        """
-        return batch_kinematics(self, frame).pose(q)
 
     def jacobian(self, q: ArrayLike, frame: Frame, reference: Reference = "world") -> Float[np.ndarray, "6 nv"]:
         """Frame Jacobian, linear rows first: velocity of the frame's origin [m/s] and angular velocity [rad/s] a

@@ -12,12 +12,12 @@ import pinocchio as pin
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.c_stderr import captured_c_stderr
-from manip_learn.robot.coupling import Mimic
-from manip_learn.robot.gate import Passed, check_urdf
-from manip_learn.robot.kinematic_urdf import LARGE, kinematic_urdf
-from manip_learn.robot.locking import Locked, locked_positions, names_of, with_fixed
+from manip_learn.robot.description.coupling import Mimic
+from manip_learn.robot.description.kinematic_urdf import LARGE, kinematic_urdf
+from manip_learn.robot.description.locking import Locked, locked_positions, names_of, with_fixed
+from manip_learn.robot.description.urdf_elements import UrdfFile
+from manip_learn.robot.description.validation import Passed, check_urdf
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.urdf_elements import UrdfFile
 
 DECIMAL = re.compile(r'(?<=["\s])-?\d+(\.\d+)?(e[+-]?\d+)?(?=["\s])')
 

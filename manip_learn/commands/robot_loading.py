@@ -1,0 +1,118 @@
+"""The robot that some files belong to: joints that they do not speak of are locked, if nothing depends on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
+
+from manip_learn.errors import ManipLearnError, RecordingError, UnknownNameError
+from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.load_demonstrations import ReadOptions
+from manip_learn.recordings.recording_source import RecordingSource
+from manip_learn.robot import Robot, load_robot
+from manip_learn.robot.tips import likely_tips
+
+Read = TypeVar("Read")
+
+
+def choose_frame(robot: Robot, frame: str | None) -> str:
+    """The frame that was named, checked; or the only likely tip.
+
+    Raises:
+        UnknownNameError: No such frame.
+        ManipLearnError: None was named and there is more than one candidate.
+    """
+    if frame is not None:
+        return robot.frame(frame).name
+    tips = likely_tips(robot)
+    if len(tips) == 1:
+        return tips[0]
+    raise ManipLearnError(
+        f"which frame of {robot.name!r} does the task hold? Name it with --frame; likely ones: "
+        f"{', '.join(tips) or 'none'} (`manip-learn inspect {robot.name}` lists all)"
+    )
+
+
+def load_for_recordings(
+    name: str,
+    recordings: Sequence[str],
+    frame: str | None,
+    locked: Sequence[str] = (),
+    package_dirs: Sequence[str] = (),
+    options: ReadOptions | None = None,
+) -> tuple[Robot, Demonstrations, str, list[str]]:
+    """Robot, demonstrations, frame, and notes on joints that were locked because nothing is recorded for them.
+
+    A joint is locked on our own account only if it does not move the frame: then it cannot matter to the constraint
+    (the fingers of a gripper, the other arm).
+
+    Raises:
+        ManipLearnError: Any of the errors of loading robots and recordings.
+    """
+    return _locking(name, frame, locked, package_dirs, lambda r: load_demonstrations(recordings, r, **(options or {})))
+
+
+def source_for_recordings(
+    name: str,
+    recordings: Sequence[str],
+    frame: str | None,
+    locked: Sequence[str] = (),
+    package_dirs: Sequence[str] = (),
+    options: ReadOptions | None = None,
+) -> tuple[Robot, RecordingSource, str, list[str]]:
+    """As `load_for_recordings`, for recordings larger than memory: the first is read, and joints locked by what it has.
+
+    Raises:
+        ManipLearnError: Any of the errors of loading robots and recordings.
+    """
+
+    def opened(robot: Robot) -> RecordingSource:
+        source = RecordingSource(recordings, robot, **(options or {}))
+        next(source.part(0))
+        return source
+
+    return _locking(name, frame, locked, package_dirs, opened)
+
+
+def _locking(
+    name: str, frame: str | None, locked: Sequence[str], package_dirs: Sequence[str], read: Callable[[Robot], Read]
+) -> tuple[Robot, Read, str, list[str]]:
+    """Robot, what was read for it, frame and notes, with those joints locked that it turns out nothing is known of."""
+    held = list(locked)
+    robot = load_robot(name, package_dirs, held)
+    chosen = choose_frame(robot, frame)
+    notes: list[str] = []
+    while True:
+        try:
+            return robot, read(robot), chosen, notes
+        except RecordingError as error:
+            joint = error.column
+            if error.code != "missing-joint" or joint not in robot.joint_names or robot.moves(joint, chosen):
+                raise
+            held.append(joint)
+            robot = load_robot(name, package_dirs, held)
+            notes.append(f"joint {joint!r} is not recorded and does not move {chosen!r}: it was locked")
+
+
+def load_for_joints(
+    name: str,
+    joints: Sequence[str],
+    locked: Sequence[str] | Mapping[str, float | None] = (),
+    package_dirs: Sequence[str] = (),
+) -> Robot:
+    """The robot with just these joints moving; its other joints are locked.
+
+    Raises:
+        UnknownNameError: The robot lacks one of the joints.
+    """
+    robot = load_robot(name, package_dirs, locked)
+    if tuple(robot.joint_names) == tuple(joints):
+        return robot
+    for joint in joints:
+        if joint not in robot.joint_names:
+            raise UnknownNameError("joint", joint, robot.joint_names, f"robot {robot.name!r}")
+    others = [j for j in robot.joint_names if j not in joints]
+    if isinstance(locked, Mapping):
+        return load_robot(name, package_dirs, {**locked, **dict.fromkeys(others, None)})
+    return load_robot(name, package_dirs, [*locked, *others])

@@ -1,0 +1,270 @@
+"""A task constraint A(q) = Lambda Phi(q): learnt or written by hand, the same type."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Protocol, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.atomic_write import write_atomically
+from manip_learn.constraint.features.centre_of_mass import CentreOfMass
+from manip_learn.constraint.features.feature_map import Contraction, FeatureMap
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.stacked import Stacked
+from manip_learn.errors import ConstraintError, ConstraintMismatchError, ManipLearnError
+from manip_learn.linalg import orthonormal_rows
+from manip_learn.robot.robot import Robot
+
+FORMAT = "manip_learn.constraint"
+SCHEMA = 1
+
+
+class Motion(Protocol):
+    """What `Constraint.residual` needs of a trajectory."""
+
+    @property
+    def name(self) -> str:
+        """What errors call it."""
+        ...
+
+    @property
+    def q(self) -> Float[np.ndarray, "T nq"]:
+        """Configurations."""
+        ...
+
+    @property
+    def u(self) -> Float[np.ndarray, "T nv"] | None:
+        """Joint velocities [rad/s or m/s]."""
+        ...
+
+
+@final
+class Constraint:
+    """A(q) = Lambda Phi(q), equation (1) of Manavalan and Howard, "Learning Singularity Avoidance".
+
+    Only the row space of Lambda means anything, so its rows are made orthonormal; that also fixes the scale of the
+    manipulability in the features' units.
+
+    Args:
+        selection: Lambda, shape (s, p); zero rows are dropped, the others must be independent.
+        features: Phi.
+        provenance: How it was learnt; saved with it.
+
+    Raises:
+        ConstraintError: Wrong size, not finite, no row left, or dependent rows.
+    """
+
+    def __init__(self, selection: ArrayLike, features: FeatureMap, provenance: Mapping[str, Any] | None = None):
+        self.features = features
+        self.selection: Float[np.ndarray, "s p"] = _orthonormal(selection, features)
+        self.selection.setflags(write=False)
+        self._embedded = features.embedded(self.selection)
+        self.provenance: dict[str, Any] = dict(provenance or {})
+
+    @property
+    def n_constraints(self) -> int:
+        """Number of rows s."""
+        return int(self.selection.shape[0])
+
+    @property
+    def nv(self) -> int:
+        """Number of velocities that A acts on."""
+        return self.features.nv
+
+    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "s nv"]:
+        """A(q).
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+        """
+        return self.selection.dot(self.features(q))
+
+    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "s nv nv"]:
+        """dA/dq; entry [i, j, k] = d A_ij / d q_k along tangent coordinate k."""
+        return self.value_and_derivative(q)[1]
+
+    def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "s nv"], Float[np.ndarray, "s nv nv"]]:
+        """A(q) and dA/dq, sharing the work."""
+        Phi, dPhi = self.features.value_and_derivative(q)
+        dA = self.selection @ dPhi.reshape(dPhi.shape[0], -1)
+        return self.selection @ Phi, dA.reshape(-1, *dPhi.shape[1:])
+
+    def value_and_contraction(self, q: ArrayLike) -> tuple[Float[np.ndarray, "s nv"], Contraction]:
+        """A(q), and the function weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, shape (nv,); no dA/dq is formed."""
+        return self.features.selected(q, self._embedded)
+
+    def residual(self, demonstrations: Iterable[Motion]) -> float:
+        """Fraction of the motion that breaks A(q) u = 0: sqrt(sum |A^+ A u|^2 / sum |u|^2), 0 to 1.
+
+        Only says something for motion-constrained recordings (b = 0).
+
+        Raises:
+            ConstraintError: A trajectory has no velocities, or nothing moves.
+        """
+        broken = total = 0.0
+        for trajectory in demonstrations:
+            if trajectory.u is None:
+                raise ConstraintError(f"{trajectory.name} has no velocities: derive them first (derive_velocities)")
+            for q, u in zip(trajectory.q, trajectory.u, strict=True):
+                A = self(q)
+                broken += float(np.sum((np.linalg.pinv(A) @ (A @ u)) ** 2))
+                total += float(u @ u)
+        if total == 0.0:
+            raise ConstraintError("nothing moves in these demonstrations: there is no residual")
+        return float(np.sqrt(broken / total))
+
+    # ---- files ----------------------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of a constraint file.
+
+        Raises:
+            FeatureError: The features are Python functions and cannot be written down.
+        """
+        robot = getattr(self.features, "robot", None)
+        described = None
+        if robot is not None:
+            described = {
+                "name": robot.name,
+                "fingerprint": robot.fingerprint,
+                "nq": robot.nq,
+                "nv": robot.nv,
+                "joint_names": list(robot.joint_names),
+                "locked": dict(robot.locked),
+            }
+        return {
+            "format": FORMAT,
+            "schema": SCHEMA,
+            "robot": described,
+            "features": self.features.describe(),
+            "row_names": list(self.features.row_names),
+            "row_units": list(self.features.row_units),
+            "selection": self.selection.tolist(),
+            "provenance": self.provenance,
+        }
+
+    def save(self, path: str | Path) -> Path:
+        """Write a JSON file, whole or not at all.
+
+        Raises:
+            OutputError: It cannot be written.
+            FeatureError: The features are Python functions and cannot be written down.
+        """
+        return write_atomically(path, json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n")
+
+    @staticmethod
+    def load(path: str | Path, robot: Robot, *, same_urdf: bool = True) -> Constraint:
+        """Read a constraint file for the robot that it was made for.
+
+        Args:
+            path: JSON file written by `save`.
+            robot: The robot, loaded with the same locked joints.
+            same_urdf: Insist on the very same URDF. False accepts another version of the file with the same joints,
+                e.g. after a change of its visuals; whether its kinematics are the same is then yours to know.
+
+        Raises:
+            ConstraintMismatchError: Another robot, another schema, or no constraint file at all.
+        """
+        content = _read(Path(path))
+        _check_robot(Path(path), content, robot, same_urdf)
+        try:
+            features = _build(content["features"], robot)
+            return Constraint(content["selection"], features, content.get("provenance"))
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ConstraintMismatchError(f"{path}: the file is damaged ({error!r}); save it again") from error
+        except ManipLearnError as error:
+            raise ConstraintMismatchError(f"{path}: {error}") from error
+
+    def __repr__(self) -> str:
+        rows = "; ".join(_row_in_words(row, self.features.row_names) for row in self.selection)
+        return f"Constraint({rows} of {self.features!r})"
+
+
+def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
+    try:
+        matrix = np.array(selection, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ConstraintError(f"the selection matrix must be numbers in rows of equal length: {error}") from error
+    p = features.n_rows
+    if matrix.ndim == 1:
+        matrix = matrix[None, :]
+    if matrix.ndim != 2 or matrix.shape[1] != p:
+        raise ConstraintError(
+            f"the selection matrix must have {p} columns, one a feature row ({', '.join(features.row_names)}); "
+            f"got shape {matrix.shape}"
+        )
+    if not np.all(np.isfinite(matrix)):
+        raise ConstraintError("the selection matrix has entries that are not finite")
+    matrix = matrix[np.linalg.norm(matrix, axis=1) > 0.0]
+    if matrix.shape[0] == 0:
+        raise ConstraintError("the selection matrix has no row that is not zero")
+    if matrix.shape[0] > p:
+        raise ConstraintError(f"{matrix.shape[0]} rows cannot be independent in {p} columns")
+    sigma = np.linalg.svd(matrix / np.linalg.norm(matrix, axis=1, keepdims=True), compute_uv=False)
+    if sigma[-1] < 1e-10:
+        raise ConstraintError(
+            f"the rows of the selection matrix depend on each other (smallest singular value {sigma[-1]:.1e}): "
+            "leave out the rows that follow from the others"
+        )
+    if np.max(np.abs(matrix @ matrix.T - np.eye(matrix.shape[0]))) < 1e-14:
+        return matrix  # kept to the last bit: paper-mode truncation depends on it
+    return orthonormal_rows(matrix)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise ConstraintMismatchError(f"constraint file {path} {what}; `manip-learn learn ... --out FILE` writes one")
+    try:
+        content = json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise ConstraintMismatchError(f"{path} is not a constraint file: it is not JSON ({error})") from error
+    except OSError as error:
+        raise ConstraintMismatchError(f"cannot read {path}: {error.strerror}") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise ConstraintMismatchError(f'{path} is not a constraint file: it lacks "format": "{FORMAT}"')
+    if content.get("schema") != SCHEMA:
+        raise ConstraintMismatchError(
+            f"{path} has schema {content.get('schema')!r}, this version reads {SCHEMA}: learn the constraint again"
+        )
+    return content
+
+
+def _check_robot(path: Path, content: dict[str, Any], robot: Robot, same_urdf: bool) -> None:
+    saved = content.get("robot")
+    if not isinstance(saved, dict):
+        raise ConstraintMismatchError(f"{path} names no robot: the file is damaged; save it again")
+    joints = saved.get("joint_names")
+    if not isinstance(joints, list) or joints != list(robot.joint_names):
+        named = ", ".join(map(str, joints)) if isinstance(joints, list) else repr(joints)
+        raise ConstraintMismatchError(
+            f"{path} was made for robot {saved.get('name')!r} with the joints {named}; "
+            f"{robot.name!r} has {', '.join(robot.joint_names)}: load that robot, with the same locked joints"
+        )
+    if same_urdf and saved.get("fingerprint") != robot.fingerprint:
+        raise ConstraintMismatchError(
+            f"{path} was made for another version of robot {saved.get('name')!r} (hash "
+            f"{str(saved.get('fingerprint'))[:12]}, this one {robot.fingerprint[:12]}): learn it again, or load it "
+            "with same_urdf=False if only looks have changed"
+        )
+
+
+def _build(described: dict[str, Any], robot: Robot) -> FeatureMap:
+    kind = described["kind"]
+    if kind == "frame-jacobian":
+        return FrameJacobian(robot, described["frame"], described["axes"], described["reference"])
+    if kind == "centre-of-mass":
+        return CentreOfMass(robot, " ".join(described["axes"]))
+    if kind == "stacked":
+        return Stacked([_build(part, robot) for part in described["parts"]])
+    raise ConstraintMismatchError(f"unknown kind of features {kind!r}: this file comes from a newer version")
+
+
+def _row_in_words(row: np.ndarray, names: tuple[str, ...]) -> str:
+    terms = [f"{c:+.3g} {n}" for c, n in zip(row, names, strict=True) if abs(c) > 1e-3]
+    return " ".join(terms)

@@ -1,0 +1,207 @@
+"""Rows of a frame's Jacobian as features: the usual Phi(q) of an arm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from manip_learn.constraint.features.feature_map import Contraction, FeatureMap, Weigh
+from manip_learn.errors import FeatureError, TargetError
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.robot import Reference, Robot
+from manip_learn.robot.rotations import rotation_matrix, rotation_vector
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+NAMED_AXES = {"xyz": ("x", "y", "z"), "pose": AXES, "planar": ("x", "y", "rz"), "rotation": ("rx", "ry", "rz")}
+
+
+def parse_axes(axes: str | Sequence[str]) -> tuple[str, ...]:
+    """Axis names from `"xyz"`, `"pose"`, `"planar"`, `"rotation"`, or any of `x y z rx ry rz` in any order.
+
+    Raises:
+        FeatureError: Unknown or repeated axis, or none.
+    """
+    if isinstance(axes, str):
+        names = NAMED_AXES.get(axes.strip()) or tuple(axes.replace(",", " ").split())
+    else:
+        names = tuple(axes)
+    unknown = [n for n in names if n not in AXES]
+    if unknown or not names or len(set(names)) != len(names):
+        reason = f"unknown axis {unknown[0]!r}" if unknown else "no axis" if not names else "an axis is named twice"
+        raise FeatureError(
+            f"axes {axes!r}: {reason}; use {', '.join(map(repr, NAMED_AXES))} or any of {' '.join(AXES)}, "
+            "each at most once, e.g. 'x y rz'"
+        )
+    return names
+
+
+@final
+class FrameJacobian(FeatureMap):
+    """Rows of the Jacobian of one frame.
+
+    The linear rows are the velocity of the frame's origin [m/s], the rotation rows the angular velocity [rad/s], along
+    the axes of the robot's base (`reference="world"`) or of the frame itself (`reference="local"`).
+
+    Args:
+        robot: The robot.
+        frame: Name of the frame, e.g. the tool's tip.
+        axes: `"xyz"`, `"pose"` (all six), `"planar"` (x, y and rotation about z), `"rotation"`, or any of
+            `x y z rx ry rz`, e.g. `"x y rz"`.
+        reference: `"world"` or `"local"`.
+
+    Raises:
+        UnknownNameError: No such frame; lists near matches.
+        FeatureError: Unknown axes or reference.
+    """
+
+    def __init__(self, robot: Robot, frame: str, axes: str | Sequence[str] = "xyz", reference: Reference = "world"):
+        if reference not in ("world", "local"):
+            raise FeatureError(f"reference must be 'world' or 'local', not {reference!r}")
+        self.robot = robot
+        self.frame = robot.frame(frame)
+        self.row_names = parse_axes(axes)
+        self.row_units = tuple("rad/s" if n.startswith("r") else "m/s" for n in self.row_names)
+        self.reference: Reference = reference
+        self.nv = robot.nv
+        rows = [AXES.index(n) for n in self.row_names]
+        self._row_numbers = tuple(rows)
+        self.only_linear = reference == "world" and max(rows) < 3
+        # a slice makes views where fancy indexing would copy
+        contiguous = rows == list(range(rows[0], rows[0] + len(rows)))
+        self._rows: Any = slice(rows[0], rows[0] + len(rows)) if contiguous else np.array(rows)
+
+    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
+        """Phi(q): the chosen Jacobian rows [m/s or rad/s a joint velocity].
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        return self.robot.jacobian(q, self.frame, self.reference)[self._rows]
+
+    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
+        """dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        return self.value_and_derivative(q)[1]
+
+    def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
+        """Phi(q) and dPhi/dq at the cost of one Hessian."""
+        J, H = self.robot.jacobian_and_derivative(q, self.frame, self.reference)
+        return J[self._rows], H[self._rows]
+
+    def embedded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s 6"]:
+        """The selection from all six rows of the Jacobian."""
+        every_row = np.zeros((selection.shape[0], len(AXES)))
+        every_row[:, self._rows] = selection
+        return every_row
+
+    def selected(
+        self, q: ArrayLike, embedded: Float[np.ndarray, "s 6"]
+    ) -> tuple[Float[np.ndarray, "s nv"], Contraction]:
+        """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
+        return self.robot.mixed_jacobian(q, self.frame, self.reference, embedded)
+
+    def batch(self, q: ArrayLike, *, compiled: bool | None = None) -> Float[np.ndarray, "n p nv"]:
+        """Phi at n postures, the rows of q, in bulk.
+
+        Args:
+            q: Configurations (nq) or joint positions (nv), one a row.
+            compiled: Use the numba kernels (equal to 1e-12); None: where numba is installed and n is large.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            MissingExtraError: `compiled=True` without numba.
+        """
+        kinematics = batch_kinematics(self.robot, self.frame)
+        return kinematics.jacobian(q, self.reference, self._row_numbers, compiled=compiled)
+
+    def batch_with_derivative(
+        self, q: ArrayLike, *, compiled: bool | None = None
+    ) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
+        """Phi and dPhi/dq at n postures, in bulk; arguments and errors as for `batch`."""
+        kinematics = batch_kinematics(self.robot, self.frame)
+        return kinematics.jacobian_and_derivative(q, self.reference, self._row_numbers, compiled=compiled)
+
+    def batch_contraction(self, q: ArrayLike, weigh: Weigh) -> Float[np.ndarray, "n nv"]:
+        """sum_ij weights_ij dPhi_ij / dq_k at n postures without forming dPhi/dq (see `FeatureMap`)."""
+        return batch_kinematics(self.robot, self.frame).contraction(q, weigh, self.reference, self._row_numbers)
+
+    def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Position of the frame's origin in the base frame [m] and its rotation vector [rad], the chosen rows."""
+        return _coordinates(self.robot.pose(q, self.frame))[self._rows]
+
+    def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Displacement to a target, in the axes of the rows; its rate is -Phi u for a fixed target.
+
+        Args:
+            target: p numbers in the order of the rows: position of the origin in the base frame [m], rotation vector
+                of the frame in the base frame [rad]; or a 4 x 4 pose. Coordinates that are not among the rows are
+                taken as reached.
+            q: Posture.
+
+        Raises:
+            TargetError: Wrong size, not finite, or a local map that needs all of x y z (or rx ry rz) or a pose.
+        """
+        goal = np.asarray(target, dtype=np.float64)
+        if self.only_linear and goal.shape == (self.n_rows,):
+            # the usual reaching task, many times a second: no orientation is needed
+            displacement = goal - self.robot.position(q, self.frame)[self._rows]
+            if math.isfinite(sum(displacement.tolist())):
+                return displacement
+        pose = self.robot.pose(q, self.frame)
+        p, R = pose[:3, 3], pose[:3, :3]
+        if goal.shape == (4, 4):
+            goal_p, goal_R = goal[:3, 3], Rotation.from_matrix(goal[:3, :3]).as_matrix()
+        else:
+            full = self._completed(goal, _coordinates(pose))
+            goal_p, goal_R = full[:3], rotation_matrix(full[3:])
+        dp = goal_p - p
+        rotation = rotation_vector(goal_R.dot(R.T))
+        if self.reference == "local":
+            dp, rotation = R.T @ dp, R.T @ rotation
+        return np.concatenate([dp, rotation])[self._rows]
+
+    def _completed(self, goal: np.ndarray, here: np.ndarray) -> np.ndarray:
+        if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
+            raise TargetError(
+                f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose, "
+                f"got {'shape ' + str(goal.shape) if goal.size > 6 else goal.tolist()}"
+            )
+        if self.reference == "local":
+            for triple in (AXES[:3], AXES[3:]):
+                if 0 < len(set(triple) & set(self.row_names)) < 3:
+                    raise TargetError(
+                        f"a target for the rows {' '.join(self.row_names)} in the frame's own axes is not determined: "
+                        f"use all of {' '.join(triple)}, or give a 4 x 4 pose"
+                    )
+        full = here.copy()
+        full[self._rows] = goal
+        return full
+
+    def describe(self) -> dict[str, Any]:
+        """Frame, axes and reference, as saved in a constraint file."""
+        return {
+            "kind": "frame-jacobian",
+            "frame": self.frame.name,
+            "axes": list(self.row_names),
+            "units": list(self.row_units),
+            "reference": self.reference,
+        }
+
+    def __repr__(self) -> str:
+        return (
+            f"FrameJacobian({self.robot.name!r}, frame={self.frame.name!r}, axes={' '.join(self.row_names)!r}, "
+            f"reference={self.reference!r})"
+        )
+
+
+def _coordinates(pose: np.ndarray) -> np.ndarray:
+    return np.concatenate([pose[:3, 3], rotation_vector(pose[:3, :3])])

@@ -1,0 +1,138 @@
+"""Manipulability of a task and its gradient, finite at singularities.
+
+mu(q) = sqrt(det(A A^T)), equation (4) of Manavalan and Howard, computed as the product of the singular values of A;
+grad mu, equation (13), without a division.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.feature_map import Contraction
+from manip_learn.linalg import EPS, svd
+
+# below this ratio to the largest singular value the left singular vectors of zero and non-zero are mixed by rounding
+SINGULAR_RATIO = 64.0 * EPS
+
+
+def manipulability(constraint: Constraint, q: ArrayLike) -> float:
+    """mu(q), the product of the singular values of A(q); 0 at a singularity, never NaN.
+
+    Unit: product of the units of the constraint's rows.
+
+    Raises:
+        ConfigurationError: q has the wrong size or is not finite.
+    """
+    return manipulability_of(constraint(q))
+
+
+def manipulability_of(A: Float[np.ndarray, "s nv"]) -> float:
+    """mu of a constraint matrix; 0 if it has more rows than columns."""
+    if A.shape[0] > A.shape[1]:
+        return 0.0
+    return float(np.prod(np.linalg.svd(A, compute_uv=False)))
+
+
+def manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " nv"]:
+    """Gradient of mu along the tangent coordinates, finite everywhere.
+
+    At an exact singularity mu is a cone, |M step| to first order: what comes back there is its steepest ascent, the
+    leading right singular vector of M times its singular value. (Both signs climb; the one whose largest entry is
+    positive is chosen.) Where the rank drops by two or more mu grows with a higher power of the step, and the gradient
+    is zero; `escape_direction` leads out there.
+
+    Raises:
+        ConfigurationError: q has the wrong size or is not finite.
+    """
+    A, contract = constraint.value_and_contraction(q)
+    return gradient_from(A.shape, svd(A), contract)[1]
+
+
+def log_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " nv"]:
+    """Gradient of log mu = grad mu / mu [1/rad or 1/m]: free of the constraint's units.
+
+    At a singularity it is infinite in length; the direction of `manipulability_gradient` comes back there, with the
+    length that it has at the edge of what rounding can tell from a singularity.
+
+    Raises:
+        ConfigurationError: q has the wrong size or is not finite.
+    """
+    A, contract = constraint.value_and_contraction(q)
+    mu, gradient, floor = gradient_from(A.shape, svd(A), contract)
+    return gradient / max(mu, floor, np.finfo(np.float64).tiny)
+
+
+def gradient_of(
+    A: Float[np.ndarray, "s nv"], dA: Float[np.ndarray, "s nv nv"]
+) -> tuple[float, Float[np.ndarray, " nv"], float]:
+    """mu, its gradient, and the mu below which a singularity cannot be told from rounding, from A and dA/dq."""
+    flat = dA.reshape(-1, A.shape[1])
+    return gradient_from(A.shape, svd(A), lambda weights: weights.reshape(-1).dot(flat))
+
+
+def gradient_from(
+    shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], contract: Contraction
+) -> tuple[float, Float[np.ndarray, " nv"], float]:
+    """The same from the shape of A, its singular value decomposition, and weights -> sum_ij weights_ij dA_ij / dq_k.
+
+    d mu / d q_k = sum_i (prod_{j != i} sigma_j) u_i^T (dA / dq_k) v_i.
+    """
+    s, nv = shape
+    if s > nv:
+        return 0.0, np.zeros(nv), 0.0
+    U, sigma, Vt = decomposition
+    values = sigma.tolist()
+    others = products_of_others(values)
+    mu = others[0] * values[0]
+    floor = SINGULAR_RATIO * values[0] * others[-1]
+    if values[-1] <= SINGULAR_RATIO * values[0]:
+        return mu, _cone_ascent(U[:, -1], Vt[s - 1 :], others[-1], contract), floor
+    # W = sum_i others_i u_i v_i^T, so that the gradient is one contraction
+    return mu, contract((U * others).dot(Vt[:s])), floor
+
+
+def products_of_others(sigma: Sequence[float]) -> list[float]:
+    """prod_{j != i} sigma_j for each i, without a division."""
+    s = len(sigma)
+    out = [1.0] * s
+    for i in range(1, s):
+        out[i] = out[i - 1] * sigma[i - 1]
+    behind = 1.0
+    for i in range(s - 1, -1, -1):
+        out[i] *= behind
+        behind *= sigma[i]
+    return out
+
+
+def escape_direction(
+    decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], contract: Contraction
+) -> Float[np.ndarray, " nv"]:
+    """Unit vector out of a singularity where the rank is short by two or more, where mu has no gradient.
+
+    With U_0, V_0 spanning what A has lost, U_0^T A(q + step) V_0 is linear in the step; its Frobenius norm grows
+    fastest along the direction that comes back (zero if it grows along none). A step along it finds directions again.
+    """
+    U, sigma, Vt = decomposition
+    rank = int(np.count_nonzero(sigma > SINGULAR_RATIO * sigma[0]))
+    M = np.stack([contract(np.outer(u, v)) for u in U[:, rank:].T for v in Vt[rank:]])
+    _, rate, Wt = np.linalg.svd(M, full_matrices=False)
+    return _one_sign(Wt[0]) if rate[0] > 0.0 else np.zeros(M.shape[1])
+
+
+def _cone_ascent(
+    u_min: Float[np.ndarray, " s"], V_null: Float[np.ndarray, "k nv"], scale: float, contract: Contraction
+) -> Float[np.ndarray, " nv"]:
+    """Steepest ascent of |M step| with M[r, k] = scale * u_min^T (dA / dq_k) v_r, v_r spanning the null space of A."""
+    M = scale * np.stack([contract(np.outer(u_min, v)) for v in V_null])
+    _, rate, Wt = np.linalg.svd(M, full_matrices=False)
+    return rate[0] * _one_sign(Wt[0])
+
+
+def _one_sign(direction: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
+    """Of two opposite directions the one whose largest entry is positive."""
+    return -direction if direction[np.argmax(np.abs(direction))] < 0.0 else direction

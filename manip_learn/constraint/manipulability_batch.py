@@ -1,0 +1,109 @@
+"""Manipulability and its gradient at many postures; the numbers of `manipulability_measure`, in bulk.
+
+Away from singularities mu is the volume spanned by the rows of A, read off the triangle of an orthogonalisation of the
+rows, and grad mu = mu A^{+T} : dA/dq from the same triangle: errors grow with the condition number of A only. (A Gram
+determinant loses twice the digits.) Postures where that would cost more than three digits go through the singular
+value decomposition.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_of
+
+WELL_CONDITIONED = 1e-3  # smallest over largest row length of the triangle; below it the SVD takes over
+
+
+@final
+class ManipulabilityBatch(NamedTuple):
+    """mu and its gradient at n postures.
+
+    Attributes:
+        mu: shape (n,).
+        gradient: shape (n, nv), finite; at singularities the steepest ascent, see `manipulability_gradient`.
+        floor: shape (n,), the mu below which a singularity cannot be told from rounding; 0 where that is far away.
+    """
+
+    mu: Float[np.ndarray, " n"]
+    gradient: Float[np.ndarray, "n nv"]
+    floor: Float[np.ndarray, " n"]
+
+    @property
+    def log_gradient(self) -> Float[np.ndarray, "n nv"]:
+        """Gradient of log mu, see `log_manipulability_gradient`."""
+        return self.gradient / np.maximum(np.maximum(self.mu, self.floor), np.finfo(np.float64).tiny)[:, None]
+
+
+def manipulability_batch(constraint: Constraint, q: ArrayLike) -> ManipulabilityBatch:
+    """mu(q) and its gradient at n postures, the rows of q.
+
+    Raises:
+        ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+    """
+    features, selection = constraint.features, constraint.selection
+    postures = np.asarray(q, dtype=np.float64)
+    n = postures.shape[0] if postures.ndim else 0
+    mu, floor, ill = np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool)
+    if constraint.n_constraints > constraint.nv:
+        features.batch(postures[:1])  # for its checks
+        return ManipulabilityBatch(mu, np.zeros((n, constraint.nv)), floor)
+
+    def weigh(Phi: np.ndarray, part: slice) -> np.ndarray:
+        A = np.tensordot(selection, Phi, axes=1)
+        X, mu[part], ill[part] = row_inverses(A)
+        return np.tensordot(selection.T, X * mu[part], axes=1)
+
+    gradient = features.batch_contraction(postures, weigh)
+    bad = np.flatnonzero(ill)
+    if bad.size:
+        A, dA = _constraint_matrices(constraint, postures[bad])
+        mu[bad], gradient[bad], floor[bad] = _through_svd(A, dA)
+    return ManipulabilityBatch(mu, gradient, floor)
+
+
+def row_inverses(
+    A: Float[np.ndarray, "s nv n"],
+) -> tuple[Float[np.ndarray, "s nv n"], Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """A^{+T}, mu, and whether they are too inaccurate to use, postures last.
+
+    With A = L Q (rows orthogonalised one after the other): mu = prod L_ii and A^{+T} = L^{-T} Q.
+    """
+    s = A.shape[0]
+    Q, L = A.copy(), np.zeros((s, s, A.shape[2]))
+    for i in range(s):
+        for j in range(i):
+            L[i, j] = np.sum(Q[i] * Q[j], axis=0)
+            Q[i] -= L[i, j] * Q[j]
+        L[i, i] = np.sqrt(np.sum(Q[i] * Q[i], axis=0))
+        np.divide(Q[i], L[i, i], out=Q[i], where=L[i, i] > 0.0)
+    lengths = L[np.arange(s), np.arange(s)]
+    mu = np.prod(lengths, axis=0)
+    ill = ~(lengths.min(axis=0) > WELL_CONDITIONED * np.sqrt(np.max(np.sum(A * A, axis=1), axis=0)))
+    safe = np.where(ill, 1.0, lengths)
+    for i in range(s - 1, -1, -1):  # back substitution with L^T, row i of Q becomes row i of L^{-T} Q
+        for j in range(i + 1, s):
+            Q[i] -= L[j, i] * Q[j]
+        Q[i] /= safe[i]
+    return Q, mu, ill
+
+
+def _constraint_matrices(constraint: Constraint, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    Phi, dPhi = constraint.features.batch_with_derivative(q)
+    return constraint.selection @ Phi, np.einsum("sp,npjk->nsjk", constraint.selection, dPhi, optimize=True)
+
+
+def _through_svd(A: np.ndarray, dA: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    U, sigma, Vt = np.linalg.svd(A, full_matrices=False)
+    s = sigma.shape[1]
+    others = np.stack([np.prod(np.delete(sigma, i, axis=1), axis=1) for i in range(s)], axis=1)
+    mu, floor = others[:, 0] * sigma[:, 0], SINGULAR_RATIO * sigma[:, 0] * others[:, -1]
+    gradient = np.einsum("nij,nijk->nk", (U * others[:, None, :]) @ Vt, dA)
+    for i in np.flatnonzero(sigma[:, -1] <= SINGULAR_RATIO * sigma[:, 0]):
+        mu[i], gradient[i], floor[i] = gradient_of(A[i], dA[i])
+    return mu, gradient, floor

@@ -1,0 +1,1 @@
+"""Resolved-rate control of a constraint, and rollouts."""

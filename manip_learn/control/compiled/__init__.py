@@ -1,0 +1,1 @@
+"""The control step as compiled code."""

@@ -1,0 +1,201 @@
+"""A controller whose step is compiled (the optional extra `fast`): the same commands, several times as fast."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.control.controller import Command, ResolvedRateController
+from manip_learn.control.policies.joint_attractor import JointAttractor
+from manip_learn.control.policies.manipulability_ascent import ManipulabilityAscent
+from manip_learn.control.policies.zero_policy import ZeroPolicy
+from manip_learn.control.tasks.hold import Hold
+from manip_learn.control.tasks.point_attractor import PointAttractor
+from manip_learn.errors import ConstraintError, MissingExtraError
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.robot import Robot
+
+# in the order of the kernel's codes
+KERNEL_STATUSES = ("ok", "null-scaled", "damped", "velocity-limited")
+
+
+@final
+class CompiledRollout(NamedTuple):
+    """Rows of a rollout: postures as joint positions (T, nv), velocities, mu, task error, and words."""
+
+    q: Float[np.ndarray, "T nv"]
+    u: Float[np.ndarray, "T nv"]
+    mu: Float[np.ndarray, " T"]
+    error: Float[np.ndarray, " T"]
+    status: tuple[str, ...]
+
+
+@final
+class CompiledController:
+    """The commands of a `ResolvedRateController` out of compiled code.
+
+    Made for the usual arm: rows of a frame's Jacobian, a chain of revolute, continuous and prismatic joints, holding
+    still or reaching a point along x, y, z of the base, and a policy of the library. Near singularities and at position
+    limits the original controller is asked, so that its numbers are kept everywhere (to 1e-12 of the largest).
+
+    Args:
+        controller: What is compiled; later changes of its attributes are not seen.
+
+    Raises:
+        ConstraintError: This combination is not compiled; says which part.
+        MissingExtraError: numba is not installed.
+    """
+
+    def __init__(self, controller: ResolvedRateController):
+        reason = why_not(controller)
+        if reason is not None:
+            raise ConstraintError(f"this controller cannot be compiled: {reason}; use it as it is")
+        if find_spec("numba") is None:
+            raise MissingExtraError("a compiled controller", "fast")
+        from manip_learn.control.compiled import kernel
+
+        self.controller = controller
+        self.robot: Robot = controller.robot  # type: ignore[assignment]
+        self.nv, self._s = self.robot.nv, controller.constraint.n_constraints
+        self._dt = controller.dt
+        self._kernel = kernel
+        self._step = kernel.control_step
+        self._constants = _packed(controller)
+        self._shape = kernel.results_shape(int(self._constants[0, kernel.N_JOINTS]), self.nv, self._s)
+        self(self.robot.neutral())  # compiled, or read from the cache, now and not in the loop
+
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float | None = None) -> Command:
+        """The command at posture q; arguments and errors as for `ResolvedRateController`."""
+        if not (type(q) is np.ndarray and q.shape == (self.nv,) and q.dtype == np.float64 and q.flags.c_contiguous):
+            q = self.robot.positions(q)
+        out, nv = np.empty(self._shape), self.nv
+        code = self._step(self._constants, q, self._dt if dt is None else dt, out)
+        if code < 0:
+            return self.controller(q, t, dt)
+        mu, task_scale, null_scale, smallest = out[4, :4].tolist()
+        return Command(
+            out[0, :nv],
+            KERNEL_STATUSES[code],
+            mu,
+            out[3, : self._s],
+            out[1, :nv],
+            out[2, :nv],
+            task_scale,
+            null_scale,
+            smallest,
+        )
+
+    def rollout(self, start: Float[np.ndarray, " nv"], steps: int, dt: float, method: str = "euler") -> CompiledRollout:
+        """The start and `steps` steps after it, integrated without coming back to Python but at singularities.
+
+        Args:
+            start: Joint positions [rad or m].
+            steps: Number of steps.
+            dt: [s].
+            method: `"euler"` or `"rk4"`, as in `simulate`.
+
+        Raises:
+            ConfigurationError: The controller met a posture that is not finite.
+        """
+        T, nv = steps + 1, self.nv
+        q, u, mu, error = np.empty((T, nv)), np.empty((T, nv)), np.empty(T), np.empty(T)
+        code, work = np.zeros(T, dtype=np.int64), (np.empty(self._shape), np.empty(nv), np.empty(nv))
+        q[0] = start
+        words: dict[int, str] = {}
+        row, kernel = 0, self._kernel
+        while row < T:
+            row = kernel.rollout(self._constants, row, dt, method == "rk4", q, u, mu, error, code, *work)
+            if row < T:
+                command = self.controller(q[row], row * dt, dt)
+                u[row], mu[row], words[row] = command.velocity, command.manipulability, command.status
+                error[row] = self.controller.task.error(self.controller.constraint, q[row], row * dt)
+                if row + 1 < T:
+                    q[row + 1] = q[row] + self._displacement(q[row], row * dt, dt, method, command)
+                row += 1
+        status = tuple(words.get(i) or KERNEL_STATUSES[c] for i, c in enumerate(code.tolist()))
+        return CompiledRollout(q, u, mu, error, status)
+
+    def _displacement(self, q: np.ndarray, t: float, dt: float, method: str, first: Command) -> np.ndarray:
+        if method == "euler":
+            return dt * first.velocity
+        k1 = first.velocity
+        k2 = self.controller(q + 0.5 * dt * k1, t + 0.5 * dt, dt).velocity
+        k3 = self.controller(q + 0.5 * dt * k2, t + 0.5 * dt, dt).velocity
+        k4 = self.controller(q + dt * k3, t + dt, dt).velocity
+        return dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+
+    def __repr__(self) -> str:
+        return f"CompiledController({self.controller!r})"
+
+
+def why_not(controller: ResolvedRateController) -> str | None:
+    """Why a controller cannot be compiled, in words; None if it can (given numba)."""
+    features, task, policy = controller.constraint.features, controller.task, controller.null_policy
+    if not isinstance(features, FrameJacobian):
+        return f"the features are {type(features).__name__}, not FrameJacobian"
+    kinematics = batch_kinematics(features.robot, features.frame)
+    if not kinematics.fast or kinematics.public_columns is None:
+        return (
+            "not all joints between the base and the frame are revolute, continuous or prismatic ones that move freely"
+        )
+    if controller.robot is not features.robot:
+        return "its limits are those of another robot"
+    if any(b.kind in ("floating", "planar", "other") for b in features.robot.blocks):
+        return "the robot's base moves"
+    if controller.constraint.n_constraints > len(kinematics.public_columns):
+        return "it has more rows than joints"
+    reaches = isinstance(task, PointAttractor) and features.only_linear and task.target.shape == (features.n_rows,)
+    if not (reaches or isinstance(task, Hold)):
+        return f"the task is {task!r} with rows {' '.join(features.row_names)} ({features.reference})"
+    if isinstance(policy, ManipulabilityAscent):
+        return None if policy.constraint is controller.constraint else "the policy climbs another constraint's mu"
+    if isinstance(policy, JointAttractor):
+        known = policy.robot is features.robot or (policy.robot is None and policy.rest.shape == (features.nv,))
+        return None if known else "the rest posture belongs to another robot"
+    return None if isinstance(policy, ZeroPolicy) else f"the policy is {type(policy).__name__}"
+
+
+def _packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
+    """All constants of the step in one table: one argument costs less than thirty."""
+    from manip_learn.control.compiled import kernel
+
+    constraint, task, robot = controller.constraint, controller.task, controller.robot
+    features: FrameJacobian = constraint.features  # type: ignore[assignment]
+    chain = batch_kinematics(features.robot, features.frame).chain_table(features.reference)
+    rows = np.zeros((constraint.n_constraints, chain.shape[1]))
+    rows[:, :6] = features.embedded(constraint.selection)
+    dofs = np.zeros((constraint.nv, chain.shape[1]))
+    limits = (robot.velocity_limit, robot.position_lower, robot.position_upper)  # type: ignore[union-attr]
+    dofs[:, :3] = np.stack(limits, axis=1)
+    header = np.zeros((1, chain.shape[1]))
+    header[0, kernel.N_JOINTS] = chain.shape[0] - kernel.JOINTS
+    header[0, kernel.NV], header[0, kernel.N_CONSTRAINTS] = constraint.nv, constraint.n_constraints
+    header[0, kernel.DAMPS], header[0, kernel.THRESHOLD] = controller.inverse == "damped", controller.threshold
+    header[0, kernel.LIMITS] = controller.limits
+    if isinstance(task, PointAttractor):
+        header[0, kernel.REACHES], header[0, kernel.GAIN] = True, task.gain
+        header[0, kernel.MAX_SPEED] = np.inf if task.max_speed is None else task.max_speed
+        places = [kernel.TARGET_POINT + "xyz".index(name) for name in features.row_names]
+        chain[1, places] = task.target
+    _pack_policy(controller, header[0], dofs)
+    return np.concatenate([header, chain, dofs, rows])
+
+
+def _pack_policy(controller: ResolvedRateController, header: np.ndarray, dofs: np.ndarray) -> None:
+    from manip_learn.control.compiled import kernel
+
+    policy = controller.null_policy
+    header[kernel.POLICY] = kernel.NO_POLICY
+    if isinstance(policy, ManipulabilityAscent):
+        header[kernel.POLICY] = kernel.LOG_ASCENT if policy.logarithmic else kernel.ASCENT
+        header[kernel.POLICY_GAIN] = policy.gain
+    elif isinstance(policy, JointAttractor):
+        header[kernel.POLICY], header[kernel.POLICY_GAIN] = kernel.REST, policy.gain
+        dofs[:, kernel.REST_AT] = controller.robot.positions(policy.rest)  # type: ignore[union-attr]
+        for block in policy.robot.blocks if policy.robot is not None else ():
+            dofs[block.v, kernel.WRAPS] = block.kind == "continuous"

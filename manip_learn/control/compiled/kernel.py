@@ -1,0 +1,261 @@
+"""One control step as compiled code (the optional extra `fast`): the law of `controller`, away from singularities.
+
+Postures where `linalg.row_inverse` would refuse are handed back to Python, so that nothing about singularities is
+written twice. For where `import numba` works.
+"""
+
+from __future__ import annotations
+
+import math
+
+from manip_learn.control.compiled.kernel_linalg import row_inverse
+from manip_learn.control.null_space_saturation import BLOCKED
+from manip_learn.control.velocity_limits import NEGLIGIBLE
+from manip_learn.robot.batch.compiled_chain import (
+    JOINTS,
+    LARGEST_ANGLE,
+    LOCAL,
+    OFFSET,
+    PRISMATIC,
+    SIGN,
+    SOURCE,
+    columns_of,
+    sine_and_cosine,
+)
+from manip_learn.robot.batch.kernel_cache import compiled
+
+REFUSED = -1  # too close to a singularity, at a position limit, or not finite: Python decides
+OK, NULL_SCALED, DAMPED, VELOCITY_LIMITED = 0, 1, 2, 3
+NO_POLICY, ASCENT, LOG_ASCENT, REST = 0, 1, 2, 3
+
+# The constants of a controller are one table of twelve columns: this row, the chain's table, a row a degree of freedom
+# (velocity limit, lower, upper, rest posture, whether it wraps), and a row a constraint (Lambda over the six rows).
+N_JOINTS, NV, N_CONSTRAINTS, POLICY, POLICY_GAIN, DAMPS, THRESHOLD, LIMITS, REACHES, GAIN, MAX_SPEED = range(11)
+CHAIN = 1
+TARGET_POINT = 6  # column of the chain's second row, after the tool's position, sign and reference
+LIMIT, LOWER, UPPER, REST_AT, WRAPS = range(5)
+
+# Rows of the results: three parts of the command, b, and numbers; the rows after that are scratch.
+VELOCITY, TASK_PART, NULL_PART, TASK_VELOCITY, FACTS, PI, LOW, HIGH, MATRICES = range(9)
+MU, TASK_SCALE, NULL_SCALE, SMALLEST, ERROR = range(5)
+# columns of a joint's row of scratch, after (v, w) and the origin
+WEIGHTS, SLIDE, GRADIENT = 9, 15, 18
+LEAST_WIDTH = 19
+
+
+@compiled
+def contract(work, base, joints, local):
+    """sum_ij weights_ji dJ_ij / dq_k for each joint k, base first, into the column GRADIENT of the joints' rows.
+
+    The formulas of `chain_motion.contracted`.
+    """
+    f0 = f1 = f2 = m0 = m1 = m2 = 0.0
+    for k in range(base, base + joints):  # joints above k
+        v0, v1, v2, w0, w1, w2 = six(work, k, 0)
+        a0, a1, a2, b0, b1, b2 = six(work, k, WEIGHTS)
+        total = v0 * f0 + v1 * f1 + v2 * f2
+        if local:
+            total += w0 * m0 + w1 * m1 + w2 * m2
+            m0 += a1 * v2 - a2 * v1 + b1 * w2 - b2 * w1
+            m1 += a2 * v0 - a0 * v2 + b2 * w0 - b0 * w2
+            m2 += a0 * v1 - a1 * v0 + b0 * w1 - b1 * w0
+        work[k, GRADIENT] = total
+        f0 += a1 * w2 - a2 * w1
+        f1 += a2 * w0 - a0 * w2
+        f2 += a0 * w1 - a1 * w0
+    if local:
+        return
+    for k in range(base + joints - 1, base - 1, -1):  # joint k and those below
+        v0, v1, v2, w0, w1, w2 = six(work, k, 0)
+        a0, a1, a2, b0, b1, b2 = six(work, k, WEIGHTS)
+        m0 += v1 * a2 - v2 * a1 + w1 * b2 - w2 * b1
+        m1 += v2 * a0 - v0 * a2 + w2 * b0 - w0 * b2
+        m2 += v0 * a1 - v1 * a0 + w0 * b1 - w1 * b0
+        work[k, GRADIENT] += w0 * m0 + w1 * m1 + w2 * m2
+
+
+@compiled
+def six(table, k, at):
+    """Six neighbours in a row, as numbers."""
+    return table[k, at], table[k, at + 1], table[k, at + 2], table[k, at + 3], table[k, at + 4], table[k, at + 5]
+
+
+@compiled
+def shares(constants, dofs, nv, q, dt, out):
+    """`VelocityRoom.shares` of the parts in `out`: (task, null, position bound)."""
+    task, null, position_bound = 1.0, 1.0, False
+    for j in range(nv):
+        limit, v = constants[dofs + j, LIMIT], out[TASK_PART, j]
+        low, high = (constants[dofs + j, LOWER] - q[j]) / dt, (constants[dofs + j, UPPER] - q[j]) / dt
+        low = -limit if low < -limit else min(low, 0.0)
+        high = limit if high > limit else max(high, 0.0)
+        out[LOW, j], out[HIGH, j] = low, high
+        bound = high if v > 0.0 else low
+        if abs(bound) < abs(v) * task and abs(v) > NEGLIGIBLE:
+            task, position_bound = bound / v, abs(bound) < limit
+    for j in range(nv):
+        w, v = out[NULL_PART, j], out[TASK_PART, j]
+        left = out[HIGH, j] - task * v if w > 0.0 else task * v - out[LOW, j]
+        if left < abs(w) * null and abs(w) > NEGLIGIBLE:
+            null = max(left, 0.0) / abs(w)
+    return task, null, position_bound
+
+
+@compiled
+def turn_joints(constants, joints, q, out, base):
+    """Slide, sine and cosine of each joint, for `columns_of`."""
+    for j in range(joints):
+        k = CHAIN + JOINTS + j
+        x = constants[CHAIN + 1, SIGN] * q[int(constants[k, SOURCE])]
+        angle = constants[k, OFFSET] + (1.0 - constants[k, PRISMATIC]) * x
+        out[base + j, SLIDE] = x
+        if abs(angle) > LARGEST_ANGLE:
+            out[base + j, SLIDE + 1], out[base + j, SLIDE + 2] = math.sin(angle), math.cos(angle)
+        else:
+            out[base + j, SLIDE + 1], out[base + j, SLIDE + 2] = sine_and_cosine(angle)
+
+
+@compiled
+def task_velocity(constants, rows, s, p0, p1, p2, out):
+    """B of the task into `out`; returns the task's error."""
+    error = 0.0
+    if constants[0, REACHES] == 0.0:
+        for i in range(s):
+            out[TASK_VELOCITY, i] = 0.0
+        return error
+    at = CHAIN + 1
+    d0, d1 = constants[at, TARGET_POINT] - p0, constants[at, TARGET_POINT + 1] - p1
+    d2 = constants[at, TARGET_POINT + 2] - p2
+    for i in range(s):
+        b = constants[rows + i, 0] * d0 + constants[rows + i, 1] * d1 + constants[rows + i, 2] * d2
+        out[TASK_VELOCITY, i] = b
+        error += b * b
+    error = math.sqrt(error)
+    gain, fastest = constants[0, GAIN], constants[0, MAX_SPEED]
+    if gain * error > fastest:
+        gain *= fastest / (gain * error)
+    for i in range(s):
+        out[TASK_VELOCITY, i] *= gain
+    return error
+
+
+@compiled
+def policy_velocity(constants, dofs, rows, nv, joints, s, q, volume, X, out, base):
+    """Pi of the null-space policy, away from singularities, into `out`."""
+    policy, gain = int(constants[0, POLICY]), constants[0, POLICY_GAIN]
+    for j in range(nv):
+        out[PI, j] = 0.0
+    if policy == REST:
+        for j in range(nv):
+            d = constants[dofs + j, REST_AT] - q[j]
+            if constants[dofs + j, WRAPS] != 0.0:
+                d -= 2.0 * math.pi * math.floor(d / (2.0 * math.pi) + 0.5)
+            out[PI, j] = gain * d
+    elif policy != NO_POLICY:
+        for j in range(joints):
+            for k in range(6):
+                total = 0.0
+                for i in range(s):
+                    total += X[i, j] * constants[rows + i, k]
+                out[base + j, WEIGHTS + k] = total
+        contract(out, base, joints, constants[CHAIN + 1, LOCAL] != 0.0)
+        scale = gain if policy == LOG_ASCENT else gain * volume
+        for j in range(joints):
+            k = CHAIN + JOINTS + j
+            out[PI, int(constants[k, SOURCE])] = scale * out[base + int(constants[k, 1]), GRADIENT]
+
+
+@compiled
+def control_step(constants, q, dt, out):
+    """One command into the rows of `out`. Returns what was done, or REFUSED."""
+    joints, nv, s = int(constants[0, N_JOINTS]), int(constants[0, NV]), int(constants[0, N_CONSTRAINTS])
+    for j in range(nv):
+        if not math.isfinite(q[j]):
+            return REFUSED
+    dofs = CHAIN + JOINTS + joints
+    rows, base = dofs + nv, MATRICES + 3 * s
+    turn_joints(constants, joints, q, out, base)
+    p0, p1, p2 = columns_of(constants, CHAIN, joints, out, base, SLIDE, 1, out, base)
+    A, X = out[MATRICES : MATRICES + s, :joints], out[MATRICES + s : MATRICES + 2 * s, :joints]
+    for i in range(s):
+        for j in range(joints):
+            # the joint that moves column j, as many as there are from the base
+            total = 0.0
+            for k in range(6):
+                total += constants[rows + i, k] * out[base + j, k]
+            A[i, j] = total
+    squares = out[MATRICES + 2 * s : MATRICES + 3 * s]
+    volume, smallest = row_inverse(A, X, squares[:, :s], squares[:, s : 2 * s])
+    if volume == 0.0 or (constants[0, DAMPS] != 0.0 and smallest < constants[0, THRESHOLD]):
+        return REFUSED
+    out[FACTS, ERROR] = task_velocity(constants, rows, s, p0, p1, p2, out)
+    policy_velocity(constants, dofs, rows, nv, joints, s, q, volume, X, out, base)
+    for j in range(nv):
+        out[TASK_PART, j] = 0.0
+        out[NULL_PART, j] = out[PI, j]
+    for i in range(s):
+        along = 0.0
+        for j in range(joints):
+            k = CHAIN + JOINTS + j
+            along += A[i, int(constants[k, 1])] * out[PI, int(constants[k, SOURCE])]
+        for j in range(joints):
+            k = CHAIN + JOINTS + j
+            x, column = X[i, int(constants[k, 1])], int(constants[k, SOURCE])
+            out[TASK_PART, column] += out[TASK_VELOCITY, i] * x
+            out[NULL_PART, column] -= along * x
+    return finished(constants, dofs, nv, q, dt, volume, smallest, out)
+
+
+@compiled
+def finished(constants, dofs, nv, q, dt, volume, smallest, out):
+    """The two parts shortened to the limits and added."""
+    task, null = 1.0, 1.0
+    if constants[0, LIMITS] != 0.0:
+        task, null, position_bound = shares(constants, dofs, nv, q, dt, out)
+        if position_bound or (task == 1.0 and null < BLOCKED):
+            return REFUSED
+    for j in range(nv):
+        out[TASK_PART, j] *= task
+        out[NULL_PART, j] *= null
+        out[VELOCITY, j] = out[TASK_PART, j] + out[NULL_PART, j]
+        if not math.isfinite(out[VELOCITY, j]):
+            return REFUSED
+    out[FACTS, MU], out[FACTS, TASK_SCALE], out[FACTS, NULL_SCALE] = volume, task, null
+    out[FACTS, SMALLEST] = smallest
+    if task < 1.0:
+        return VELOCITY_LIMITED
+    return NULL_SCALED if null < 1.0 else OK
+
+
+@compiled
+def rollout(constants, first, dt, rk4, q, u, mu, error, code, out, point, slope):
+    """Control steps from row `first` of q (T, nv) on, integrated; returns the row that Python must do, or T."""
+    nv, steps = q.shape[1], q.shape[0]
+    for i in range(first, steps):
+        for j in range(nv):
+            point[j], slope[j] = q[i, j], 0.0
+        for stage in range(4 if rk4 and i + 1 < steps else 1):
+            if stage > 0:
+                length = dt if stage == 3 else 0.5 * dt
+                for j in range(nv):
+                    point[j] = q[i, j] + length * out[VELOCITY, j]
+            done = control_step(constants, point, dt, out)
+            if done == REFUSED:
+                return i
+            if stage == 0:
+                code[i], mu[i], error[i] = done, out[FACTS, MU], out[FACTS, ERROR]
+                for j in range(nv):
+                    u[i, j] = out[VELOCITY, j]
+            weight = 2.0 if stage == 1 or stage == 2 else 1.0
+            for j in range(nv):
+                slope[j] += weight * out[VELOCITY, j]
+        if i + 1 < steps:
+            share = dt / 6.0 if rk4 else dt
+            for j in range(nv):
+                q[i + 1, j] = q[i, j] + share * slope[j]
+    return steps
+
+
+def results_shape(joints: int, nv: int, s: int) -> tuple[int, int]:
+    """Shape of the array that `control_step` writes its results and its scratch into."""
+    return MATRICES + 3 * s + joints, max(LEAST_WIDTH, nv, 2 * s)

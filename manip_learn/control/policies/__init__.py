@@ -1,0 +1,8 @@
+"""Null-space policies pi(q, t)."""
+
+from manip_learn.control.policies.joint_attractor import JointAttractor
+from manip_learn.control.policies.manipulability_ascent import ManipulabilityAscent
+from manip_learn.control.policies.policy import NullSpacePolicy
+from manip_learn.control.policies.zero_policy import ZeroPolicy
+
+__all__ = ["JointAttractor", "ManipulabilityAscent", "NullSpacePolicy", "ZeroPolicy"]

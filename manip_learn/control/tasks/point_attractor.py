@@ -1,0 +1,76 @@
+"""The task of reaching a point in task space."""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.control.tasks.task import Task
+from manip_learn.errors import TargetError
+
+
+@final
+class PointAttractor(Task):
+    """b = gain * Lambda (r* - r(q)), the reaching task of the paper's section on simulated experiments.
+
+    Args:
+        target: r*. As many numbers as the features have rows (e.g. x, y, z of the tip in the base frame [m]; rotations
+            as a rotation vector [rad]); Lambda picks its part of them. Or a 4 x 4 pose of the frame. Or one number a
+            constrained row, read along the rows of Lambda, where that is a different count.
+        gain: Rate [1/s].
+        max_speed: Largest norm of b [m/s or rad/s]; None for no bound.
+
+    Raises:
+        TargetError: Not finite numbers.
+    """
+
+    def __init__(self, target: ArrayLike, gain: float = 1.0, max_speed: float | None = None):
+        try:
+            self.target = np.array(target, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise TargetError(f"the target must be numbers, got {target!r}") from error
+        if self.target.ndim not in (1, 2) or not np.all(np.isfinite(self.target)):
+            raise TargetError(f"the target must be finite numbers, got {self.target.tolist()}")
+        self.target.setflags(write=False)
+        self.gain = float(gain)
+        self.max_speed = max_speed
+
+    def displacement(self, constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " s"]:
+        """Lambda (r* - r(q)).
+
+        Raises:
+            TargetError: The target has the wrong size.
+        """
+        features, shape = constraint.features, self.target.shape
+        if shape == (features.n_rows,) or shape == (4, 4):
+            return constraint.selection.dot(features.error_to(self.target, q))
+        s = constraint.n_constraints
+        if shape == (s,):
+            return self.target - constraint.selection @ features.coordinates(q)
+        either = "" if s == features.n_rows else f", or {s}: one a row of the constraint"
+        raise TargetError(
+            f"the target must have {features.n_rows} numbers ({', '.join(features.row_names)}){either}; "
+            f"got shape {shape}"
+        )
+
+    def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
+        """gain * displacement, shortened to max_speed."""
+        b = self.gain * self.displacement(constraint, q)
+        if self.max_speed is not None:
+            speed = math.sqrt(b.dot(b))
+            if speed > self.max_speed:
+                b *= self.max_speed / speed
+        return b
+
+    def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
+        """Distance to the target along the constrained rows [m or rad]."""
+        displacement = self.displacement(constraint, q)
+        return math.sqrt(displacement.dot(displacement))
+
+    def __repr__(self) -> str:
+        return f"PointAttractor({np.array2string(self.target, precision=3)}, gain={self.gain:g})"

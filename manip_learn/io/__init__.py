@@ -1,6 +1,0 @@
-"""Files: recordings in, results out."""
-
-from manip_learn.io.load_demonstrations import iter_demonstrations, load_demonstrations
-from manip_learn.io.recording_source import RecordingSource
-
-__all__ = ["RecordingSource", "iter_demonstrations", "load_demonstrations"]

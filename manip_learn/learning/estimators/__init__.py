@@ -1,0 +1,1 @@
+"""Estimators of Lambda, and the number of its rows."""

@@ -1,0 +1,217 @@
+"""The estimator for self-imposed demonstrations: Lambda and pi together from raw (q, u), b unknown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.errors import NotIdentifiableError
+from manip_learn.learning.estimators.conditional_pca import conditional_pca
+from manip_learn.learning.estimators.estimate import Estimate
+from manip_learn.learning.estimators.per_trajectory_offsets import estimate_own_offsets, own_offsets_if_clear
+from manip_learn.learning.estimators.policy_model import PolicyModel, PolynomialModel, RadialModel
+from manip_learn.learning.estimators.rank import GapTable, gaps_of_residuals
+from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, held_out_cost, scores
+from manip_learn.learning.samples import Samples
+
+N_FOLDS = 5
+N_CENTRES = 32
+RANDOM_STARTS = 2
+# a richer model must lower the held-out cost by this factor to be worth its parameters
+WORTH = 0.8
+ROUNDING = 1e-24
+VANISHING = 1e-16
+# share of left-out motion that no model explains from which it is worth asking whether each trajectory has its own
+POOR = 0.03
+# models are compared on at most this many samples, and fitted with at most this many columns unless asked for
+COMPARE_LIMIT = 1_500
+MAX_COLUMNS = 120
+# enough steps to compare
+COMPARE: dict[str, Any] = {"max_iterations": 8, "gain": 1e-4}
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A fit with its cross-validated cost."""
+
+    fit: JointFit
+    held_out: float  # mean |Z^T (u - pi)|^2 on left-out trajectories
+
+
+def estimate_joint(
+    samples: Samples,
+    n_constraints: int | None,
+    rng: np.random.Generator,
+    policy_model: str = "auto",
+    unexplained: float = np.inf,
+) -> Estimate:
+    """Number of rows and policy model by cross-validation over trajectories, then variable projection on all data.
+
+    Args:
+        samples: What was recorded.
+        n_constraints: Number of rows; found from the data by default.
+        rng: For k-means and the random starts.
+        policy_model: `"auto"` (tries them all), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"` or `"rbf"`; or
+            `"own"`: affine, with a constant of its own for each trajectory, where demonstrators rest in different
+            postures.
+        unexplained: Held-out share of the energy above which to give up before the expensive part.
+
+    Raises:
+        NotIdentifiableError: One trajectory only, too few samples for even the smallest model, or given up.
+    """
+    if samples.n_groups < 2:
+        raise NotIdentifiableError(
+            "one trajectory does not identify a constraint whose task velocity is unknown: give several, from "
+            "different starts to different targets",
+            code="one-trajectory",
+        )
+    if policy_model == "own":
+        return estimate_own_offsets(samples, n_constraints, rng)
+    few = _few(samples)
+    models = _models(few, rng, policy_model)
+    usable = _scan(few, models[:2])
+    if n_constraints is None and len(usable) < 2 or (n_constraints is not None and n_constraints not in usable):
+        raise NotIdentifiableError(
+            f"{len(samples)} samples are too few for the joint estimator on {samples.n_rows} rows and {samples.nv} "
+            "joints: record more trajectories, or name fewer axes",
+            code="too-few-samples",
+        )
+    table = _table(few, usable)
+    s = n_constraints or table.best
+    chosen, residuals = _chosen(few, s, models, usable[s])
+    if policy_model == "auto" and chosen.held_out > POOR * _null_energy(samples, chosen.fit):
+        own = own_offsets_if_clear(samples, n_constraints, rng, chosen.fit.selection)
+        if own is not None:
+            return own
+    if chosen.held_out > unexplained * _null_energy(samples, chosen.fit):
+        raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
+    fit = _from_random_starts(samples, chosen.fit, rng)
+    gradients, hessians = scores(samples, fit)
+    return Estimate(
+        "joint",
+        fit.selection,
+        table,
+        fit.cost / _null_energy(samples, fit),
+        chosen.held_out / _null_energy(samples, chosen.fit),
+        gradients,
+        hessians,
+        fit.model.name,
+        residuals,
+        noise=chosen.held_out / (samples.nv - s),
+        joint=fit,
+    )
+
+
+def _null_energy(samples: Samples, fit: JointFit) -> float:
+    """Energy that there is to explain; without any null-space motion, rounding is not held against the model."""
+    return max(fit.energy, VANISHING * samples.energy)
+
+
+def _few(samples: Samples) -> Samples:
+    """Every k-th sample of all trajectories, for the comparisons."""
+    if len(samples) <= COMPARE_LIMIT:
+        return samples
+    step = -(-len(samples) // COMPARE_LIMIT)
+    return samples.subset(np.arange(len(samples)) % step == 0)
+
+
+def _models(samples: Samples, rng: np.random.Generator, name: str) -> list[PolicyModel]:
+    """Models in the order of their size; quadratic stands in for the others in the search for the number of rows."""
+    m = samples.q.shape[1]
+    if name == "rbf":
+        return [_radial(samples, rng)]
+    if name != "auto":
+        if name not in PolynomialModel.NAMES:
+            raise NotIdentifiableError(
+                f"unknown policy model {name!r}: use 'auto', 'rbf', 'own' or one of {', '.join(PolynomialModel.NAMES)}",
+                code="policy-model",
+            )
+        return [PolynomialModel(PolynomialModel.NAMES.index(name), m)]
+    models = [PolynomialModel(1, m), PolynomialModel(2, m), PolynomialModel(3, m), _radial(samples, rng)]
+    return [models[0]] + [model for model in models[1:] if model.n_terms * samples.nv <= MAX_COLUMNS]
+
+
+def _radial(samples: Samples, rng: np.random.Generator) -> RadialModel:
+    return RadialModel(np.concatenate([b.x for b in samples.blocks()]), N_CENTRES, rng)
+
+
+def _counts(samples: Samples) -> range:
+    return range(min(samples.n_rows, samples.nv - 1) + 1)
+
+
+def _scan(samples: Samples, models: list[PolicyModel]) -> dict[int, Candidate]:
+    """Best of the models for each number of rows that there are samples enough for, all from one closed-form start."""
+    fitting = {s: [m for m in models if _enough(samples, s, m)] for s in _counts(samples)}
+    if not any(fitting.values()):
+        return {}
+    _, directions = conditional_pca(samples, PolynomialModel(_start_degree(samples), samples.q.shape[1]))
+    return {s: _best(samples, fit, directions[:s]) for s, fit in fitting.items() if fit}
+
+
+def _best(samples: Samples, models: list[PolicyModel], start: np.ndarray) -> Candidate:
+    """Best of the models from a start; a richer one only if it is worth its parameters."""
+    best = _candidate(samples, models[0], start)
+    for model in models[1:]:
+        candidate = _candidate(samples, model, start)
+        if candidate.held_out < WORTH * best.held_out:
+            best = candidate
+    return best
+
+
+def _enough(samples: Samples, s: int, model: PolicyModel) -> bool:
+    return len(samples) * (samples.nv - s) * (1.0 - 1.0 / N_FOLDS) >= 2.0 * model.n_terms * samples.nv
+
+
+def _candidate(samples: Samples, model: PolicyModel, start: np.ndarray) -> Candidate:
+    fit = fit_joint(samples, start, model, **COMPARE)
+    folds = min(N_FOLDS, samples.n_groups)
+    return Candidate(fit, held_out_cost(samples, fit.selection, model, folds))
+
+
+def _start_degree(samples: Samples) -> int:
+    m = samples.q.shape[1]
+    return 2 if len(samples) > 4 * (m + 1) * (m + 2) // 2 else 1 if len(samples) > 4 * (m + 1) else 0
+
+
+def _table(samples: Samples, scan: dict[int, Candidate]) -> GapTable:
+    residuals = {s: float(np.sqrt(c.held_out / (samples.nv - s))) for s, c in scan.items()}
+    floor = 1e-15 * float(np.sqrt(samples.energy))
+    present = {s: r for s, r in residuals.items() if s == 0 or s - 1 in residuals}
+    return gaps_of_residuals(present, floor, len(samples))
+
+
+def _chosen(
+    samples: Samples, s: int, models: list[PolicyModel], first: Candidate
+) -> tuple[Candidate, dict[str, float]]:
+    """Climb to richer models as long as they are worth it; held-out share of every model that was tried."""
+    best, residuals = first, {first.fit.model.name: first.held_out / _null_energy(samples, first.fit)}
+    for model in models:
+        if model.name in residuals or best.held_out <= ROUNDING * best.fit.energy:
+            continue
+        if not _enough(samples, s, model):
+            continue
+        candidate = _candidate(samples, model, best.fit.selection)
+        residuals[model.name] = candidate.held_out / _null_energy(samples, candidate.fit)
+        if candidate.held_out < WORTH * best.held_out:
+            best = candidate
+    return best, residuals
+
+
+def _from_random_starts(samples: Samples, chosen: JointFit, rng: np.random.Generator) -> JointFit:
+    """The chosen fit on all samples, and a look from random starts whether there is a better one."""
+    best = fit_joint(samples, chosen.selection, chosen.model)
+    s, r = best.selection.shape
+    if s == r or best.cost <= ROUNDING * best.energy:
+        return best
+    few = _few(samples)
+    reference = fit_joint(few, best.selection, chosen.model, **COMPARE).cost
+    for _ in range(RANDOM_STARTS):
+        start: Float[np.ndarray, "s r"] = rng.standard_normal((s, r))
+        other = fit_joint(few, start, chosen.model, **COMPARE)
+        if other.cost < 0.9 * reference:
+            best, reference = fit_joint(samples, other.selection, chosen.model), other.cost
+    return best

@@ -1,0 +1,120 @@
+"""The null-space part of recorded motions, u = v + w -> w~(q), by consistency.
+
+Towell, Howard and Vijayakumar (2010), equation (8) of Manavalan and Howard:
+
+    min over the parameters of w~ of  sum_n ( w^_n . u_n - |w~_n| )^2,   w^ = w~ / |w~|
+
+v is orthogonal to w, so that u shows the length of w along its direction, whatever the task did. A low cost does not
+certify w~: w~ -> 0 costs nothing, and where the null space has more than one dimension so does any w~ on the sphere
+over w in it. Such a w~ still serves to find Lambda, but it is no policy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from manip_learn.learning.estimators.policy_model import PolicyModel
+
+MAX_ITERATIONS = 200
+# directions of the regressors' space below this share of the strongest take no part; from coarse to fine, for the
+# descent from the regression alone ends in a poor minimum now and then
+STAGES = (1e-6, 1e-8, 1e-10)
+# relative decrease of the cost in a step below which to stop; the coarse stages only lead the way
+NO_GAIN = (1e-3, 1e-3, 1e-6)
+STALLED = 5  # so many steps of little gain in a row end a stage
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Separation:
+    """A model of the null-space part.
+
+    Attributes:
+        weights: shape (k, nv), w~ = beta(x) weights.
+        model: beta.
+        cost: Mean of (w^ . u - |w~|)^2 [(rad/s)^2].
+        iterations: Levenberg-Marquardt steps.
+    """
+
+    weights: Float[np.ndarray, "k nv"]
+    model: PolicyModel
+    cost: float
+    iterations: int
+
+    def __call__(self, x: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n nv"]:
+        """w~ at shifted and scaled postures."""
+        return self.model(x) @ self.weights
+
+
+def separate(
+    x: Float[np.ndarray, "n m"],
+    u: Float[np.ndarray, "n nv"],
+    model: PolicyModel,
+    max_iterations: int = MAX_ITERATIONS,
+) -> Separation:
+    """Levenberg-Marquardt from the regression of u on the posture; random starts end in poor minima now and then.
+
+    Args:
+        x: Postures, shifted and scaled.
+        u: Actions.
+        model: beta(x).
+        max_iterations: Largest number of steps in each of three stages, from coarse to fine.
+    """
+    # orthonormal combinations of the regressors: the normal equations of wide radial functions are hopeless as they are
+    basis, sigma, Vt = np.linalg.svd(model(x), full_matrices=False)
+    weights, cost, iterations = np.zeros((0, u.shape[1])), np.inf, 0
+    for share, no_gain in zip(STAGES, NO_GAIN, strict=True):
+        k = int(np.count_nonzero(sigma > share * sigma[0]))
+        if len(weights):
+            start = np.concatenate([weights, np.zeros((k - len(weights), u.shape[1]))])
+        else:
+            start = basis[:, :k].T @ u  # the regression
+        weights, cost, steps = _descend(basis[:, :k], start, u, max_iterations, no_gain)
+        iterations += steps
+    k = len(weights)
+    return Separation((Vt[:k].T / sigma[:k]) @ weights, model, cost / len(u), iterations)
+
+
+def _descend(
+    basis: np.ndarray, weights: np.ndarray, u: np.ndarray, max_iterations: int, no_gain: float
+) -> tuple[np.ndarray, float, int]:
+    residual, J = residual_and_jacobian(basis, weights, u)
+    cost, damping, stalled, iterations = float(residual @ residual), 1e-3, 0, 0
+    while iterations < max_iterations and stalled < STALLED and cost > 0.0:
+        iterations += 1
+        H, g = J.T @ J, J.T @ residual
+        scale = np.maximum(np.diag(H), 1e-12 * np.max(np.diag(H)))
+        try:
+            factor = cho_factor(H + damping * np.diag(scale), lower=True, check_finite=False)
+        except LinAlgError:  # rounding has eaten a direction without curvature
+            damping = max(damping * 100.0, 1e-8)
+            continue
+        step = -cho_solve(factor, g)
+        moved = weights + step.reshape(weights.shape)
+        trial, trial_J = residual_and_jacobian(basis, moved, u)
+        trial_cost = float(trial @ trial)
+        if trial_cost < cost:
+            stalled = stalled + 1 if trial_cost > cost * (1.0 - no_gain) else 0
+            weights, residual, J, cost, damping = moved, trial, trial_J, trial_cost, max(damping * 0.2, 1e-14)
+        else:
+            damping *= 5.0
+            stalled = stalled + 1 if damping > 1e8 else stalled
+    return weights, cost, iterations
+
+
+def residual_and_jacobian(
+    basis: Float[np.ndarray, "n k"], weights: Float[np.ndarray, "k nv"], u: Float[np.ndarray, "n nv"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k*nv"]]:
+    """e = w^ . u - |w~| and its derivative by the weights, row by row: d e / d w~ = (u - (w^ . u) w^) / |w~| - w^."""
+    w = basis @ weights
+    length = np.linalg.norm(w, axis=1)
+    safe = np.maximum(length, np.finfo(np.float64).tiny ** 0.5)
+    direction = w / safe[:, None]
+    along = np.einsum("nv,nv->n", direction, u)
+    slope = (u - along[:, None] * direction) / safe[:, None] - direction
+    return along - length, (basis[:, :, None] * slope[:, None, :]).reshape(len(u), -1)

@@ -1,0 +1,1 @@
+"""Learning from demonstrations that are larger than memory, on this machine or on a dask cluster."""

@@ -1,0 +1,139 @@
+"""Passes over the samples by the workers of a dask client, with the same answer for any number of them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, final
+
+from manip_learn.errors import ManipLearnError, MissingExtraError
+from manip_learn.learning.streaming.accumulator import Chunk, Tally, both
+from manip_learn.learning.streaming.executor import Passes, Progress, tallied_part
+from manip_learn.learning.streaming.sample_stream import Reading
+
+try:
+    import dask
+    from dask.distributed import Client, Future, LocalCluster, as_completed
+    from distributed.scheduler import KilledWorker
+except ImportError as error:
+    raise MissingExtraError("learning on a dask cluster", "dask") from error
+
+LOOPBACK = "127.0.0.1"
+PATIENCE = "10s"
+# a worker of this machine that does not answer is gone: no half minute of waiting for it
+LOCAL_CONFIG = {"distributed.comm.timeouts.connect": "3s"}
+# every call of a client needs names of its own: the same name would stand for the result of an earlier fit
+_CALLS = itertools.count()
+
+
+@contextmanager
+def dask_client(address: str, n_workers: int | None = None) -> Iterator[Client]:
+    """A client of a scheduler, or of a cluster on this machine that nobody else can reach.
+
+    Args:
+        address: `"local"`, or where the scheduler listens, e.g. `"tcp://10.0.0.1:8786"`.
+        n_workers: Of a local cluster; one a processor by default, each a process with one thread.
+
+    Raises:
+        ManipLearnError: Nobody answers at the address.
+    """
+    if address != "local":
+        try:
+            client = Client(address, timeout=PATIENCE)
+        except (OSError, ValueError) as error:
+            raise ManipLearnError(
+                f"there is no dask scheduler at {address!r} ({error}): start one with `dask scheduler`, or use 'local'"
+            ) from error
+        with client:
+            yield client
+        return
+    # dask's own defaults would listen on all networks
+    with (
+        dask.config.set(LOCAL_CONFIG),  # pyright: ignore[reportPrivateImportUsage]
+        LocalCluster(
+            n_workers=n_workers, threads_per_worker=1, host=LOOPBACK, dashboard_address=f"{LOOPBACK}:0"
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+@contextmanager
+def dask_passes(client: Client, reading: Reading, progress: Progress | None) -> Iterator[DaskPasses]:
+    """Passes for one fit; what the workers hold for them is released at the end."""
+    passes = DaskPasses(client, reading, progress)
+    try:
+        yield passes
+    finally:
+        passes.release()
+
+
+@final
+class DaskPasses(Passes):
+    """Each part is read once, and kept by the worker that read it; a pass is a task a part and a tree of sums.
+
+    All tasks are pure functions of what the source says, so that a lost worker's share is done again by another.
+
+    Args:
+        client: Whose workers.
+        reading: What to read.
+        progress: Told how far a pass is.
+    """
+
+    def __init__(self, client: Client, reading: Reading, progress: Progress | None = None):
+        self._client = client
+        self._progress = progress
+        self._prefix = f"manip-learn-{client.id}-{next(_CALLS)}"
+        self._passes = itertools.count()
+        self._parts = [
+            client.submit(_read, reading.alone(i), i, key=f"{self._prefix}-read-{i}", pure=False)
+            for i in range(reading.source.n_parts)
+        ]
+
+    def total(self, tally: Tally, first_groups: dict[int, int], title: str) -> Any:
+        """One pass.
+
+        Raises:
+            ManipLearnError: Workers die again and again.
+        """
+        name = f"{self._prefix}-pass-{next(self._passes)}"
+        level: list[Future] = [
+            self._client.submit(_tallied, tally, part, first_groups.get(i, 0), key=f"{name}-part-{i}", pure=False)
+            for i, part in enumerate(self._parts)
+        ]
+        leaves, depth = level, 0
+        while len(level) > 1:
+            depth += 1
+            pairs = [level[i : i + 2] for i in range(0, len(level), 2)]
+            level = [
+                self._client.submit(both, tally, *pair, key=f"{name}-sum-{depth}-{i}", pure=False)
+                if len(pair) == 2
+                else pair[0]
+                for i, pair in enumerate(pairs)
+            ]
+        if self._progress is not None:
+            for done, _ in enumerate(as_completed(leaves), start=1):
+                self._progress(title, done / len(leaves))
+        try:
+            return level[0].result()
+        except KilledWorker as error:
+            raise ManipLearnError(
+                f"the dask workers die again and again on the same part ({error}): is there enough memory for each?"
+            ) from error
+
+    def release(self) -> None:
+        """Let the workers forget the samples."""
+        for part in self._parts:
+            part.release()
+        self._parts = []
+
+
+def _read(reading: Reading, number: int) -> tuple[list[Chunk], list[str]]:
+    notes: list[str] = []
+    return list(reading.chunks(0, notes, number)), notes
+
+
+def _tallied(tally: Tally, held: tuple[list[Chunk], list[str]], first_group: int) -> Any:
+    samples, notes = held
+    return tallied_part(tally, samples, first_group, notes)

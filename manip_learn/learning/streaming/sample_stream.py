@@ -1,0 +1,110 @@
+"""Trajectories of a source as the learner wants them: the features' joints, with velocities."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import final
+
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.errors import RecordingError
+from manip_learn.learning.streaming.accumulator import Chunk, chunks
+from manip_learn.recordings.demonstrations import Trajectory
+from manip_learn.recordings.trajectory_source import TrajectorySource
+from manip_learn.recordings.velocities import VelocityMethod, derive_velocities
+from manip_learn.robot.robot import Robot
+
+DERIVED = "velocities were derived from the positions"
+
+
+@final
+@dataclass(frozen=True)
+class Reading:
+    """How a source is read; picklable.
+
+    Attributes:
+        source: The trajectories.
+        joint_names: Which each must have, in this order.
+        robot: Derives missing velocities; None if there is none.
+        velocities: How.
+    """
+
+    source: TrajectorySource
+    joint_names: tuple[str, ...]
+    robot: Robot | None
+    velocities: VelocityMethod
+
+    def alone(self, part: int) -> Reading:
+        """How one part is read, without the others: what a worker is sent."""
+        return dataclasses.replace(self, source=self.source.alone(part))
+
+    def chunks(self, part: int, notes: list[str], number: int | None = None) -> Iterator[Chunk]:
+        """The samples of a part.
+
+        Args:
+            part: Which part.
+            notes: Sentences for the report are added here.
+            number: What the chunks call the part; `part` by default.
+
+        Raises:
+            RecordingError: Joints of another robot, or velocities that can neither be found nor derived.
+        """
+        yield from chunks(self.trajectories(part, notes), part if number is None else number)
+
+    def trajectories(self, part: int, notes: list[str]) -> Iterator[Trajectory]:
+        """The trajectories of a part, with velocities.
+
+        Raises:
+            RecordingError: As for `chunks`.
+        """
+        derived = False
+        for trajectory in self.source.part(part, notes):
+            _check_joints(trajectory, self.joint_names, self.robot)
+            if trajectory.u is not None:
+                yield trajectory
+                continue
+            if self.robot is None:
+                raise RecordingError(
+                    f"{trajectory.name} has no velocities: give features of a robot to derive them with",
+                    code="no-velocities",
+                )
+            derived = True
+            yield derive_velocities(trajectory, self.robot, self.velocities)
+        if derived:
+            notes.append(DERIVED)
+
+
+def reading(source: TrajectorySource, features: list[FeatureMap], velocities: VelocityMethod) -> Reading:
+    """How to read a source for some features.
+
+    Raises:
+        RecordingError: The source is empty or belongs to another robot.
+    """
+    robot = getattr(features[0], "robot", None)
+    for part in range(source.n_parts):
+        for first in source.part(part):
+            names = first.joint_names if robot is None else tuple(robot.joint_names)
+            if len(names) != features[0].nv:
+                raise RecordingError(
+                    f"{first.name} has {len(names)} joint velocities, the features act on {features[0].nv}",
+                    code="shape",
+                )
+            return Reading(source, names, robot, velocities)
+    raise RecordingError("there are no demonstrations: give at least one trajectory", code="empty")
+
+
+def _check_joints(trajectory: Trajectory, names: tuple[str, ...], robot: Robot | None) -> None:
+    if trajectory.joint_names == names:
+        return
+    if robot is None:
+        raise RecordingError(
+            f"{trajectory.name} has the joints {trajectory.joint_names}, others have {names}: all trajectories must "
+            "name the same joints in the same order",
+            code="joint-names",
+        )
+    raise RecordingError(
+        f"the demonstrations have the joints {', '.join(trajectory.joint_names)}; robot {robot.name!r} has "
+        f"{', '.join(robot.joint_names)}: load them with load_demonstrations(files, robot), which sorts by name",
+        code="joint-names",
+    )

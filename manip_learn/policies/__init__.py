@@ -1,8 +1,0 @@
-"""Null-space policies pi(q, t)."""
-
-from manip_learn.policies.joint_attractor import JointAttractor
-from manip_learn.policies.manipulability_ascent import ManipulabilityAscent
-from manip_learn.policies.policy import NullSpacePolicy
-from manip_learn.policies.zero_policy import ZeroPolicy
-
-__all__ = ["JointAttractor", "ManipulabilityAscent", "NullSpacePolicy", "ZeroPolicy"]

@@ -1,0 +1,123 @@
+"""Files -> demonstrations of one robot."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Literal, TypedDict, Unpack
+
+from manip_learn.errors import RecordingError
+from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.readers.read_request import ReadRequest, TimeUnit, Units
+from manip_learn.recordings.readers.recording_files import recording_files
+from manip_learn.recordings.validation.validate import examine
+from manip_learn.robot import Robot
+
+Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
+
+
+class ReadOptions(TypedDict, total=False):
+    """Keywords of `load_demonstrations` and `iter_demonstrations`.
+
+    Attributes:
+        degrees: The same as `units="degrees"`.
+        units: Unit of angles in the files: `"radians"`, `"degrees"` or `"normalised"` (-100 .. 100 between the joint
+            limits). Not given: radians; what looks like degrees is refused. Prismatic joints are metres in any case.
+        time_unit: `"s"`, `"ms"`, `"us"` or `"ns"`. Not given: seconds; what looks like another unit is refused.
+        ignore_columns: Columns that are not to be read.
+        rename: Name in the file -> `"time"` or the robot's name of the joint.
+        joint_names: Names of the columns, in order, for files that have none (robomimic, some LeRobot data).
+        topics: Topics of a bag; not given: all JointState topics that carry joints of the robot.
+        rate: Samples a second, for files that have no time stamps [Hz].
+        outside_limits: `"refuse"` (the default) or `"note"` positions far outside the joint limits.
+    """
+
+    degrees: bool
+    units: Units | None
+    time_unit: TimeUnit | None
+    ignore_columns: Sequence[str]
+    rename: Mapping[str, str]
+    joint_names: Sequence[str] | None
+    topics: Sequence[str] | None
+    rate: float | None
+    outside_limits: Literal["refuse", "note"]
+
+
+def load_demonstrations(paths: Paths, robot: Robot, **options: Unpack[ReadOptions]) -> Demonstrations:
+    """All demonstrations in some files, in the robot's joints, in rad (or m) and s.
+
+    The format is recognised by content: CSV, NPZ, ROS 1 and ROS 2 bags, LeRobot, robomimic. Columns are matched to
+    joints by name. Nothing is repaired in silence: `.notes` of the answer tells what was left out, split or converted.
+
+    Args:
+        paths: A file, a folder of recordings of one format, or several of them.
+        robot: Whose joints are wanted; joints that the recordings lack must be locked in it.
+        **options: See `ReadOptions`.
+
+    Raises:
+        RecordingError: A recording that cannot be trusted: says where, what was seen and what to do.
+        MissingExtraError: The format needs a library that is not installed.
+    """
+    notes: list[str] = []
+    trajectories = tuple(iter_demonstrations(paths, robot, notes=notes, **options))
+    return Demonstrations(trajectories, notes)
+
+
+def iter_demonstrations(
+    paths: Paths, robot: Robot, *, notes: list[str] | None = None, **options: Unpack[ReadOptions]
+) -> Iterator[Trajectory]:
+    """One trajectory after the other, for recordings larger than memory.
+
+    Args:
+        paths: As for `load_demonstrations`.
+        robot: As for `load_demonstrations`.
+        notes: A list to which sentences are added at the end, or None.
+        **options: See `ReadOptions`.
+
+    Raises:
+        RecordingError: As soon as a recording is found that cannot be trusted.
+        MissingExtraError: The format needs a library that is not installed.
+    """
+    request = _request(robot, options)
+    files, said = recording_files(paths)
+    by_text: dict[str, list[str]] = {}
+    found = False
+    for file in files:
+        for recording in file.format.reader()(file.path, request):
+            examined = examine(recording, request)
+            for note in examined.notes:
+                by_text.setdefault(note, []).append(recording.name)
+            for trajectory in examined.trajectories:
+                found = True
+                yield trajectory
+    if not found:
+        raise RecordingError(f"there is no demonstration in {', '.join(str(f.path) for f in files)}", code="empty")
+    if notes is not None:
+        notes += said + _sentences(by_text)
+
+
+def _sentences(by_text: dict[str, list[str]]) -> list[str]:
+    """One sentence a finding: what is the same in fifty files is said once."""
+    sentences = []
+    for text, names in by_text.items():
+        others = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        sentences.append(f"{names[0]}{others}: {text}")
+    return sentences
+
+
+def _request(robot: Robot, options: ReadOptions) -> ReadRequest:
+    fields = dict(options)
+    degrees = fields.pop("degrees", False)
+    unknown = sorted(set(fields) - set(ReadRequest.__dataclass_fields__))
+    if unknown:
+        raise RecordingError(
+            f"there is no option {unknown[0]!r}; there are {', '.join(sorted(ReadOptions.__annotations__))}",
+            code="option",
+        )
+    if degrees:
+        if fields.get("units") not in (None, "degrees"):
+            raise RecordingError(
+                f"degrees=True and units={fields['units']!r} contradict each other: give one", code="option"
+            )
+        fields["units"] = "degrees"
+    return ReadRequest(robot=robot, **fields)  # type: ignore[arg-type]

@@ -1,0 +1,67 @@
+"""Demonstrations made ready to learn from: trimmed, resampled, thinned. Each returns new ones."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from manip_learn.errors import RecordingError
+from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+
+
+def trim_standstill(trajectory: Trajectory, share: float = 0.02) -> Trajectory:
+    """The part between the first and the last sample that moves faster than a share of the median speed.
+
+    Raises:
+        RecordingError: No velocities, or nothing moves.
+    """
+    if trajectory.u is None:
+        raise RecordingError(f"{trajectory.name}: derive velocities before trimming", code="no-velocities")
+    speed = np.linalg.norm(trajectory.u, axis=1)
+    moving = np.flatnonzero(speed > share * np.median(speed[speed > 0.0])) if np.any(speed > 0.0) else np.array([])
+    if moving.size == 0:
+        raise RecordingError(f"{trajectory.name}: nothing moves", code="standstill")
+    return trajectory.part(slice(int(moving[0]), int(moving[-1]) + 1))
+
+
+def resample(trajectory: Trajectory, dt: float) -> Trajectory:
+    """Linear interpolation of positions and velocities on an even grid of dt [s].
+
+    Raises:
+        RecordingError: dt is not positive or longer than the trajectory.
+    """
+    if not 0.0 < dt <= trajectory.duration:
+        raise RecordingError(
+            f"{trajectory.name}: the step must be positive and at most {trajectory.duration:g} s, got {dt!r}", code="dt"
+        )
+    time = trajectory.time[0] + np.arange(int(trajectory.duration / dt + 1e-9) + 1) * dt
+    time = np.minimum(time, trajectory.time[-1])
+
+    def at(columns: np.ndarray) -> np.ndarray:
+        return np.column_stack([np.interp(time, trajectory.time, c) for c in columns.T])
+
+    u = None if trajectory.u is None else at(trajectory.u)
+    return Trajectory(time, at(trajectory.q), u, trajectory.joint_names, trajectory.name)
+
+
+def thin(trajectory: Trajectory, n_samples: int) -> Trajectory:
+    """At most n_samples samples, evenly spread.
+
+    Raises:
+        RecordingError: n_samples is not positive.
+    """
+    if n_samples < 1:
+        raise RecordingError(f"the number of samples must be positive, got {n_samples}", code="samples")
+    if len(trajectory) <= n_samples:
+        return trajectory
+    return trajectory.part(np.unique(np.linspace(0, len(trajectory) - 1, n_samples).round().astype(int)))
+
+
+def prepared(demonstrations: Demonstrations, *, trim: bool = True, samples: int | None = None) -> Demonstrations:
+    """All trajectories trimmed and thinned; what was left out is said in the notes."""
+    out, notes = [], list(demonstrations.notes)
+    for trajectory in demonstrations:
+        kept = trim_standstill(trajectory) if trim else trajectory
+        if len(kept) < len(trajectory):
+            notes.append(f"{trajectory.name}: {len(trajectory) - len(kept)} samples of standstill were left out")
+        out.append(thin(kept, samples) if samples else kept)
+    return Demonstrations(out, notes)

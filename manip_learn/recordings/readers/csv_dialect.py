@@ -1,0 +1,134 @@
+"""How a text table is written: encoding, delimiter, decimal mark and header."""
+
+from __future__ import annotations
+
+import codecs
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, final
+
+from manip_learn.errors import RecordingError
+from manip_learn.recordings.readers.reason import reason
+
+LONGEST_LINE = 1_000_000
+COMMENT_MARKS = ("#", "%")
+NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
+DELIMITER_WORDS = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
+
+
+@final
+@dataclass(frozen=True)
+class CsvDialect:
+    """How one file is written.
+
+    Attributes:
+        encoding: Of the text.
+        delimiter: Between fields; None for white space.
+        columns: Names in the header.
+        header_line: Line of the header, counted from 1.
+        commented_header: True if the header was found in a comment line.
+    """
+
+    encoding: str
+    delimiter: str | None
+    columns: tuple[str, ...]
+    header_line: int
+    commented_header: bool = False
+
+    def split(self, line: str) -> list[str]:
+        """Fields of a line, without quotes and surrounding blanks."""
+        return [field.strip().strip('"').strip() for field in line.strip("\r\n").split(self.delimiter)]
+
+
+def is_skipped(line: str) -> bool:
+    """True for blank lines and comment lines."""
+    start = line.lstrip()
+    return not start or start.startswith(COMMENT_MARKS)
+
+
+def encoding_of(path: Path) -> str:
+    """Encoding by the byte order mark; UTF-8 without one."""
+    with path.open("rb") as file:
+        head = file.read(4)
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    return "utf-8-sig"
+
+
+def sniff_dialect(path: Path) -> CsvDialect:
+    """Dialect of a text table, from its header.
+
+    Raises:
+        RecordingError: No header, no text, or a header of numbers: joint names are mandatory.
+    """
+    encoding = encoding_of(path)
+    try:
+        with path.open(encoding=encoding) as file:
+            number, line, comment = _first_line(file, path)
+    except UnicodeError as error:
+        raise not_text(path, error) from error
+    dialect = CsvDialect(encoding, _delimiter(line), (), number)
+    fields = dialect.split(line)
+    if fields and all(NUMBER.fullmatch(f) for f in fields):
+        names = _split_comment(comment)
+        if len(names) != len(fields) or all(NUMBER.fullmatch(n) for n in names):
+            raise RecordingError(
+                f"{path.name}:{number}: the first line holds numbers ({line.strip()[:60]!r}), a header is needed: "
+                "'time' and one joint name a column, for the columns are matched by name",
+                code="no-header",
+                path=path,
+                line=number,
+            )
+        return CsvDialect(encoding, dialect.delimiter, tuple(names), number - 1, commented_header=True)
+    return CsvDialect(encoding, dialect.delimiter, tuple(fields), number)
+
+
+def _first_line(file: IO[str], path: Path) -> tuple[int, str, str]:
+    """Number and text of the first line that is no comment, and the last comment before it."""
+    comment = ""
+    number = 0
+    while line := file.readline(LONGEST_LINE):
+        number += 1
+        if len(line) >= LONGEST_LINE:
+            raise line_too_long(path, number)
+        if not is_skipped(line):
+            return number, line, comment
+        comment = line if line.strip() else comment
+    raise RecordingError(
+        f"{path.name}: the file is empty: a header with 'time' and the joint names, and rows of numbers are needed",
+        code="empty",
+        path=path,
+    )
+
+
+def _delimiter(line: str) -> str | None:
+    for mark in ("\t", ";", ","):
+        if mark in line.strip():
+            return mark
+    return None
+
+
+def _split_comment(comment: str) -> list[str]:
+    text = comment.strip().lstrip("".join(COMMENT_MARKS)).strip()
+    return CsvDialect("", _delimiter(text), (), 0).split(text) if text else []
+
+
+def line_too_long(path: Path, line: int) -> RecordingError:
+    """The refusal of a line beyond a million characters."""
+    return RecordingError(
+        f"{path.name}:{line}: this line has more than {LONGEST_LINE:,} characters; a text table with one sample a line "
+        "is needed",
+        code="line-too-long",
+        path=path,
+        line=line,
+    )
+
+
+def not_text(path: Path, error: UnicodeError) -> RecordingError:
+    """The refusal of bytes that are no text."""
+    return RecordingError(
+        f"{path.name}: this is not UTF-8 text ({reason(error)}): save the table as plain UTF-8 text",
+        code="encoding",
+        path=path,
+    )

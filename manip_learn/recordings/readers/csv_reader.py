@@ -1,0 +1,211 @@
+"""Text tables: `time` [s], one column a joint, and where recorded `<joint>_velocity`. Strict: nothing is guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import IO, NoReturn
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.errors import RecordingError, closest_names
+from manip_learn.recordings.readers.csv_dialect import (
+    DELIMITER_WORDS,
+    LONGEST_LINE,
+    NUMBER,
+    CsvDialect,
+    is_skipped,
+    line_too_long,
+    not_text,
+    sniff_dialect,
+)
+from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.reason import reason
+from manip_learn.recordings.readers.recording import Recording
+
+VELOCITY_SUFFIX = "_velocity"
+# columns that a joint explains, but that nobody needs here
+SURPLUS_SUFFIXES = ("_effort", "_torque", "_acceleration")
+
+
+def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
+    """The one recording of a text table.
+
+    Raises:
+        RecordingError: Names file, line and column, the value seen and the value wanted.
+    """
+    dialect = sniff_dialect(path)
+    names = _column_names(path, dialect, request)
+    used = [i for i, name in enumerate(names) if name is not None]
+    table = _table(path, dialect, used)
+    kept = [str(names[i]) for i in used]
+    notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
+    own = request.robot.joint_names
+    surplus = [n for n in kept if _base_name(n, SURPLUS_SUFFIXES, own)]
+    if surplus:
+        notes.append(f"not needed and not used: {', '.join(surplus)}")
+    velocity = {n: _base_name(n, (VELOCITY_SUFFIX,), own) for n in kept}
+    time_column = kept.index("time")
+    v = [i for i, n in enumerate(kept) if velocity[n] and n not in surplus]
+    p = [i for i, n in enumerate(kept) if not velocity[n] and n not in surplus and i != time_column]
+    yield Recording(
+        path=path,
+        name=path.name,
+        time=table[:, time_column],
+        position_names=tuple(kept[i] for i in p),
+        positions=table[:, p],
+        velocity_names=tuple(str(velocity[kept[i]]) for i in v),
+        velocities=table[:, v] if v else None,
+        line_of=partial(_line_of, path, dialect),
+        notes=tuple(notes),
+    )
+
+
+def _base_name(name: str, suffixes: tuple[str, ...], own_names: tuple[str, ...]) -> str | None:
+    """`joint1` for `joint1_velocity`, unless the robot has a joint that is really called so."""
+    if name in own_names:
+        return None
+    return next((name.removesuffix(s) for s in suffixes if name.endswith(s) and name != s), None)
+
+
+def _column_names(path: Path, dialect: CsvDialect, request: ReadRequest) -> list[str | None]:
+    """Wanted name of every column; None where it is to be ignored."""
+    names: list[str | None] = [request.wanted_name(n) for n in dialect.columns]
+    if "time" not in names:
+        near = closest_names("time", [n for n in names if n]) or [n for n in ("t", "stamp", "secs") if n in names]
+        hint = f"; if {near[0]!r} is meant, pass rename={{{near[0]!r}: 'time'}} or rename it" if near else ""
+        shown = ", ".join(map(repr, dialect.columns[:8])) + (" ..." if len(dialect.columns) > 8 else "")
+        raise _header_error(
+            path,
+            dialect,
+            "no-time",
+            f"there is no column 'time'; the {DELIMITER_WORDS[dialect.delimiter]}-separated header has {shown}{hint}",
+        )
+    seen: set[str] = set()
+    for i, (raw, name) in enumerate(zip(dialect.columns, names, strict=True)):
+        if raw in request.ignore_columns or name in request.ignore_columns:
+            names[i] = None
+            continue
+        if not name:
+            raise _header_error(path, dialect, "unnamed-column", f"column {i + 1} of {len(names)} has no name")
+        if name in seen:
+            raise _header_error(path, dialect, "duplicate-column", f"two columns are called {name!r}: keep one")
+        seen.add(name)
+    return names
+
+
+def _header_error(path: Path, dialect: CsvDialect, code: str, text: str) -> RecordingError:
+    return RecordingError(f"{path.name}:{dialect.header_line}: {text}", code=code, path=path, line=dialect.header_line)
+
+
+def _table(path: Path, dialect: CsvDialect, used: list[int]) -> Float[np.ndarray, "T n"]:
+    """The used columns of all rows.
+
+    Raises:
+        RecordingError: Text in a number, ragged rows, mixed decimal marks, no rows.
+    """
+    usecols = None if len(used) == len(dialect.columns) else used
+    try:
+        with path.open(encoding=dialect.encoding) as file:
+            lines = _checked_lines(file, path, dialect)
+            first = next(lines, None)
+            if first is None:
+                raise RecordingError(
+                    f"{path.name}: there is a header but no row of numbers", code="too-short", path=path
+                )
+            return np.loadtxt(
+                _chained(first, lines),
+                delimiter=dialect.delimiter,
+                comments=None,
+                quotechar='"',
+                usecols=usecols,
+                ndmin=2,
+            )
+    except UnicodeError as error:
+        raise not_text(path, error) from error
+    except ValueError as error:
+        _explain(path, dialect, used, error)
+
+
+def _chained(first: str, rest: Iterator[str]) -> Iterator[str]:
+    yield first
+    yield from rest
+
+
+def _numbered_lines(file: IO[str], path: Path, dialect: CsvDialect) -> Iterator[tuple[int, str]]:
+    """Data lines with their numbers; blank and comment lines are left out."""
+    number = 0
+    while line := file.readline(LONGEST_LINE):
+        number += 1
+        if len(line) >= LONGEST_LINE:
+            raise line_too_long(path, number)
+        if number > dialect.header_line and not is_skipped(line):
+            yield number, line
+
+
+def _checked_lines(file: IO[str], path: Path, dialect: CsvDialect) -> Iterator[str]:
+    """Data lines for NumPy's parser, each with the right number of fields and decimal points."""
+    delimiter, width = dialect.delimiter, len(dialect.columns)
+    comma_possible = delimiter != ","
+    mark_line: dict[str, int] = {}
+    for number, line in _numbered_lines(file, path, dialect):
+        fields = len(line.split()) if delimiter is None else line.count(delimiter) + 1
+        if fields != width:
+            raise RecordingError(
+                f"{path.name}:{number}: this row has {fields} fields, the header has {width} "
+                f"({DELIMITER_WORDS[delimiter]}-separated): {line.strip()[:60]!r}",
+                code="ragged",
+                path=path,
+                line=number,
+            )
+        if comma_possible and "," in line:
+            mark_line.setdefault(",", number)
+            if "." in line or "." in mark_line:
+                raise _mixed_marks(path, number, line)
+            line = line.replace(",", ".")
+        elif comma_possible and "." in line:
+            mark_line.setdefault(".", number)
+            if "," in mark_line:
+                raise _mixed_marks(path, number, line)
+        yield line
+
+
+def _mixed_marks(path: Path, number: int, line: str) -> RecordingError:
+    return RecordingError(
+        f"{path.name}:{number}: both ',' and '.' are used in numbers up to here, so it is not known which one is the "
+        f"decimal mark: {line.strip()[:60]!r}; write all numbers with one mark and no thousands separator",
+        code="decimal-mark",
+        path=path,
+        line=number,
+    )
+
+
+def _explain(path: Path, dialect: CsvDialect, used: list[int], cause: ValueError) -> NoReturn:
+    """Raise the error that names the field which NumPy's parser refused."""
+    wanted = set(used)
+    with path.open(encoding=dialect.encoding) as file:
+        for number, line in _numbered_lines(file, path, dialect):
+            for i, field in enumerate(dialect.split(line)):
+                if i in wanted and not NUMBER.fullmatch(field):
+                    what = "an empty field" if not field else repr(field[:40])
+                    raise RecordingError(
+                        f"{path.name}:{number}, column {dialect.columns[i]!r}: {what} where a number is needed: "
+                        "correct the row or remove it",
+                        code="not-a-number",
+                        path=path,
+                        line=number,
+                        column=dialect.columns[i],
+                    ) from cause
+    raise RecordingError(
+        f"{path.name}: the numbers cannot be read: {reason(cause)}", code="not-a-number", path=path
+    ) from cause
+
+
+def _line_of(path: Path, dialect: CsvDialect, sample: int) -> int:
+    with path.open(encoding=dialect.encoding) as file:
+        for i, (number, _) in enumerate(_numbered_lines(file, path, dialect)):
+            if i == sample:
+                return number
+    return dialect.header_line

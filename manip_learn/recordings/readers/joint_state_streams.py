@@ -1,0 +1,133 @@
+"""Joint-state messages of a bag -> arrays, one stream a topic and set of joints."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from manip_learn.errors import RecordingError
+from manip_learn.recordings.readers.bag_file import BagFile
+from manip_learn.recordings.readers.joint_state_layout import JointStateLayout
+
+BATCH = 16_384
+MOST_LAYOUTS = 200
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class JointStateStream:
+    """What one publisher said about one list of joints.
+
+    Attributes:
+        topic: Topic.
+        names: Joints.
+        stamps: shape (T,), header stamps [ns].
+        received: shape (T,), stamps of the recorder [ns].
+        positions: shape (T, n).
+        velocities: shape (T, n), or None if any message has none.
+    """
+
+    topic: str
+    names: tuple[str, ...]
+    stamps: Int[np.ndarray, " T"]
+    received: Int[np.ndarray, " T"]
+    positions: Float[np.ndarray, "T n"]
+    velocities: Float[np.ndarray, "T n"] | None
+
+
+@final
+@dataclass
+class _Pieces:
+    stamps: list[np.ndarray] = field(default_factory=list)
+    received: list[np.ndarray] = field(default_factory=list)
+    positions: list[np.ndarray] = field(default_factory=list)
+    velocities: list[np.ndarray | None] = field(default_factory=list)
+
+
+def joint_state_streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStateStream], list[str]]:
+    """All streams of some topics, and what was left out.
+
+    Raises:
+        RecordingError: Messages that are no JointState.
+    """
+    pieces: dict[tuple[str, tuple[str, ...]], _Pieces] = {}
+    layouts: dict[tuple[str, int], list[JointStateLayout]] = {}
+    without_positions: dict[str, int] = {}
+    for topic, received, raw in _batches(bag, topics):
+        for layout, messages, stamps in _by_layout(bag, topic, raw, received, layouts):
+            positions = layout.positions(messages)
+            if positions is None:
+                without_positions[topic] = without_positions.get(topic, 0) + len(messages)
+                continue
+            piece = pieces.setdefault((topic, layout.names), _Pieces())
+            piece.stamps.append(layout.stamps(messages))
+            piece.received.append(stamps)
+            piece.positions.append(positions)
+            piece.velocities.append(layout.velocities(messages))
+    streams = [
+        JointStateStream(
+            topic,
+            names,
+            np.concatenate(p.stamps),
+            np.concatenate(p.received),
+            np.concatenate(p.positions),
+            None
+            if any(v is None for v in p.velocities)
+            else np.concatenate([v for v in p.velocities if v is not None]),
+        )
+        for (topic, names), p in pieces.items()
+    ]
+    notes = [f"{n} messages of {topic} have no positions, not used" for topic, n in without_positions.items()]
+    return streams, notes
+
+
+def _batches(bag: BagFile, topics: tuple[str, ...]) -> Iterator[tuple[str, np.ndarray, list[bytes]]]:
+    """Messages of one topic at a time, with the recorder's stamps."""
+    messages = bag.messages(topics)
+    while batch := list(itertools.islice(messages, BATCH)):
+        for topic in dict.fromkeys(m[0] for m in batch):
+            of_topic = [m for m in batch if m[0] == topic]
+            yield topic, np.array([m[1] for m in of_topic], dtype=np.int64), [m[2] for m in of_topic]
+
+
+def _by_layout(
+    bag: BagFile,
+    topic: str,
+    raw: list[bytes],
+    received: np.ndarray,
+    layouts: dict[tuple[str, int], list[JointStateLayout]],
+) -> Iterator[tuple[JointStateLayout, np.ndarray, np.ndarray]]:
+    """Groups of messages with one layout, as rows of bytes."""
+    sizes = np.fromiter(map(len, raw), dtype=np.int64, count=len(raw))
+    for size in np.unique(sizes):
+        index = np.flatnonzero(sizes == size)
+        rows = np.frombuffer(b"".join(raw[i] for i in index), dtype=np.uint8).reshape(len(index), int(size))
+        known = layouts.setdefault((topic, int(size)), [])
+        todo = np.ones(len(index), dtype=bool)
+        tried = 0
+        while np.any(todo):
+            if tried == len(known):
+                known.append(_new_layout(bag, topic, raw[index[np.argmax(todo)]], sum(map(len, layouts.values()))))
+            layout = known[tried]
+            tried += 1
+            mine = todo & layout.matches(rows)
+            if np.any(mine):
+                bag.layout(raw[index[np.flatnonzero(mine)[-1]]])  # a sample more, read by the library as well
+                yield layout, rows[mine], received[index[mine]]
+                todo &= ~mine
+
+
+def _new_layout(bag: BagFile, topic: str, raw: bytes, n_known: int) -> JointStateLayout:
+    if n_known >= MOST_LAYOUTS:
+        raise RecordingError(
+            f"{bag.path.name}: the joints named in {topic} change all the time ({n_known} lists): choose another "
+            "topic with topics=[...]",
+            code="unsteady-names",
+            path=bag.path,
+        )
+    return bag.layout(raw)

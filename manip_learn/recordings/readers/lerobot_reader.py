@@ -1,0 +1,255 @@
+"""LeRobot data sets v2 and v3: the joint positions in `observation.state`, one recording an episode.
+
+LeRobot does not store units, so the caller must state them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from manip_learn.errors import MissingExtraError, RecordingError
+from manip_learn.recordings.readers.float_array import float_array
+from manip_learn.recordings.readers.lerobot_dataset import STATE, VELOCITY, LeRobotDataset, open_dataset
+from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.reason import reason
+from manip_learn.recordings.readers.recording import Recording
+
+try:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+except ImportError as error:
+    raise MissingExtraError("reading LeRobot data", "lerobot") from error
+
+BATCH = 65_536
+ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200  # bytes, and how much smaller packed
+FEWEST_BYTES = 16  # of a sample: a stamp and a few joints
+GRIPPER = "gripper"  # always 0 .. 100 in LeRobot, whatever the unit of the other motors
+DAMAGE = (pa.ArrowException, OSError, ValueError, KeyError, NotImplementedError, RuntimeError, MemoryError)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """Samples of one episode."""
+
+    index: int
+    time: np.ndarray
+    state: np.ndarray
+    velocity: np.ndarray | None
+
+
+def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
+    """One recording an episode; one episode in memory at a time.
+
+    Raises:
+        RecordingError: Units or names not known, damaged, values missing.
+    """
+    dataset = open_dataset(path)
+    names: tuple[str, ...] | None = None
+    for episode in _episodes(dataset, request):
+        if names is None:
+            names = _names(dataset, request, episode.state.shape[1])
+            _refuse_unknown_units(dataset, request, names, episode.state)
+        yield _recording(dataset, request, names, episode)
+
+
+def _recording(dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], episode: Episode) -> Recording:
+    position = [i for i, n in enumerate(names) if not n.endswith(".vel")]
+    velocity = [i for i, n in enumerate(names) if n.endswith(".vel")]
+    position_names = tuple(_joint_name(names[i], request) for i in position)
+    velocity_names: tuple[str, ...] = ()
+    velocities = None
+    notes = []
+    if any(names[i] != n for i, n in zip(position, position_names, strict=True)):
+        notes.append("'.pos' was taken off the names")
+    if velocity:
+        velocity_names = tuple(_joint_name(names[i], request) for i in velocity)
+        velocities = episode.state[:, velocity]
+    elif episode.velocity is not None and episode.velocity.shape == episode.state.shape:
+        velocity_names, velocities = position_names, episode.velocity
+    positions, said = _gripper(episode.state[:, position], position_names, request)
+    return Recording(
+        path=dataset.root,
+        name=f"{dataset.root.name} episode {episode.index}",
+        time=episode.time,
+        position_names=position_names,
+        positions=positions,
+        velocity_names=velocity_names,
+        velocities=velocities,
+        strict_columns=False,
+        in_seconds=True,
+        notes=(*notes, *said),
+    )
+
+
+def _joint_name(name: str, request: ReadRequest) -> str:
+    wanted = request.wanted_name(name)
+    if wanted in request.robot.joint_names:
+        return wanted
+    return request.wanted_name(wanted.removesuffix(".pos").removesuffix(".vel"))
+
+
+def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ReadRequest) -> tuple[np.ndarray, list[str]]:
+    """Positions with the gripper's 0 .. 100 in the unit of the other motors."""
+    robot = request.robot
+    if GRIPPER not in names or GRIPPER not in robot.joint_names or request.units == "radians":
+        return positions, []
+    i, j = names.index(GRIPPER), robot.joint_index(GRIPPER)
+    share = positions[:, i] / 100.0
+    positions = positions.copy()
+    if request.units == "normalised":
+        positions[:, i] = 200.0 * share - 100.0
+    else:
+        lower, upper = robot.position_lower[j], robot.position_upper[j]
+        positions[:, i] = np.degrees(lower + share * (upper - lower))
+    return positions, ["the gripper's 0 .. 100 is spread over its joint limits"]
+
+
+def _names(dataset: LeRobotDataset, request: ReadRequest, width: int) -> tuple[str, ...]:
+    names = request.joint_names or dataset.names
+    if names is None:
+        raise _refusal(
+            dataset.root,
+            "no-joint-names",
+            f"the data set does not name the {width} entries of {STATE}: pass joint_names=[...] in their order",
+        )
+    if len(names) != width:
+        raise _refusal(
+            dataset.root, "shape", f"{STATE} has {width} entries, there are {len(names)} names: {', '.join(names)}"
+        )
+    return names
+
+
+def _refuse_unknown_units(
+    dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], state: np.ndarray
+) -> None:
+    if request.units is not None:
+        return
+    arm = [i for i, n in enumerate(names) if GRIPPER not in n and not n.endswith(".vel")] or [0]
+    low, high = float(np.min(state[:, arm])), float(np.max(state[:, arm]))
+    largest = max(abs(low), abs(high))
+    guess = (
+        "'radians'"
+        if largest < 2 * np.pi
+        else "'degrees', or 'normalised' (-100 .. 100)"
+        if largest <= 100
+        else "'degrees'"
+    )
+    raise _refusal(
+        dataset.root,
+        "units",
+        f"LeRobot data does not say its units and the arm's values are {low:.4g} .. {high:.4g}: pass units='radians', "
+        f"'degrees' or 'normalised'; these look like {guess}",
+    )
+
+
+def _episodes(dataset: LeRobotDataset, request: ReadRequest) -> Iterator[Episode]:
+    """Episodes of all files; one may go on in the next file."""
+    open_parts: list[Episode] = []
+    for file in dataset.files:
+        for part in _parts(file, dataset, request):
+            if open_parts and open_parts[0].index != part.index:
+                yield _joined(open_parts)
+                open_parts = []
+            open_parts.append(part)
+    if open_parts:
+        yield _joined(open_parts)
+
+
+def _joined(parts: list[Episode]) -> Episode:
+    velocities = [p.velocity for p in parts if p.velocity is not None]
+    return Episode(
+        parts[0].index,
+        np.concatenate([p.time for p in parts]),
+        np.concatenate([p.state for p in parts]),
+        np.concatenate(velocities) if len(velocities) == len(parts) else None,
+    )
+
+
+def _parts(file: Path, dataset: LeRobotDataset, request: ReadRequest) -> Iterator[Episode]:
+    """Runs of samples with the same episode number, batch by batch; only the needed columns are read."""
+    try:
+        with pq.ParquetFile(file) as parquet:
+            there = parquet.schema_arrow.names
+            if STATE not in there:
+                raise _refusal(file, "no-state", f"there is no column {STATE!r}, there is {', '.join(there[:12])}")
+            columns = [c for c in (STATE, VELOCITY, "timestamp", "frame_index", "episode_index") if c in there]
+            _refuse_bomb(file, parquet.metadata.num_rows)
+            for batch in parquet.iter_batches(batch_size=BATCH, columns=columns):
+                yield from _split(file, batch, dataset, request)
+    except RecordingError:
+        raise
+    except DAMAGE as error:
+        raise _refusal(
+            file, "damaged", f"the Parquet file cannot be read ({reason(error)}): download or write it again"
+        ) from error
+
+
+def _refuse_bomb(file: Path, n_rows: int) -> None:
+    # the library's column metadata would tell more, but asking for it aborts the process if the file is damaged
+    size = file.stat().st_size
+    if FEWEST_BYTES * n_rows > max(ALWAYS_FINE, BOMB_RATIO * size):
+        raise _refusal(
+            file, "bomb", f"{size:,} bytes claim to hold {n_rows:,} samples: no recorded motion packs so well"
+        )
+
+
+def _split(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest) -> Iterator[Episode]:
+    state = _matrix(file, batch, STATE)
+    velocity = _matrix(file, batch, VELOCITY) if VELOCITY in batch.schema.names else None
+    episode = _vector(file, batch, "episode_index") if "episode_index" in batch.schema.names else np.zeros(len(state))
+    time = _time(file, batch, dataset, request)
+    bounds = [0, *(int(i) + 1 for i in np.flatnonzero(np.diff(episode))), len(state)]
+    for a, b in zip(bounds, bounds[1:], strict=False):
+        if b > a:
+            yield Episode(int(episode[a]), time[a:b], state[a:b], None if velocity is None else velocity[a:b])
+
+
+def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest) -> np.ndarray:
+    if "timestamp" in batch.schema.names:
+        return _vector(file, batch, "timestamp")
+    rate = request.rate or dataset.fps
+    if rate is None or "frame_index" not in batch.schema.names:
+        raise _refusal(
+            file, "no-time", "there is neither 'timestamp' nor 'frame_index' with a rate: pass rate=<samples a second>"
+        )
+    return _vector(file, batch, "frame_index") / rate
+
+
+def _vector(file: Path, batch: Any, name: str) -> np.ndarray:
+    array = batch.column(name)
+    if array.null_count:
+        raise _refusal(file, "not-finite", f"{array.null_count} values of {name!r} are missing")
+    if not (pa.types.is_integer(array.type) or pa.types.is_floating(array.type)):
+        raise _refusal(file, "not-a-number", f"{name!r} holds {array.type}, numbers are needed")
+    return float_array(array.to_numpy(zero_copy_only=False))
+
+
+def _matrix(file: Path, batch: Any, name: str) -> np.ndarray:
+    array = batch.column(name)
+    if array.null_count:
+        raise _refusal(file, "not-finite", f"{array.null_count} samples of {name!r} are missing")
+    if pa.types.is_fixed_size_list(array.type):
+        width = array.type.list_size
+    elif pa.types.is_list(array.type) or pa.types.is_large_list(array.type):
+        widths = np.unique(np.diff(array.offsets.to_numpy()))
+        if len(widths) > 1:
+            raise _refusal(file, "ragged", f"the samples of {name!r} have {widths[0]} to {widths[-1]} entries")
+        width = int(widths[0]) if len(widths) else 0
+    else:
+        return _vector(file, batch, name)[:, None]
+    flat = array.flatten()
+    if flat.null_count:
+        raise _refusal(file, "not-finite", f"{flat.null_count} values of {name!r} are missing")
+    if not (pa.types.is_integer(flat.type) or pa.types.is_floating(flat.type)):
+        raise _refusal(file, "not-a-number", f"{name!r} holds {flat.type}, numbers are needed")
+    return float_array(flat.to_numpy(zero_copy_only=False)).reshape(len(array), width)
+
+
+def _refusal(path: Path, code: str, text: str) -> RecordingError:
+    return RecordingError(f"{path.name}: {text}", code=code, path=path)

@@ -1,0 +1,167 @@
+"""robomimic HDF5: `data/demo_N/obs/robot0_joint_pos`, one recording a demonstration.
+
+Links and data outside of the file are not followed. The file names no joints, so the caller must.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manip_learn.errors import MissingExtraError, RecordingError
+from manip_learn.recordings.readers.float_array import float_array
+from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.reason import reason
+from manip_learn.recordings.readers.recording import Recording
+from manip_learn.recordings.readers.recording_files import natural_order
+
+try:
+    import h5py
+except ImportError as error:
+    raise MissingExtraError("reading robomimic data", "robomimic") from error
+
+POSITION, VELOCITY = "robot0_joint_pos", "robot0_joint_vel"
+ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200  # bytes, and how much smaller packed
+DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, MemoryError, ArithmeticError)
+
+
+def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
+    """One recording a demonstration; one in memory at a time.
+
+    Raises:
+        RecordingError: Another kind of HDF5, links, no joint names, no rate, damaged.
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            data = _member(path, file, "data", h5py.Group)
+            demos = sorted((n for n in data if n.startswith("demo")), key=natural_order)
+            if not demos:
+                raise _refusal(
+                    path, "not-robomimic", f"the group 'data' holds no 'demo_0', ... but {', '.join(list(data)[:8])}"
+                )
+            names = _names(path, request)
+            rate, note = _rate(path, data, request)
+            for name in demos:
+                yield _recording(path, data, name, names, rate, note)
+    except RecordingError:
+        raise
+    except DAMAGE as error:
+        raise _refusal(
+            path, "damaged", f"the HDF5 file cannot be read ({reason(error)}): download or write it again"
+        ) from error
+
+
+def _recording(path: Path, data: Any, name: str, names: tuple[str, ...], rate: float, note: str) -> Recording:
+    demo = _member(path, data, name, h5py.Group)
+    if "obs" not in demo:
+        raise _refusal(
+            path,
+            "no-state",
+            f"{name} has no group 'obs': extract observations first (robomimic's dataset_states_to_obs.py)",
+        )
+    obs = _member(path, demo, "obs", h5py.Group)
+    positions = _matrix(path, _member(path, obs, POSITION, h5py.Dataset), f"{name}/obs/{POSITION}")
+    if positions.shape[1] != len(names):
+        raise _refusal(
+            path, "shape", f"{name}/obs/{POSITION} has {positions.shape[1]} columns for {len(names)} joint names"
+        )
+    velocities = None
+    if VELOCITY in obs:
+        velocities = _matrix(path, _member(path, obs, VELOCITY, h5py.Dataset), f"{name}/obs/{VELOCITY}")
+        if velocities.shape != positions.shape:
+            raise _refusal(
+                path, "shape", f"{name}: velocities have shape {velocities.shape}, positions {positions.shape}"
+            )
+    return Recording(
+        path=path,
+        name=f"{path.name} {name}",
+        time=np.arange(positions.shape[0]) / rate,
+        position_names=names,
+        positions=positions,
+        velocity_names=names if velocities is not None else (),
+        velocities=velocities,
+        strict_columns=False,
+        in_seconds=True,
+        notes=(note,),
+    )
+
+
+def _member(path: Path, group: Any, name: str, kind: type) -> Any:
+    """A member of a group that is stored in this very file."""
+    link = group.get(name, getlink=True)
+    if link is None:
+        raise _refusal(
+            path,
+            "not-robomimic",
+            f"there is no {name!r} in {group.name!r}, only {', '.join(list(group)[:8]) or 'nothing'}",
+        )
+    if not isinstance(link, h5py.HardLink):
+        target = getattr(link, "filename", "") or link.path
+        raise _refusal(
+            path,
+            "link",
+            f"{group.name.rstrip('/')}/{name} is a link to {target!r}; links are not followed (they can point at any "
+            "file): copy the data into the file, with h5py's copy(expand_external=True)",
+        )
+    member = group[name]
+    if not isinstance(member, kind):
+        raise _refusal(path, "not-robomimic", f"{member.name} is a {type(member).__name__}, not a {kind.__name__}")
+    return member
+
+
+def _matrix(path: Path, dataset: Any, where: str) -> np.ndarray:
+    if dataset.is_virtual or dataset.external:
+        raise _refusal(
+            path, "link", f"{where} is stored in other files, which are not opened: copy the data into the file"
+        )
+    if dataset.dtype.kind not in "fiu":
+        raise _refusal(path, "not-a-number", f"{where} holds {dataset.dtype}, numbers are needed")
+    if dataset.ndim != 2:
+        raise _refusal(path, "shape", f"{where} must have shape (T, n), it has {dataset.shape}")
+    need, stored = math.prod(dataset.shape) * dataset.dtype.itemsize, dataset.id.get_storage_size()
+    if need and not stored:
+        raise _refusal(path, "damaged", f"{where} has shape {dataset.shape}, but no numbers are stored")
+    if need > max(ALWAYS_FINE, BOMB_RATIO * stored):
+        raise _refusal(
+            path, "bomb", f"{where} claims {need:,} bytes, {stored:,} are stored: no recorded motion packs so well"
+        )
+    return float_array(dataset[()])
+
+
+def _names(path: Path, request: ReadRequest) -> tuple[str, ...]:
+    if request.joint_names is None:
+        raise _refusal(
+            path,
+            "no-joint-names",
+            f"robomimic files name no joints: pass joint_names=[...] in the order of {POSITION} (for this robot "
+            f"probably {list(request.robot.joint_names)})",
+        )
+    return request.joint_names
+
+
+def _rate(path: Path, data: Any, request: ReadRequest) -> tuple[float, str]:
+    if request.rate is not None:
+        return request.rate, f"no time stamps in the file: {request.rate:g} samples a second, as asked"
+    text = data.attrs.get("env_args")
+    try:
+        env = json.loads(text) if isinstance(text, str | bytes) else {}
+        frequency = env["env_kwargs"]["control_freq"]
+        rate = float(frequency)
+    except (ValueError, KeyError, TypeError, RecursionError):
+        rate = 0.0
+    if not (math.isfinite(rate) and rate > 0):
+        raise _refusal(
+            path,
+            "no-time",
+            "neither time stamps nor a control_freq in env_args are in the file: pass rate=<samples a second>",
+        )
+    return rate, f"no time stamps in the file: {rate:g} samples a second, from control_freq in env_args"
+
+
+def _refusal(path: Path, code: str, text: str) -> RecordingError:
+    return RecordingError(f"{path.name}: {text}", code=code, path=path)

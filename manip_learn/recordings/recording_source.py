@@ -1,0 +1,84 @@
+"""Files of recordings as a source for the learner: read part by part, as often as it takes, here or elsewhere."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Unpack, final
+
+from manip_learn.recordings.demonstrations import Trajectory
+from manip_learn.recordings.load_demonstrations import Paths, ReadOptions, iter_demonstrations
+from manip_learn.recordings.readers.file_format import LEROBOT, read_json
+from manip_learn.recordings.readers.lerobot_dataset import open_dataset
+from manip_learn.recordings.readers.recording_files import RecordingFile, recording_files
+from manip_learn.recordings.trajectory_source import TrajectorySource
+from manip_learn.robot import Robot
+
+PART_BYTES = 16_000_000  # of files that make a part, so that small ones share a task
+
+
+@final
+class RecordingSource(TrajectorySource):
+    """The demonstrations in some files, never all in memory; what a part needs of a file is read at each pass.
+
+    Args:
+        paths: As for `load_demonstrations`. Workers on other machines must see the same files under the same names.
+        robot: As for `load_demonstrations`.
+        **options: See `ReadOptions`.
+
+    Raises:
+        RecordingError: No path, one that is missing, or a folder without recordings of exactly one format.
+    """
+
+    def __init__(self, paths: Paths, robot: Robot, **options: Unpack[ReadOptions]):
+        files, notes = recording_files(paths)
+        self._robot = robot
+        self._options = options
+        self._notes = tuple(notes)
+        self._parts = _in_parts([Path(os.path.abspath(path)) for file in files for path in _pieces(file)])
+
+    @property
+    def n_parts(self) -> int:
+        """Runs of files of about `PART_BYTES`; a single large file is one part."""
+        return len(self._parts)
+
+    def part(self, index: int, notes: list[str] | None = None) -> Iterator[Trajectory]:
+        """The demonstrations in the files of a part, one after the other.
+
+        Raises:
+            RecordingError: A recording that cannot be trusted.
+            MissingExtraError: The format needs a library that is not installed.
+        """
+        yield from iter_demonstrations(self._parts[index], self._robot, notes=notes, **self._options)
+        if notes is not None and index == 0:
+            notes += self._notes
+
+
+def _pieces(file: RecordingFile) -> list[Path]:
+    """Files that can be read one by one: a LeRobot data set of version 2 has one an episode."""
+    if file.format is not LEROBOT or not file.path.is_dir():
+        return [file.path]
+    described = read_json(file.path / "meta" / "info.json")
+    version = described.get("codebase_version") if isinstance(described, dict) else None
+    if isinstance(version, str) and version.startswith("v2."):
+        return list(open_dataset(file.path).files)
+    return [file.path]  # an episode may go on in the next file
+
+
+def _in_parts(paths: list[Path]) -> list[list[Path]]:
+    parts: list[list[Path]] = [[]]
+    size = 0
+    for path in paths:
+        if parts[-1] and size >= PART_BYTES:
+            parts.append([])
+            size = 0
+        parts[-1].append(path)
+        size += _bytes(path)
+    return parts
+
+
+def _bytes(path: Path) -> int:
+    if path.is_dir():
+        return sum(inner.stat().st_size for inner in path.rglob("*") if inner.is_file())
+    return path.stat().st_size

@@ -1,0 +1,1 @@
+"""Checks that recordings pass before they become demonstrations."""

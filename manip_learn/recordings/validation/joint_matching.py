@@ -1,0 +1,157 @@
+"""Names in a recording -> the robot's joints, in the robot's order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from manip_learn.errors import RecordingError, closest_names
+from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.recording import Recording
+from manip_learn.robot import Robot
+
+LOCKED_MOTION = 0.02  # [rad or m], more than encoder noise
+MIMIC_MISMATCH = 0.02  # [rad or m]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class MatchedRecording:
+    """A recording whose columns are the robot's joints in the robot's order; numbers still those of the file.
+
+    Attributes:
+        recording: Where it came from; its notes tell what was left out.
+        q: shape (T, nv).
+        u: shape (T, nv), or None.
+    """
+
+    recording: Recording
+    q: Float[np.ndarray, "T nv"]
+    u: Float[np.ndarray, "T nv"] | None
+
+
+def angular_coordinates(robot: Robot) -> Bool[np.ndarray, " nv"]:
+    """True where a tangent coordinate is an angle, False where it is a length."""
+    angular = np.ones(robot.nv, dtype=bool)
+    for block in robot.blocks:
+        if block.kind == "prismatic":
+            angular[block.v] = False
+        elif block.kind in ("planar", "floating"):
+            angular[block.v.start : block.v.start + (2 if block.kind == "planar" else 3)] = False
+    return angular
+
+
+def unmoved_joint_names(robot: Robot) -> tuple[str, ...]:
+    """Joints of the description that are no degrees of freedom: locked, fixed and mimic joints."""
+    frames = robot.pinocchio_model.frames
+    fixed = [f.name for f in frames if f.type.name in ("FIXED_JOINT", "JOINT")]
+    return tuple(n for n in (*fixed, *(m.joint for m in robot.mimics)) if n not in robot.joint_names)
+
+
+def match_joints(recording: Recording, request: ReadRequest) -> MatchedRecording:
+    """The robot's joints of a recording.
+
+    Raises:
+        RecordingError: A joint without a column, a column without a joint, velocities for some joints only.
+    """
+    robot = request.robot
+    names = recording.position_names
+    _refuse_repeated(recording)
+    missing = [j for j in robot.joint_names if j not in names]
+    if missing:
+        raise _missing(recording, robot, missing)
+    notes = _surplus_notes(recording, robot)
+    q = recording.positions[:, [names.index(j) for j in robot.joint_names]]
+    return MatchedRecording(recording.with_notes(*notes), q, _velocities(recording, robot))
+
+
+def _refuse_repeated(recording: Recording) -> None:
+    for names in (recording.position_names, recording.velocity_names):
+        repeated = next((n for n in names if names.count(n) > 1), None)
+        if repeated is not None:
+            raise recording.refusal("duplicate-column", f"the joint {repeated!r} is there twice: keep one")
+
+
+def _missing(recording: Recording, robot: Robot, missing: list[str]) -> RecordingError:
+    shown = ", ".join(map(repr, missing[:3])) + (f" and {len(missing) - 3} more" if len(missing) > 3 else "")
+    free = [n for n in recording.position_names if n not in robot.joint_names]
+    near = closest_names(missing[0], free)
+    if near:
+        hint = f"; did you mean {', '.join(map(repr, near))}? If so: rename={{{near[0]!r}: {missing[0]!r}}}"
+    else:
+        columns = ", ".join(map(repr, recording.position_names[:10])) or "none"
+        hint = f"; it has {columns}"
+    locked = ", ".join(map(repr, missing))
+    return recording.refusal(
+        "missing-joint",
+        f"nothing is recorded for joint {shown} of robot {robot.name!r}{hint}. A joint that does not move in the "
+        f"recordings can be locked: load_robot(..., locked=[{locked}]), or --lock {missing[0]} on the command line",
+        column=missing[0],
+    )
+
+
+def _surplus_notes(recording: Recording, robot: Robot) -> list[str]:
+    unmoved = unmoved_joint_names(robot)
+    known = {*robot.joint_names, *unmoved}
+    strangers = [n for n in (*recording.position_names, *recording.velocity_names) if n not in known]
+    if strangers and recording.strict_columns:
+        raise _unknown(recording, robot, strangers[0])
+    notes = []
+    if strangers:
+        notes.append(f"not joints of {robot.name!r}, not used: {', '.join(dict.fromkeys(strangers))}")
+    for i, name in enumerate(recording.position_names):
+        if name in unmoved:
+            notes.append(_unmoved_note(recording, robot, name, recording.positions[:, i]))
+    return notes
+
+
+def _unknown(recording: Recording, robot: Robot, name: str) -> RecordingError:
+    near = closest_names(name, robot.joint_names)
+    hint = f" (near: {', '.join(map(repr, near))})" if near else f" (it has {', '.join(robot.joint_names)})"
+    return recording.refusal(
+        "unknown-column",
+        f"no joint of robot {robot.name!r} explains this column{hint}: correct the name, or pass "
+        f"ignore_columns=({name!r},) (--ignore-column {name})",
+        column=name,
+    )
+
+
+def _unmoved_note(recording: Recording, robot: Robot, name: str, values: np.ndarray) -> str:
+    finite = values[np.isfinite(values)]
+    mimic = next((m for m in robot.mimics if m.joint == name), None)
+    if mimic is not None:
+        note = f"mimic joint {name!r} follows {mimic.leader!r}, its column is not used"
+        if mimic.leader in recording.position_names:
+            leader = recording.positions[:, recording.position_names.index(mimic.leader)]
+            off = np.abs(values - mimic.multiplier * leader - mimic.offset)
+            worst = float(np.max(off[np.isfinite(off)], initial=0.0))
+            if worst > MIMIC_MISMATCH:
+                note += f", though it is up to {worst:.3g} away from what the description says"
+        return note
+    note = f"joint {name!r} is locked or fixed in {robot.name!r}, its column is not used"
+    span = float(np.ptp(finite)) if finite.size else 0.0
+    if span > LOCKED_MOTION:
+        note += f", though it moves by {span:.3g} in the recording"
+    return note
+
+
+def _velocities(recording: Recording, robot: Robot) -> Float[np.ndarray, "T nv"] | None:
+    if recording.velocities is None:
+        return None
+    names = recording.velocity_names
+    there = [j for j in robot.joint_names if j in names]
+    if not there:
+        return None
+    absent = [j for j in robot.joint_names if j not in names]
+    if absent:
+        ignored = ", ".join(repr(j + "_velocity") for j in there[:3])
+        raise recording.refusal(
+            "partial-velocity",
+            f"velocities are recorded for {len(there)} of {robot.nv} joints, not {', '.join(map(repr, absent[:3]))}: "
+            f"record all, or none (ignore_columns=({ignored}, ...))",
+            column=absent[0],
+        )
+    return recording.velocities[:, [names.index(j) for j in robot.joint_names]]

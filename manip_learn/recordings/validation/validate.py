@@ -1,0 +1,179 @@
+"""Examine a recording before anybody learns from it: faults are named and refused, everything done is told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.recordings.demonstrations import Trajectory
+from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.recording import Recording
+from manip_learn.recordings.validation.joint_matching import MatchedRecording, angular_coordinates, match_joints
+from manip_learn.recordings.validation.limit_checks import check_limits
+from manip_learn.recordings.validation.time_checks import (
+    bunched_note,
+    doubt_slow_time,
+    increasing,
+    pieces,
+    time_in_seconds,
+)
+from manip_learn.recordings.validation.velocity_checks import FEWEST, check_velocities, compare_velocities
+from manip_learn.robot import Robot
+
+SHOWN = 5
+NO_MEASUREMENT = 1e50  # finite for the computer only: squares of it would overflow
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """What came out of one recording: trajectories in the robot's joints, rad and s, and what was noticed or done."""
+
+    trajectories: tuple[Trajectory, ...]
+    notes: tuple[str, ...]
+
+
+def examine(recording: Recording, request: ReadRequest) -> Examined:
+    """Trajectories of one recording, in the robot's joints and in SI units.
+
+    Raises:
+        RecordingError: A fault that would spoil what is learnt; says where and what to do.
+    """
+    matched = match_joints(recording, request)
+    recording, q, u = matched.recording, matched.q, matched.u
+    robot, angular = request.robot, angular_coordinates(request.robot)
+    notes = list(recording.notes)
+    if recording.time.shape[0] >= 2:
+        _refuse_not_finite(matched, robot.joint_names)
+    time = time_in_seconds(recording, request)
+    q, u, said = _in_radians(recording, request, q, u)
+    notes += said
+    keep, said = increasing(recording, time, q, u)
+    notes += said
+    if not np.all(keep):
+        recording, time, q, u = _kept(recording, keep), time[keep], q[keep], None if u is None else u[keep]
+        if time.shape[0] < 2:
+            raise recording.refusal("too-short", "all stamps are the same: nothing is left to see a motion")
+    notes += bunched_note(time)
+    q, said = _unwrapped(robot, q)
+    notes += said
+    if u is None:
+        doubt_slow_time(recording, request, time, q)
+    elif time.shape[0] >= FEWEST and not recording.trusted:
+        notes += check_velocities(recording, robot.joint_names, angular, compare_velocities(time, q, u))
+    notes += check_limits(recording, request, angular, time, q)
+    return _split(recording, robot, time, q, u, notes)
+
+
+def _refuse_not_finite(matched: MatchedRecording, names: tuple[str, ...]) -> None:
+    recording = matched.recording
+    parts: list[tuple[str, np.ndarray, tuple[str, ...]]] = [
+        ("", recording.time[:, None], ("time",)),
+        ("", matched.q, names),
+    ]
+    if matched.u is not None:
+        parts.append((" velocity", matched.u, names))
+    bad = np.zeros(recording.time.shape[0], dtype=bool)
+    for _, values, _ in parts:
+        bad |= ~np.all(np.abs(values) < NO_MEASUREMENT, axis=1)
+    rows = np.flatnonzero(bad)
+    if not rows.size:
+        return
+    places = ", ".join(recording.place(int(r)) for r in rows[:SHOWN]) + (", ..." if rows.size > SHOWN else "")
+    row = int(rows[0])
+    for word, values, columns in parts:
+        wrong = np.flatnonzero(~(np.abs(values[row]) < NO_MEASUREMENT))
+        if wrong.size:
+            raise recording.refusal(
+                "not-finite",
+                f"{values[row, wrong[0]]}{word} where a finite number is needed; {rows.size} such sample(s): {places}; "
+                "remove them (a gap of more than ten steps then splits the demonstration)",
+                sample=row,
+                column=columns[wrong[0]],
+            )
+
+
+def _in_radians(
+    recording: Recording,
+    request: ReadRequest,
+    q: Float[np.ndarray, "T nv"],
+    u: Float[np.ndarray, "T nv"] | None,
+) -> tuple[Float[np.ndarray, "T nv"], Float[np.ndarray, "T nv"] | None, list[str]]:
+    robot, angular = request.robot, angular_coordinates(request.robot)
+    if request.units == "degrees":
+        factor = np.where(angular, np.pi / 180, 1.0)
+        lengths = [n for n, a in zip(robot.joint_names, angular, strict=True) if not a]
+        kept = f"; {', '.join(lengths)} taken as metres" if lengths else ""
+        return q * factor, None if u is None else u * factor, [f"degrees converted to radians, as asked{kept}"]
+    if request.units == "normalised":
+        lower, upper = robot.position_lower, robot.position_upper
+        unlimited = [n for n, a, b in zip(robot.joint_names, lower, upper, strict=True) if not np.isfinite(b - a)]
+        if unlimited:
+            raise recording.refusal(
+                "units",
+                f"joint {unlimited[0]!r} has no limits, so its normalised values have no meaning: convert the file",
+            )
+        if np.max(np.abs(q)) > 110.0:
+            raise recording.refusal(
+                "units", f"values reach {np.max(np.abs(q)):.4g}: normalised ones are -100 .. 100; state other units"
+            )
+        factor = (upper - lower) / 200.0
+        note = "normalised values (-100 .. 100) spread over the joint limits, as asked"
+        return 0.5 * (lower + upper) + q * factor, None if u is None else u * factor, [note]
+    return q, u, []
+
+
+def _kept(recording: Recording, keep: np.ndarray) -> Recording:
+    """The recording seen through the kept samples, so that later messages still name the right line."""
+    index = np.flatnonzero(keep)
+    line_of = recording.line_of
+    return Recording(
+        path=recording.path,
+        name=recording.name,
+        time=recording.time[keep],
+        position_names=recording.position_names,
+        positions=recording.positions[keep],
+        in_seconds=recording.in_seconds,
+        trusted=recording.trusted,
+        line_of=None if line_of is None else lambda i: line_of(int(index[i])),
+    )
+
+
+def _unwrapped(robot: Robot, q: Float[np.ndarray, "T nv"]) -> tuple[Float[np.ndarray, "T nv"], list[str]]:
+    columns = [b.v.start for b in robot.blocks if b.kind == "continuous"]
+    wrapped = [i for i in columns if np.any(np.abs(np.diff(q[:, i])) > np.pi)]
+    if not wrapped:
+        return q, []
+    q = q.copy()
+    q[:, wrapped] = np.unwrap(q[:, wrapped], axis=0)
+    names = ", ".join(robot.joint_names[i] for i in wrapped)
+    return q, [f"continuous joint(s) {names}: full turns added where the angle wraps (the posture is the same)"]
+
+
+def _split(
+    recording: Recording,
+    robot: Robot,
+    time: Float[np.ndarray, " T"],
+    q: Float[np.ndarray, "T nv"],
+    u: Float[np.ndarray, "T nv"] | None,
+    notes: list[str],
+) -> Examined:
+    parts, gaps = pieces(time)
+    if not gaps.size:
+        return Examined((Trajectory(time, q, u, robot.joint_names, recording.name),), tuple(notes))
+    long_parts = [p for p in parts if p.stop - p.start >= 2]
+    shown = ", ".join(f"{time[g + 1] - time[g]:.3g} s after {recording.place(int(g))}" for g in gaps[:SHOWN])
+    notes.append(f"split at {gaps.size} gap(s) longer than ten steps ({shown}{', ...' if gaps.size > SHOWN else ''})")
+    if len(long_parts) < len(parts):
+        notes.append(f"{len(parts) - len(long_parts)} lone sample(s) between gaps left out")
+    if not long_parts:
+        raise recording.refusal("too-short", "the samples are so far apart that no two belong together")
+    n = len(long_parts)
+    trajectories = tuple(
+        Trajectory(time[p], q[p], None if u is None else u[p], robot.joint_names, f"{recording.name} part {k} of {n}")
+        for k, p in enumerate(long_parts, 1)
+    )
+    return Examined(trajectories, tuple(notes))

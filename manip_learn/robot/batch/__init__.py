@@ -1,0 +1,1 @@
+"""Kinematics of one frame at many configurations at once."""

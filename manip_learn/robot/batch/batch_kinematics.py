@@ -1,0 +1,252 @@
+"""Kinematics of one frame at many postures: NumPy over structures of arrays, Pinocchio as judge and as fallback."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import final
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+
+from manip_learn.errors import ConfigurationError
+from manip_learn.robot.batch.chain import Chain, chain_to
+from manip_learn.robot.batch.column_map import ChainColumns
+from manip_learn.robot.batch.compiled_choice import kernels
+from manip_learn.robot.batch.forward_kinematics import SweepBuffers, sweep, tip_position
+from manip_learn.robot.batch.jacobian import ChainMotion, contracted, write_derivative, write_jacobian
+from manip_learn.robot.batch.postures import checked_postures, positions_of
+from manip_learn.robot.frame import Frame
+from manip_learn.robot.robot import Reference, Robot
+
+CHUNK = 1024  # postures: the columns of a 7-joint chain then stay in a second-level cache of 1 MB
+DERIVATIVE_CHUNK = 256
+AGREEMENT = 1e-12  # largest difference from Pinocchio, relative to the reach, that the check at first use lets pass
+ALL_ROWS = (0, 1, 2, 3, 4, 5)
+
+_KNOWN: WeakKeyDictionary[Robot, dict[int, BatchKinematics]] = WeakKeyDictionary()
+
+
+def batch_kinematics(robot: Robot, frame: Frame) -> BatchKinematics:
+    """The batch kinematics of a frame, made and checked once a robot."""
+    frames = _KNOWN.setdefault(robot, {})
+    if frame.index not in frames:
+        frames[frame.index] = BatchKinematics(robot, frame)
+    return frames[frame.index]
+
+
+@final
+class BatchKinematics:
+    """Jacobians, their derivatives and poses of one frame at many postures.
+
+    Only the joints that carry the frame are computed. Chains of revolute, continuous and prismatic joints (mimic joints
+    included) run in NumPy; all others call Pinocchio in a loop. So does a chain whose numbers differ from Pinocchio's
+    at a few postures when it is first used.
+
+    Args:
+        robot: The robot.
+        frame: One of its frames.
+
+    Attributes:
+        fast: False if Pinocchio is called in a loop.
+    """
+
+    def __init__(self, robot: Robot, frame: Frame):
+        self._robot = robot
+        self._frame = frame
+        chain = chain_to(robot.pinocchio_model, frame)
+        self.fast = chain is not None
+        if chain is not None:
+            self._chain: Chain = chain
+            self._reversed = chain.reversed()
+            self._columns = ChainColumns(robot, chain)
+            self.fast = self._agrees_with_pinocchio()
+
+    def jacobian(
+        self,
+        q: ArrayLike,
+        reference: Reference = "world",
+        rows: Sequence[int] = ALL_ROWS,
+        *,
+        compiled: bool | None = None,
+    ) -> Float[np.ndarray, "n p nv"]:
+        """Frame Jacobians, linear rows first [m/s, rad/s a joint velocity].
+
+        Args:
+            q: Postures, one a row: configurations (nq) or joint positions (nv).
+            reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
+            rows: Which of x y z rx ry rz, as 0 .. 5.
+            compiled: Use the numba kernels (equal to 1e-12); None: where numba is installed and n is large.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            MissingExtraError: `compiled=True` without numba.
+        """
+        postures = checked_postures(self._robot, q)
+        numba_kernels = kernels(compiled, len(postures))
+        if not self.fast:
+            return self._looped(postures, reference, rows)[0]
+        if numba_kernels is not None and self._columns.public is not None:
+            J = self._new_table(len(postures), len(rows), self._robot.nv)
+            table = self.chain_table(reference)
+            positions = positions_of(self._robot, postures)
+            numba_kernels.jacobians(table, positions, np.array(rows), self._columns.public, J)
+            return J
+        out = self._new_table(len(rows), self._robot.nv, len(postures))
+        for part, motion in self._motions(postures, reference, CHUNK):
+            write_jacobian(motion, rows, self._columns, out[..., part])
+        return out.transpose(2, 0, 1)
+
+    def jacobian_and_derivative(
+        self,
+        q: ArrayLike,
+        reference: Reference = "world",
+        rows: Sequence[int] = ALL_ROWS,
+        *,
+        compiled: bool | None = None,
+    ) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
+        """Frame Jacobians J and dJ/dq; entry [n, i, j, k] = d J_ij / d q_k along tangent coordinate k, exact.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            MissingExtraError: `compiled=True` without numba.
+        """
+        postures = checked_postures(self._robot, q)
+        numba_kernels = kernels(compiled, len(postures))
+        if not self.fast:
+            return self._looped(postures, reference, rows)
+        p, n, nv = len(rows), len(postures), self._robot.nv
+        if numba_kernels is not None and self._columns.public is not None:
+            J, H = self._new_table(n, p, nv), self._new_table(n, p, nv, nv)
+            table = self.chain_table(reference)
+            positions = positions_of(self._robot, postures)
+            numba_kernels.jacobians_and_derivatives(table, positions, np.array(rows), self._columns.public, J, H)
+            return J, H
+        J, H = self._new_table(p, nv, n), self._new_table(p, nv, nv, n)
+        for part, motion in self._motions(postures, reference, DERIVATIVE_CHUNK):
+            write_jacobian(motion, rows, self._columns, J[..., part])
+            write_derivative(motion, rows, self._columns, H[..., part])
+        return J.transpose(2, 0, 1), H.transpose(3, 0, 1, 2)
+
+    def contraction(
+        self,
+        q: ArrayLike,
+        weigh: Callable[[Float[np.ndarray, "p nv n"], slice], Float[np.ndarray, "p nv n"]],
+        reference: Reference = "world",
+        rows: Sequence[int] = ALL_ROWS,
+    ) -> Float[np.ndarray, "n nv"]:
+        """sum_ij weights_ij dJ_ij / dq_k, with weights that `weigh` makes from J, chunk by chunk.
+
+        The derivative itself is never formed: time and memory grow with the joints, not with their square.
+
+        Args:
+            q: Postures, one a row.
+            weigh: (J, which postures) -> weights, both (p, nv, n) with the postures last.
+            reference: As in `jacobian`.
+            rows: As in `jacobian`.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        """
+        postures = checked_postures(self._robot, q)
+        out = np.zeros((self._robot.nv, len(postures)))
+        if not self.fast:
+            for start in range(0, len(postures), DERIVATIVE_CHUNK):
+                part = slice(start, min(start + DERIVATIVE_CHUNK, len(postures)))
+                J, H = self._looped(postures[part], reference, rows)
+                out[:, part] = np.einsum("ijn,nijk->kn", weigh(J.transpose(1, 2, 0), part), H)
+            return out.T
+        for part, motion in self._motions(postures, reference, CHUNK):
+            J = self._new_table(len(rows), self._robot.nv, part.stop - part.start)
+            write_jacobian(motion, rows, self._columns, J)
+            weights = np.zeros((6, *motion.w.shape[1:]))
+            weights[list(rows)] = self._columns.gather(weigh(J, part))
+            self._columns.scatter(contracted(motion, weights), out[:, part])
+        return out.T
+
+    @property
+    def public_columns(self) -> Int[np.ndarray, " j"] | None:
+        """Public column of each joint that carries the frame, base first; None with mimic joints or a loop."""
+        return self._columns.public if self.fast else None
+
+    def chain_table(self, reference: Reference) -> Float[np.ndarray, "rows 12"]:
+        """The chain as compiled code reads it (needs numba).
+
+        Raises:
+            ConfigurationError: Pinocchio's loop is what serves this frame, there is no chain.
+        """
+        from manip_learn.robot.batch.compiled_chain import chain_table
+
+        if self.public_columns is None:
+            raise ConfigurationError(f"frame {self._frame.name!r} of {self._robot.name!r} has no compiled kinematics")
+        return chain_table(self._chain, self.public_columns, reference)
+
+    def pose(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
+        """Homogeneous transforms from the frame to the robot's base [m].
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        """
+        postures = checked_postures(self._robot, q)
+        out = np.zeros((4, 4, len(postures)))
+        out[3, 3] = 1.0
+        if not self.fast:
+            for i, posture in enumerate(postures):
+                out[..., i] = self._robot.pose(posture, self._frame)
+            return out.transpose(2, 0, 1)
+        for part, buffers in self._chunks(len(postures), CHUNK):
+            tip = sweep(self._chain, self._columns.positions(postures[part]), buffers)
+            here = out[..., part]
+            here[:3, 3] = tip_position(tip, self._chain.tool_position, buffers.work)
+            for j, turn in enumerate(self._chain.tool_rotation.T):
+                here[:3, j] = turn[0] * tip.x + turn[1] * tip.y + turn[2] * tip.z
+        return out.transpose(2, 0, 1)
+
+    # ---- plumbing -------------------------------------------------------------------------------------------------
+
+    def _motions(self, postures: np.ndarray, reference: str, chunk: int) -> Iterator[tuple[slice, ChainMotion]]:
+        """Axes and lever arms of the joints, base first, chunk by chunk; each overwrites the one before."""
+        for part, buffers in self._chunks(len(postures), chunk):
+            position = self._columns.positions(postures[part])
+            if reference == "world":
+                tip = sweep(self._chain, position, buffers)
+                point = tip_position(tip, self._chain.tool_position, buffers.work)
+                np.subtract(point[:, None], buffers.origin, out=buffers.origin)
+                axis, lever = buffers.axis, buffers.origin
+            else:
+                # seen from the frame, whose origin is then the zero: the lever arm is minus the joint's origin
+                sweep(self._reversed, -position[::-1], buffers)
+                np.negative(buffers.origin, out=buffers.origin)
+                axis, lever = buffers.axis[:, ::-1], buffers.origin[:, ::-1]
+            yield part, ChainMotion(axis, lever, self._chain.prismatic, reference)
+
+    def _chunks(self, n: int, chunk: int) -> Iterator[tuple[slice, SweepBuffers]]:
+        buffers = SweepBuffers.of(self._chain.size, min(n, chunk))
+        for start in range(0, n, chunk):
+            size = min(chunk, n - start)
+            yield slice(start, start + size), buffers.first(size)
+
+    def _new_table(self, *shape: int) -> np.ndarray:
+        # columns of joints that do not carry the frame are never written
+        return np.empty(shape) if self._columns.full else np.zeros(shape)
+
+    def _looped(self, postures: np.ndarray, reference: Reference, rows: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        nv, chosen = self._robot.nv, list(rows)
+        J, H = np.empty((len(postures), len(chosen), nv)), np.empty((len(postures), len(chosen), nv, nv))
+        for i, posture in enumerate(postures):
+            J_i, H_i = self._robot.jacobian_and_derivative(posture, self._frame, reference)
+            J[i], H[i] = J_i[chosen], H_i[chosen]
+        return J, H
+
+    def _agrees_with_pinocchio(self) -> bool:
+        """True if a few postures give Pinocchio's Jacobians, derivatives and poses, in both references."""
+        rng, robot = np.random.default_rng(0), self._robot
+        q = np.stack([robot.positions(robot.random_configuration(rng)) for _ in range(3)])
+        poses = np.stack([robot.pose(x, self._frame) for x in q])
+        allowed = AGREEMENT * (1.0 + float(np.max(np.abs(poses))))
+        differences = [self.pose(q) - poses]
+        for reference in ("world", "local"):
+            ours, theirs = self.jacobian_and_derivative(q, reference), self._looped(q, reference, ALL_ROWS)
+            differences += [a - b for a, b in zip(ours, theirs, strict=True)]
+        return all(float(np.max(np.abs(d), initial=0.0)) <= allowed for d in differences)

@@ -1,0 +1,65 @@
+"""numba's compiler with a cache on disk that knows all kernels of this library (the optional extra `fast`).
+
+numba's own cache sees changes of the file of a function only, not of the functions that it calls from other files:
+after an upgrade it would go on with the old ones in silence. Here the folder of the cache is named after the content of
+all kernel files. Modules with kernels are those that need `import numba`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+
+# numba fills its settings in while it runs: no type checker can know them
+_SETTINGS: Any = numba.config  # pyright: ignore[reportPrivateImportUsage]
+
+PACKAGE = Path(__file__).resolve().parents[2]
+KERNEL_FILES = (
+    "robot/batch/compiled_chain.py",
+    "robot/batch/compiled_kinematics.py",
+    "control/compiled/kernel_linalg.py",
+    "control/compiled/kernel.py",
+)
+# the constants that the kernels take from elsewhere
+CONSTANT_FILES = ("linalg.py", "control/velocity_limits.py", "control/null_space_saturation.py")
+
+_lock = threading.Lock()
+
+
+def content_stamp(package: Path = PACKAGE) -> str:
+    """Short name of the content of all kernel files."""
+    digest = hashlib.sha256()
+    for name in (*KERNEL_FILES, *CONSTANT_FILES):
+        digest.update((package / name).read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _cache_folder() -> Path:
+    name = f"kernels-{content_stamp()}"
+    if _SETTINGS.CACHE_DIR:  # the user has chosen a place
+        return Path(_SETTINGS.CACHE_DIR) / name
+    here = PACKAGE / "__pycache__" / name
+    try:
+        here.mkdir(parents=True, exist_ok=True)
+    except OSError:  # an installation that may not be written to
+        return Path.home() / ".cache" / "manip_learn" / name
+    return here
+
+
+_FOLDER = _cache_folder()
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, compiled at its first call or read from the cache; runs without the interpreter's lock."""
+    with _lock:
+        before = _SETTINGS.CACHE_DIR
+        _SETTINGS.CACHE_DIR = str(_FOLDER)
+        try:
+            return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+        finally:
+            _SETTINGS.CACHE_DIR = before

@@ -1,0 +1,112 @@
+"""Names of robots -> files."""
+
+from __future__ import annotations
+
+import csv
+import functools
+import importlib.metadata
+import importlib.resources
+from pathlib import Path, PurePosixPath
+
+from manip_learn.errors import MissingExtraError, UnknownNameError
+
+DATA_PACKAGE = "example-robot-data"
+SHIPPED = ("planar3", "sawyer")
+
+# Names that are not, or not only, the stem of a file.
+SHORT_NAMES = {
+    "alex": "alex_description/urdf/alex_nub_hands.urdf",
+    "alexander": "alexander_description/urdf/alexander_v1.lowerBodyOnly.urdf",
+    "anymal": "anymal_b_simple_description/robots/anymal.urdf",
+    "anymal_c": "anymal_c_simple_description/urdf/anymal.urdf",
+    "anymal_kinova": "anymal_b_simple_description/robots/anymal-kinova.urdf",
+    "asr_twodof": "asr_twodof_description/urdf/TwoDofs.urdf",
+    "b1_z1": "b1_description/urdf/b1-z1.urdf",
+    "borinot": "borinot_description/urdf/borinot_flying_arm_2.urdf",
+    "g1": "g1_description/urdf/g1_29dof_rev_1_0.urdf",
+    "hector": "hector_description/robots/quadrotor_base.urdf",
+    "hextilt": "hextilt_description/urdf/hextilt_flying_arm_5.urdf",
+    "hyq": "hyq_description/robots/hyq_no_sensors.urdf",
+    "solo8": "solo_description/robots/solo.urdf",
+    "talos": "talos_data/robots/talos_reduced.urdf",
+    "talos_arm": "talos_data/robots/talos_left_arm.urdf",
+    "talos_full": "talos_data/robots/talos_full_v2.urdf",
+    "ur3": "ur_description/urdf/ur3_robot.urdf",
+    "ur3_gripper": "ur_description/urdf/ur3_gripper.urdf",
+    "ur3_limited": "ur_description/urdf/ur3_joint_limited_robot.urdf",
+    "ur5": "ur_description/urdf/ur5_robot.urdf",
+    "ur5_gripper": "ur_description/urdf/ur5_gripper.urdf",
+    "ur5_limited": "ur_description/urdf/ur5_joint_limited_robot.urdf",
+    "ur10": "ur_description/urdf/ur10_robot.urdf",
+    "ur10_limited": "ur_description/urdf/ur10_joint_limited_robot.urdf",
+}
+
+
+def find_robot(name: str) -> Path:
+    """File of a robot by its name: one that is shipped, else one of example-robot-data.
+
+    Raises:
+        UnknownNameError: No such robot; lists near matches.
+        MissingExtraError: The robot is not shipped and example-robot-data is not installed.
+    """
+    if name in SHIPPED:
+        return shipped_folder() / f"{name}.urdf"
+    catalogue = example_robots()
+    if name in catalogue:
+        return catalogue[name]
+    if not catalogue and name in SHORT_NAMES.keys() | {"panda", "xarm7", "kinova", "z1", "so100", "so101", "baxter"}:
+        raise MissingExtraError(f"the robot {name!r}", "robots")
+    raise UnknownNameError("robot", name, robot_names(), "the list of robots (or give the path of a .urdf file)")
+
+
+def robot_names() -> tuple[str, ...]:
+    """Every name that `load_robot` knows here and now."""
+    return tuple(sorted({*SHIPPED, *example_robots()}))
+
+
+def shipped_folder() -> Path:
+    """Folder of the robots that come with this package, in an installed wheel or in a checkout."""
+    installed = Path(str(importlib.resources.files("manip_learn"))) / "_robots"
+    return installed if installed.is_dir() else Path(__file__).resolve().parents[3] / "robots"
+
+
+@functools.cache
+def example_robots() -> dict[str, Path]:
+    """Names and URDF files of example-robot-data; empty if it is not installed."""
+    try:
+        package = importlib.metadata.distribution(DATA_PACKAGE)
+    except importlib.metadata.PackageNotFoundError:
+        return {}
+    files = {_below_robots(name): name for name in _urdf_files(package)}
+    stems: dict[str, list[str]] = {}
+    for key in files:
+        stems.setdefault(PurePosixPath(key).stem, []).append(key)
+    chosen = {stem: keys[0] for stem, keys in stems.items() if len(keys) == 1}
+    chosen |= {short: key for short, key in SHORT_NAMES.items() if key in files}
+    return {name: Path(str(package.locate_file(files[key]))) for name, key in chosen.items()}
+
+
+def _urdf_files(package: importlib.metadata.Distribution) -> list[str]:
+    """Its .urdf files; read off the record, since `Distribution.files` makes paths of a thousand meshes first."""
+    record = package.read_text("RECORD")
+    if record is None:
+        return [str(f) for f in package.files or [] if f.suffix == ".urdf"]
+    return [
+        row[0]
+        for row in csv.reader(line for line in record.splitlines() if ".urdf" in line)
+        if row[0].endswith(".urdf")
+    ]
+
+
+def example_package_dir() -> Path | None:
+    """Folder that contains the package example-robot-data, for `package://example-robot-data/...`; None without it."""
+    for path in example_robots().values():
+        for folder in path.parents:
+            if folder.name == DATA_PACKAGE:
+                return folder.parent
+    return None
+
+
+def _below_robots(name: str) -> str:
+    parts = PurePosixPath(name).parts
+    return "/".join(parts[parts.index("robots") + 1 :]) if "robots" in parts else parts[-1]

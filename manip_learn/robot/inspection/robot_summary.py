@@ -1,0 +1,128 @@
+"""Everything worth knowing about a loaded robot, as plain data for printing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import final
+
+import numpy as np
+
+from manip_learn.errors import MissingExtraError, RobotError
+from manip_learn.robot.description.coupling import Mimic
+from manip_learn.robot.inspection.cross_check import CrossCheck, cross_check
+from manip_learn.robot.joint_block import JointKind
+from manip_learn.robot.robot import Robot
+from manip_learn.robot.tips import likely_tips
+from manip_learn.robot.visuals.visual_shapes import resolve_meshes
+
+UNITS: dict[JointKind, str] = {"prismatic": "m"}
+
+
+@final
+@dataclass(frozen=True)
+class JointSummary:
+    """One degree of freedom.
+
+    Attributes:
+        name: Joint name; `base.x`, `base.rz`, ... for one coordinate of a floating or planar joint.
+        kind: What moves.
+        unit: `"rad"` or `"m"`.
+        lower: Lower limit in that unit, -inf without one.
+        upper: Upper limit, inf without one.
+        velocity: Velocity limit in that unit a second, inf without one.
+    """
+
+    name: str
+    kind: JointKind
+    unit: str
+    lower: float
+    upper: float
+    velocity: float
+
+
+@final
+@dataclass(frozen=True)
+class RobotSummary:
+    """What `inspect` prints.
+
+    Attributes:
+        name: Name of the robot.
+        source: File it was read from, or None.
+        nq: Size of a configuration.
+        nv: Degrees of freedom.
+        joints: One entry a degree of freedom.
+        frames: Names of frames.
+        mimics: Joints that follow others.
+        locked: Joints held still -> position [rad or m].
+        tips: Likely tip frames, best first; more than one is a question.
+        warnings: What was ignored or repaired, and meshes that cannot be used.
+        cross_check: Second opinion on forward kinematics; None if there is none, and a warning says why.
+        meshes_found: Address in the URDF -> file.
+        meshes_missing: Address in the URDF -> reason.
+        fingerprint: Hash of the kinematics.
+    """
+
+    name: str
+    source: Path | None
+    nq: int
+    nv: int
+    joints: tuple[JointSummary, ...]
+    frames: tuple[str, ...]
+    mimics: tuple[Mimic, ...]
+    locked: dict[str, float]
+    tips: tuple[str, ...]
+    warnings: tuple[str, ...]
+    cross_check: CrossCheck | None
+    meshes_found: dict[str, Path]
+    meshes_missing: dict[str, str]
+    fingerprint: str
+
+
+def inspect_robot(robot: Robot, seed: int = 0, postures: int = 10) -> RobotSummary:
+    """Summary of a robot, with a second opinion on its forward kinematics at random postures."""
+    warnings = list(robot.warnings)
+    check = None
+    try:
+        check = cross_check(robot, np.random.default_rng(seed), postures)
+    except (RobotError, MissingExtraError) as error:
+        warnings.append(f"no second opinion on forward kinematics: {error}")
+    if check is not None and not check.agrees:
+        warnings.append(
+            f"yourdfpy puts link {check.link!r} elsewhere (by {check.largest_difference:.2g}): do not trust this file"
+        )
+    meshes = resolve_meshes(robot)
+    return RobotSummary(
+        name=robot.name,
+        source=robot.source,
+        nq=robot.nq,
+        nv=robot.nv,
+        joints=_joints(robot),
+        frames=robot.frame_names,
+        mimics=robot.mimics,
+        locked=dict(robot.locked),
+        tips=likely_tips(robot),
+        warnings=(*warnings, *meshes.warnings),
+        cross_check=check,
+        meshes_found=meshes.found,
+        meshes_missing=meshes.missing,
+        fingerprint=robot.fingerprint,
+    )
+
+
+def _joints(robot: Robot) -> tuple[JointSummary, ...]:
+    summaries: list[JointSummary] = []
+    for block in robot.blocks:
+        for k, name in zip(range(block.v.start, block.v.stop), block.coordinate_names, strict=True):
+            is_length = name.endswith((".x", ".y", ".z")) and block.kind in ("floating", "planar")
+            summaries.append(
+                JointSummary(
+                    name=name,
+                    kind=block.kind,
+                    unit="m" if is_length else UNITS.get(block.kind, "rad"),
+                    lower=float(robot.position_lower[k]),
+                    upper=float(robot.position_upper[k]),
+                    velocity=float(robot.velocity_limit[k]),
+                )
+            )
+    return tuple(summaries)

@@ -1,0 +1,1 @@
+"""What a robot looks like: visual elements, meshes and plain shapes."""

@@ -1,0 +1,125 @@
+"""How two sets of golden numbers are compared, and which of them may differ by more than rounding."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+Cases = dict[str, dict[str, Any]]
+
+TOLERANCE = 1e-12  # of the largest number in the array
+SMALLEST_SCALE = 1e-3  # arrays of smaller numbers are compared as if they were of this size
+NATURAL_SCALE = {"velocity": 1.0}  # [rad/s]; many commands are zero but for rounding
+# (start of case name, key ending, tolerance) for another machine, whose sums are rounded otherwise: five times or more
+# the differences between the machine that wrote the numbers and OPENBLAS_CORETYPE=Prescott on it
+LOOSER: tuple[tuple[str, str, float], ...] = (
+    # ratios of small eigenvalues, and angles over a bootstrap of them
+    ("learn", "", 1e-8),
+    ("manip-learn learn", "", 1e-8),
+    ("manip-learn demo", "", 1e-8),
+    # noise-free motions: the gap's denominator is the rounding of the recordings' seventh decimal
+    ("learn planar", "", 1e-6),
+    # iterations that stop at a tolerance of their own
+    ("learn planar 20 recordings, planar, world, rows 2, separate", "", 1e-3),
+    ("learn planar 20 recordings, planar, world, rows None, separate", "", 1e-3),
+    # a thousandth of a radian from a singularity: velocities grow with the inverse of the distance
+    ("command", "velocity", 1e-9),
+)
+
+
+def tolerance_of(case: str, key: str) -> float:
+    """The tolerance of one array on another machine, relative to its largest number."""
+    fitting = [t for start, end, t in LOOSER if case.startswith(start) and key.endswith(end)]
+    return max([TOLERANCE, *fitting])
+
+
+def differences(golden: Cases, now: Cases, *, strict: bool = False) -> list[str]:
+    """One sentence a difference, with the case and the key; keys that golden lacks are not looked at."""
+    found = []
+    for case, content in golden.items():
+        if case not in now:
+            found.append(f"{case}: no longer computed")
+            continue
+        for key, value in content.items():
+            tolerance = TOLERANCE if strict else tolerance_of(case, key)
+            floor = NATURAL_SCALE.get(key, SMALLEST_SCALE)
+            what = "is missing" if key not in now[case] else _difference(value, now[case][key], tolerance, floor)
+            if what:
+                found.append(f"{case}: {key} {what}")
+    return found
+
+
+def _difference(golden: Any, now: Any, tolerance: float, floor: float) -> str:
+    if not isinstance(golden, np.ndarray) or not isinstance(now, np.ndarray):
+        same = type(golden) is type(now) and golden == now
+        return "" if same else f"was {_short(golden)}, is {_short(now)}"
+    if golden.shape != now.shape:
+        return f"had shape {golden.shape}, has {now.shape}"
+    if not golden.size:
+        return ""
+    if not np.array_equal(np.isfinite(golden), np.isfinite(now)):
+        return f"is finite elsewhere: {_short(golden)} before, {_short(now)} now"
+    error = np.abs(np.nan_to_num(golden - now, nan=0.0))
+    scale = max(float(np.max(np.abs(golden), initial=0.0, where=np.isfinite(golden))), floor)
+    if error.max() <= tolerance * scale:
+        return ""
+    place = np.unravel_index(int(np.argmax(error)), error.shape)
+    return (
+        f"at {list(map(int, place))} was {golden[place]!r}, is {now[place]!r}: "
+        f"{error[place] / scale:.1e} of the scale {scale:.3g}, allowed {tolerance:.0e}"
+    )
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 200 else f"{text[:200]}..."
+
+
+# wording, time and place are no results; the cross-check's largest difference, and where it is, are rounding itself
+NO_RESULT = (
+    "seconds",
+    "bytes",
+    "html",
+    "out",
+    "source",
+    "largest_difference",
+    "sentence",
+    "fingerprint",
+    "notes",
+    "link",
+)
+COUNTED = ("warnings",)  # their wording may improve
+# rows of any sign and order, or any other basis of the same space
+SPACES = ("selection", "free_directions")
+
+
+def flat(value: Any, name: str = "") -> dict[str, Any]:
+    """A JSON answer as key -> array, word or count: rows that span a space become its projector, see `SPACES`."""
+    last = name.rpartition(".")[2]
+    if last in NO_RESULT:
+        return {}
+    if last in COUNTED:
+        codes = [w["code"] for w in value if isinstance(w, dict) and "code" in w]
+        return {f"{name}.count": len(value), **({f"{name}.codes": codes} if codes else {})}
+    if last in SPACES:
+        return {f"{name}.projector": projector(value)}
+    if isinstance(value, dict):
+        return {k: v for key, inner in value.items() for k, v in flat(inner, f"{name}.{key}" if name else key).items()}
+    if isinstance(value, list | tuple):
+        if value and all(_number(v) for v in value):
+            return {name: np.array(value, dtype=np.float64)}
+        if all(isinstance(v, str) for v in value):
+            return {name: list(value)}
+        return {k: v for i, inner in enumerate(value) for k, v in flat(inner, f"{name}[{i}]").items()}
+    return {name: np.array(value, dtype=np.float64) if isinstance(value, float) else value}
+
+
+def projector(rows: Any) -> np.ndarray:
+    """L^T L of orthonormal rows, shape (p, p): the same for every basis of their span."""
+    L = np.array(rows, dtype=np.float64)
+    return L.T @ L if L.size else np.zeros((0, 0))
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
