@@ -232,7 +232,7 @@ def test_other_feature_maps(robot_of: RobotOf, rng: np.random.Generator) -> None
 
 @pytest.mark.parametrize("reference", REFERENCES)
 @pytest.mark.parametrize("name", ["gantry", "sawyer", "humanoid", "mimic", "tree"])
-def test_contraction_equals_the_derivative_contracted(
+def test_vjp_equals_the_weighted_derivative(
     name: str, reference: str, robot_of: RobotOf, rng: np.random.Generator
 ) -> None:
     """sum_ij C_ij dJ_ij / dq_k without forming dJ/dq is the same number."""
@@ -242,6 +242,6 @@ def test_contraction_equals_the_derivative_contracted(
     rows = (1, 5, 0)
     C = rng.normal(size=(3, robot.nv, 6))
     _, H = kinematics.jacobian_and_derivative(q, reference, rows)
-    got = kinematics.contraction(q, lambda J, part: C[..., part] * (1.0 + J**2), reference, rows)
+    got = kinematics.vjp(q, lambda J, part: C[..., part] * (1.0 + J**2), reference, rows)
     weights = C * (1.0 + kinematics.jacobian(q, reference, rows).transpose(1, 2, 0) ** 2)
     np.testing.assert_allclose(got, np.einsum("ijn,nijk->nk", weights, H), rtol=0, atol=1e-11)

@@ -93,7 +93,7 @@ def test_svd_survives_a_failing_lapack(monkeypatch: pytest.MonkeyPatch, rng: np.
         np.testing.assert_array_equal(got, wanted)
 
 
-def test_selected_rows_and_their_contraction(robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_value_and_vjp_of_selected_rows(robot_of: RobotOf, rng: np.random.Generator) -> None:
     """Every feature map's short way to A and to sum weights dA/dq is that of its derivative."""
     robot = robot_of("tree")
     maps: list[FeatureMap] = [
@@ -109,11 +109,11 @@ def test_selected_rows_and_their_contraction(robot_of: RobotOf, rng: np.random.G
         q = rng.uniform(-1.0, 1.0, features.nv)
         for s in range(1, features.n_rows + 1):
             constraint = Constraint(np.linalg.qr(rng.normal(size=(features.n_rows, s)))[0].T, features)
-            A, contract = constraint.value_and_contraction(q)
+            A, vjp = constraint.value_and_vjp(q)
             np.testing.assert_allclose(A, constraint(q), rtol=0, atol=1e-13)
             weights = rng.normal(size=A.shape)
             wanted = np.einsum("ij,ijk->k", weights, constraint.derivative(q))
-            np.testing.assert_allclose(contract(weights), wanted, rtol=0, atol=1e-12)
+            np.testing.assert_allclose(vjp(weights), wanted, rtol=0, atol=1e-12)
 
 
 def test_bad_postures_are_still_refused(robot_of: RobotOf) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.features.centre_of_mass import CentreOfMass
-from manip_learn.constraint.features.feature_map import Contraction, FeatureMap
+from manip_learn.constraint.features.feature_map import FeatureMap, Vjp
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.stacked import Stacked
 from manip_learn.errors import ConstraintError, ConstraintMismatchError, ManipLearnError
@@ -63,7 +63,7 @@ class Constraint:
         self.features = features
         self.selection: Float[np.ndarray, "s p"] = _orthonormal(selection, features)
         self.selection.setflags(write=False)
-        self._embedded = features.embedded(self.selection)
+        self._padded = features.padded(self.selection)
         self.provenance: dict[str, Any] = dict(provenance or {})
 
     @property
@@ -94,9 +94,9 @@ class Constraint:
         dA = self.selection @ dPhi.reshape(dPhi.shape[0], -1)
         return self.selection @ Phi, dA.reshape(-1, *dPhi.shape[1:])
 
-    def value_and_contraction(self, q: ArrayLike) -> tuple[Float[np.ndarray, "s nv"], Contraction]:
-        """A(q), and the function weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, shape (nv,); no dA/dq is formed."""
-        return self.features.selected(q, self._embedded)
+    def value_and_vjp(self, q: ArrayLike) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
+        """A(q) and its vector-Jacobian product, weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, without dA/dq."""
+        return self.features.value_and_vjp(q, self._padded)
 
     def residual(self, demonstrations: Iterable[Motion]) -> float:
         """Fraction of the motion that breaks A(q) u = 0: sqrt(sum |A^+ A u|^2 / sum |u|^2), 0 to 1.

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.feature_map import Contraction
+from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.linalg import EPS, svd
 
 # below this ratio to the largest singular value the left singular vectors of zero and non-zero are mixed by rounding
@@ -49,8 +49,8 @@ def manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.nd
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
     """
-    A, contract = constraint.value_and_contraction(q)
-    return gradient_from(A.shape, svd(A), contract)[1]
+    A, vjp = constraint.value_and_vjp(q)
+    return gradient_from(A.shape, svd(A), vjp)[1]
 
 
 def log_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " nv"]:
@@ -62,8 +62,8 @@ def log_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[n
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
     """
-    A, contract = constraint.value_and_contraction(q)
-    mu, gradient, floor = gradient_from(A.shape, svd(A), contract)
+    A, vjp = constraint.value_and_vjp(q)
+    mu, gradient, floor = gradient_from(A.shape, svd(A), vjp)
     return gradient / max(mu, floor, np.finfo(np.float64).tiny)
 
 
@@ -76,7 +76,7 @@ def gradient_of(
 
 
 def gradient_from(
-    shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], contract: Contraction
+    shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp
 ) -> tuple[float, Float[np.ndarray, " nv"], float]:
     """The same from the shape of A, its singular value decomposition, and weights -> sum_ij weights_ij dA_ij / dq_k.
 
@@ -91,9 +91,9 @@ def gradient_from(
     mu = others[0] * values[0]
     floor = SINGULAR_RATIO * values[0] * others[-1]
     if values[-1] <= SINGULAR_RATIO * values[0]:
-        return mu, _cone_ascent(U[:, -1], Vt[s - 1 :], others[-1], contract), floor
-    # W = sum_i others_i u_i v_i^T, so that the gradient is one contraction
-    return mu, contract((U * others).dot(Vt[:s])), floor
+        return mu, _cone_ascent(U[:, -1], Vt[s - 1 :], others[-1], vjp), floor
+    # W = sum_i others_i u_i v_i^T, so that the gradient is one vector-Jacobian product
+    return mu, vjp((U * others).dot(Vt[:s])), floor
 
 
 def products_of_others(sigma: Sequence[float]) -> list[float]:
@@ -109,9 +109,7 @@ def products_of_others(sigma: Sequence[float]) -> list[float]:
     return out
 
 
-def escape_direction(
-    decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], contract: Contraction
-) -> Float[np.ndarray, " nv"]:
+def escape_direction(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp) -> Float[np.ndarray, " nv"]:
     """Unit vector out of a singularity where the rank is short by two or more, where mu has no gradient.
 
     With U_0, V_0 spanning what A has lost, U_0^T A(q + step) V_0 is linear in the step; its Frobenius norm grows
@@ -119,16 +117,16 @@ def escape_direction(
     """
     U, sigma, Vt = decomposition
     rank = int(np.count_nonzero(sigma > SINGULAR_RATIO * sigma[0]))
-    M = np.stack([contract(np.outer(u, v)) for u in U[:, rank:].T for v in Vt[rank:]])
+    M = np.stack([vjp(np.outer(u, v)) for u in U[:, rank:].T for v in Vt[rank:]])
     _, rate, Wt = np.linalg.svd(M, full_matrices=False)
     return _one_sign(Wt[0]) if rate[0] > 0.0 else np.zeros(M.shape[1])
 
 
 def _cone_ascent(
-    u_min: Float[np.ndarray, " s"], V_null: Float[np.ndarray, "k nv"], scale: float, contract: Contraction
+    u_min: Float[np.ndarray, " s"], V_null: Float[np.ndarray, "k nv"], scale: float, vjp: Vjp
 ) -> Float[np.ndarray, " nv"]:
     """Steepest ascent of |M step| with M[r, k] = scale * u_min^T (dA / dq_k) v_r, v_r spanning the null space of A."""
-    M = scale * np.stack([contract(np.outer(u_min, v)) for v in V_null])
+    M = scale * np.stack([vjp(np.outer(u_min, v)) for v in V_null])
     _, rate, Wt = np.linalg.svd(M, full_matrices=False)
     return rate[0] * _one_sign(Wt[0])
 

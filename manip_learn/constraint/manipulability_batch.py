@@ -59,7 +59,7 @@ def manipulability_batch(constraint: Constraint, q: ArrayLike) -> Manipulability
         X, mu[part], ill[part] = row_inverses(A)
         return np.tensordot(selection.T, X * mu[part], axes=1)
 
-    gradient = features.batch_contraction(postures, weigh)
+    gradient = features.batch_vjp(postures, weigh)
     bad = np.flatnonzero(ill)
     if bad.size:
         A, dA = _constraint_matrices(constraint, postures[bad])

@@ -189,7 +189,7 @@ class BatchController:
         if ascent is None:
             weigh(constraint.features.batch(q).transpose(1, 2, 0), slice(0, len(q)))
             return A, X, mu, ill, None
-        gradient = constraint.features.batch_contraction(q, weigh)
+        gradient = constraint.features.batch_vjp(q, weigh)
         return A, X, mu, ill, gradient * (ascent.gain if ascent.logarithmic else ascent.gain * mu[:, None])
 
     def _policy(self, q: np.ndarray, t: float) -> np.ndarray:

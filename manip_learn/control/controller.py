@@ -132,21 +132,21 @@ class ResolvedRateController:
             q = self._checked_posture(q)
         ascent = self._ascent
         if ascent is None:
-            A, contract = self.constraint(q), _not_needed
+            A, vjp = self.constraint(q), _not_needed
         else:  # one Hessian and one inverse serve the task and the policy
-            A, contract = self.constraint.value_and_contraction(q)
+            A, vjp = self.constraint.value_and_vjp(q)
         b = self._checked(self.task.velocity(self.constraint, q, t), A.shape[0], "the task's velocity b")
         inverse = row_inverse(A)
         if inverse is not None and (self.inverse != "damped" or inverse[2] >= self.threshold):
             # nothing to damp or to drop, the case of nearly every step: A^{+T} b and pi - A^+ A pi as they stand
             X, mu, smallest = inverse
-            pi = self._policy(q, t) if ascent is None else ascent.from_inverse(X, mu, contract)
+            pi = self._policy(q, t) if ascent is None else ascent.from_inverse(X, mu, vjp)
             return self._limited(q, dt, A, b, b.dot(X), pi - A.dot(pi).dot(X), mu, smallest, False)
         U, sigma, Vt = svd(A)
         if ascent is None:
             pi = self._policy(q, t)
         else:
-            pi = ascent.from_decomposition(A.shape, (U, sigma, Vt), contract)
+            pi = ascent.from_decomposition(A.shape, (U, sigma, Vt), vjp)
         gains = inverse_singular_values(sigma, A.shape, self.inverse, self.threshold, self.damping)
         k = sigma.shape[0]
         task_part = (gains * b.dot(U[:, :k])).dot(Vt[:k])

@@ -456,11 +456,12 @@ class Robot:
             return J @ lift, lift.T @ (H @ lift)
         return J, H
 
-    def mixed_jacobian(
-        self, q: ArrayLike, frame: Frame, reference: Reference, mix: Float[np.ndarray, "s 6"]
+    def weighted_jacobian_vjp(
+        self, q: ArrayLike, frame: Frame, reference: Reference, selection: Float[np.ndarray, "s 6"]
     ) -> tuple[Float[np.ndarray, "s nv"], Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]]:
-        """A = mix J, J the frame Jacobian, and the function weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k: a
-        gradient of A costs two small products, dA/dq is never formed.
+        """A = Lambda J of the frame, and its vector-Jacobian product, weights -> sum_ij weights_ij dA_ij/dq_k.
+
+        The gradient of a scalar function of A costs two small products; dA/dq is never formed.
 
         Raises:
             ConfigurationError: Wrong size or not finite.
@@ -468,15 +469,15 @@ class Robot:
         if not self._fast_hessian or self._coupling is not None:
             J, H = self.jacobian_and_derivative(q, frame, reference)
             flat = H.reshape(6 * self.nv, self.nv)
-            return mix.dot(J), lambda weights: mix.T.dot(weights).reshape(-1).dot(flat)
+            return selection.dot(J), lambda weights: selection.T.dot(weights).reshape(-1).dot(flat)
         model, data, ref, index = self._model, self._data, REFERENCES[reference], frame.index
         pin.computeJointKinematicHessians(model, data, self._finite_vector(q) if self._plain else self._pin_q(q))
         pin.updateFramePlacement(model, data, index)
         J = pin.getFrameJacobian(model, data, index, ref)
         # Pinocchio's buffer as it lies in memory is [k, j, i] (see `reordered`)
         by_joint = pin.getFrameKinematicHessian(model, data, index, ref).reshape(self.nv, -1)
-        A = mix.dot(J) if J.ndim == 2 else mix.dot(J.reshape(6, 1))  # nv == 1
-        return A, lambda weights: by_joint.dot(weights.T.dot(mix).reshape(-1))
+        A = selection.dot(J) if J.ndim == 2 else selection.dot(J.reshape(6, 1))  # nv == 1
+        return A, lambda weights: by_joint.dot(weights.T.dot(selection).reshape(-1))
 
     @property
     def mass(self) -> float:

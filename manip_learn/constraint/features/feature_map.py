@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from manip_learn.errors import FeatureError, TargetError
 
 CHUNK = 512  # configurations whose dPhi/dq are held at a time
-Contraction = Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]
+# vector-Jacobian product of A(q): weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k
+Vjp = Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]
 Weigh = Callable[[Float[np.ndarray, "p nv m"], slice], Float[np.ndarray, "p nv m"]]
 
 
@@ -47,20 +48,18 @@ class FeatureMap(ABC):
         """Phi(q) and dPhi/dq together, cheaper than one by one where a child shares work."""
         return self(q), self.derivative(q)
 
-    def embedded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s k"]:
-        """What `selected` takes for a selection matrix: made once, used at every step."""
+    def padded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s k"]:
+        """What `value_and_vjp` takes for a selection matrix: made once, used at every step."""
         return selection
 
-    def selected(
-        self, q: ArrayLike, embedded: Float[np.ndarray, "s k"]
-    ) -> tuple[Float[np.ndarray, "s nv"], Contraction]:
-        """A = Lambda Phi(q), and the function weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, shape (nv,).
+    def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s k"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
+        """A = Lambda Phi(q) and its vector-Jacobian product, weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k.
 
-        All that the gradient of a scalar function of A needs, without dA/dq where a child knows a shorter way.
+        All that the gradient of a scalar function of A needs; dA/dq is not formed where a child can do without.
         """
         Phi, dPhi = self.value_and_derivative(q)
         flat = dPhi.reshape(-1, self.nv)
-        return embedded.dot(Phi), lambda weights: embedded.T.dot(weights).reshape(-1).dot(flat)
+        return padded.dot(Phi), lambda weights: padded.T.dot(weights).reshape(-1).dot(flat)
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
         """Phi at n configurations, the rows of q."""
@@ -78,7 +77,7 @@ class FeatureMap(ABC):
             Phi[i], dPhi[i] = self.value_and_derivative(row)
         return Phi, dPhi
 
-    def batch_contraction(self, q: ArrayLike, weigh: Weigh) -> Float[np.ndarray, "n nv"]:
+    def batch_vjp(self, q: ArrayLike, weigh: Weigh) -> Float[np.ndarray, "n nv"]:
         """sum_ij weights_ij dPhi_ij / dq_k at n configurations, with weights made from Phi, in bounded memory.
 
         Args:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from manip_learn.constraint.features.feature_map import Contraction, FeatureMap, Weigh
+from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, Weigh
 from manip_learn.errors import FeatureError, TargetError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Reference, Robot
@@ -97,17 +97,15 @@ class FrameJacobian(FeatureMap):
         J, H = self.robot.jacobian_and_derivative(q, self.frame, self.reference)
         return J[self._rows], H[self._rows]
 
-    def embedded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s 6"]:
+    def padded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s 6"]:
         """The selection from all six rows of the Jacobian."""
         every_row = np.zeros((selection.shape[0], len(AXES)))
         every_row[:, self._rows] = selection
         return every_row
 
-    def selected(
-        self, q: ArrayLike, embedded: Float[np.ndarray, "s 6"]
-    ) -> tuple[Float[np.ndarray, "s nv"], Contraction]:
+    def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s 6"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
         """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
-        return self.robot.mixed_jacobian(q, self.frame, self.reference, embedded)
+        return self.robot.weighted_jacobian_vjp(q, self.frame, self.reference, padded)
 
     def batch(self, q: ArrayLike, *, compiled: bool | None = None) -> Float[np.ndarray, "n p nv"]:
         """Phi at n postures, the rows of q, in bulk.
@@ -130,9 +128,9 @@ class FrameJacobian(FeatureMap):
         kinematics = batch_kinematics(self.robot, self.frame)
         return kinematics.jacobian_and_derivative(q, self.reference, self._row_numbers, compiled=compiled)
 
-    def batch_contraction(self, q: ArrayLike, weigh: Weigh) -> Float[np.ndarray, "n nv"]:
+    def batch_vjp(self, q: ArrayLike, weigh: Weigh) -> Float[np.ndarray, "n nv"]:
         """sum_ij weights_ij dPhi_ij / dq_k at n postures without forming dPhi/dq (see `FeatureMap`)."""
-        return batch_kinematics(self.robot, self.frame).contraction(q, weigh, self.reference, self._row_numbers)
+        return batch_kinematics(self.robot, self.frame).vjp(q, weigh, self.reference, self._row_numbers)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Position of the frame's origin in the base frame [m] and its rotation vector [rad], the chosen rows."""

@@ -168,7 +168,7 @@ def _packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
     features: FrameJacobian = constraint.features  # type: ignore[assignment]
     chain = batch_kinematics(features.robot, features.frame).chain_table(features.reference)
     rows = np.zeros((constraint.n_constraints, chain.shape[1]))
-    rows[:, :6] = features.embedded(constraint.selection)
+    rows[:, :6] = features.padded(constraint.selection)
     dofs = np.zeros((constraint.nv, chain.shape[1]))
     limits = (robot.velocity_limit, robot.position_lower, robot.position_upper)  # type: ignore[union-attr]
     dofs[:, :3] = np.stack(limits, axis=1)

@@ -44,10 +44,10 @@ LEAST_WIDTH = 19
 
 
 @compiled
-def contract(work, base, joints, local):
+def jacobian_vjp(work, base, joints, local):
     """sum_ij weights_ji dJ_ij / dq_k for each joint k, base first, into the column GRADIENT of the joints' rows.
 
-    The formulas of `chain_motion.contracted`.
+    The formulas of `robot.batch.jacobian.jacobian_vjp`.
     """
     f0 = f1 = f2 = m0 = m1 = m2 = 0.0
     for k in range(base, base + joints):  # joints above k
@@ -158,7 +158,7 @@ def policy_velocity(constants, dofs, rows, nv, joints, s, q, volume, X, out, bas
                 for i in range(s):
                     total += X[i, j] * constants[rows + i, k]
                 out[base + j, WEIGHTS + k] = total
-        contract(out, base, joints, constants[CHAIN + 1, LOCAL] != 0.0)
+        jacobian_vjp(out, base, joints, constants[CHAIN + 1, LOCAL] != 0.0)
         scale = gain if policy == LOG_ASCENT else gain * volume
         for j in range(joints):
             k = CHAIN + JOINTS + j

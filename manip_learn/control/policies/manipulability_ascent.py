@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.feature_map import Contraction
+from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, escape_direction, gradient_from
 from manip_learn.control.policies.policy import NullSpacePolicy
 from manip_learn.linalg import row_inverse, svd
@@ -40,26 +40,26 @@ class ManipulabilityAscent(NullSpacePolicy):
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
-        A, contract = self.constraint.value_and_contraction(q)
+        A, vjp = self.constraint.value_and_vjp(q)
         inverse = row_inverse(A)
         if inverse is not None:
-            return self.from_inverse(inverse[0], inverse[1], contract)
-        return self.from_decomposition(A.shape, svd(A), contract)
+            return self.from_inverse(inverse[0], inverse[1], vjp)
+        return self.from_decomposition(A.shape, svd(A), vjp)
 
-    def from_inverse(self, X: Float[np.ndarray, "s nv"], mu: float, contract: Contraction) -> Float[np.ndarray, " nv"]:
+    def from_inverse(self, X: Float[np.ndarray, "s nv"], mu: float, vjp: Vjp) -> Float[np.ndarray, " nv"]:
         """The same away from singularities, where d log mu = A^{+T} : dA, from X = A^{+T} that the controller has."""
-        return contract(X) * (self.gain if self.logarithmic else self.gain * mu)
+        return vjp(X) * (self.gain if self.logarithmic else self.gain * mu)
 
     def from_decomposition(
-        self, shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], contract: Contraction
+        self, shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp
     ) -> Float[np.ndarray, " nv"]:
         """The same near a singularity too, see `gradient_from`."""
-        mu, gradient, floor = gradient_from(shape, decomposition, contract)
+        mu, gradient, floor = gradient_from(shape, decomposition, vjp)
         if not self.logarithmic:
             return gradient * self.gain
         sigma = decomposition[1]
         if 1 < shape[0] <= shape[1] and sigma[-2] <= SINGULAR_RATIO * sigma[0]:
-            return escape_direction(decomposition, contract) * (self.gain / SINGULAR_RATIO)
+            return escape_direction(decomposition, vjp) * (self.gain / SINGULAR_RATIO)
         return gradient * (self.gain / max(mu, floor, 1e-300))
 
     def __repr__(self) -> str:

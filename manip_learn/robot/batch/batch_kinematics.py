@@ -15,7 +15,7 @@ from manip_learn.robot.batch.chain import Chain, chain_to
 from manip_learn.robot.batch.column_map import ChainColumns
 from manip_learn.robot.batch.compiled_choice import kernels
 from manip_learn.robot.batch.forward_kinematics import SweepBuffers, sweep, tip_position
-from manip_learn.robot.batch.jacobian import ChainMotion, contracted, write_derivative, write_jacobian
+from manip_learn.robot.batch.jacobian import ChainMotion, jacobian_vjp, write_derivative, write_jacobian
 from manip_learn.robot.batch.postures import checked_postures, positions_of
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Reference, Robot
@@ -129,7 +129,7 @@ class BatchKinematics:
             write_derivative(motion, rows, self._columns, H[..., part])
         return J.transpose(2, 0, 1), H.transpose(3, 0, 1, 2)
 
-    def contraction(
+    def vjp(
         self,
         q: ArrayLike,
         weigh: Callable[[Float[np.ndarray, "p nv n"], slice], Float[np.ndarray, "p nv n"]],
@@ -162,7 +162,7 @@ class BatchKinematics:
             write_jacobian(motion, rows, self._columns, J)
             weights = np.zeros((6, *motion.w.shape[1:]))
             weights[list(rows)] = self._columns.gather(weigh(J, part))
-            self._columns.scatter(contracted(motion, weights), out[:, part])
+            self._columns.scatter(jacobian_vjp(motion, weights), out[:, part])
         return out.T
 
     @property

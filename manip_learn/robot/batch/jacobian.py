@@ -1,4 +1,4 @@
-"""Jacobian columns of a chain at many postures, their derivative, and its contraction with weights.
+"""Jacobian columns of a chain at many postures, their derivative, and its vector-Jacobian product.
 
 Arrays are (3, joints, n): component, joint (base first), posture.
 """
@@ -117,7 +117,7 @@ def _write_local(motion: ChainMotion, row: int, out: np.ndarray) -> None:
         out[k:, k] = 0.0
 
 
-def contracted(motion: ChainMotion, weights: Float[np.ndarray, "6 j n"]) -> Float[np.ndarray, "j n"]:
+def jacobian_vjp(motion: ChainMotion, weights: Float[np.ndarray, "6 j n"]) -> Float[np.ndarray, "j n"]:
     """sum_ri weights_ri dJ_ri / dq_k for each joint k, in time linear in the joints and without dJ/dq.
 
     The sums over the joints below or above k are running sums of cross products.
