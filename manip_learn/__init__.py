@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from manip_learn.constraint.constraint import Constraint
-    from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
+    from manip_learn.constraint.features import (
+        CentreOfMass,
+        CustomFeatures,
+        FeatureMap,
+        FrameJacobian,
+        RelativeFrameJacobian,
+        Stacked,
+    )
     from manip_learn.constraint.manipulability import (
         log_manipulability_gradient,
         manipulability,
@@ -58,6 +65,7 @@ _HOMES = {
     "ManipulabilityAscent": "control.policies",
     "NullSpacePolicy": "control.policies",
     "PointAttractor": "control.tasks",
+    "RelativeFrameJacobian": "constraint.features",
     "ResolvedRateController": "control.controller",
     "Robot": "robot",
     "Rollout": "control.rollout",
@@ -97,6 +105,7 @@ __all__ = [
     "NullSpacePolicy",
     "PointAttractor",
     "RecordingSource",
+    "RelativeFrameJacobian",
     "ResolvedRateController",
     "Robot",
     "Rollout",

@@ -15,6 +15,7 @@ from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.features.centre_of_mass import CentreOfMass
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.features.stacked import Stacked
 from manip_learn.errors import ConstraintError, ConstraintMismatchError, ManipLearnError
 from manip_learn.linalg import orthonormal_rows
@@ -258,6 +259,8 @@ def _build(described: dict[str, Any], robot: Robot) -> FeatureMap:
     kind = described["kind"]
     if kind == "frame-jacobian":
         return FrameJacobian(robot, described["frame"], described["axes"], described["reference"])
+    if kind == "relative-frame-jacobian":
+        return RelativeFrameJacobian(robot, described["frame"], described["relative_to"], described["axes"])
     if kind == "centre-of-mass":
         return CentreOfMass(robot, " ".join(described["axes"]))
     if kind == "stacked":

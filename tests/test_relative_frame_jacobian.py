@@ -1,0 +1,112 @@
+"""Rows of one frame as seen from another that moves too."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import TIPS, URDFS, tip_of
+from test_gradients import RobotOf, central_difference, check_derivative, postures
+
+import manip_learn as ml
+from manip_learn.errors import FeatureError, TargetError, UnknownNameError
+
+ROBOTS = [*URDFS, *TIPS]
+
+
+def other_frame(name: str, robot: ml.Robot) -> str:
+    """A frame that moves otherwise than the tip: on another branch where there is one, else halfway up the arm."""
+    if name == "tree":
+        return "arm_b"
+    return robot.frame_names[len(robot.frame_names) // 2]
+
+
+@pytest.mark.parametrize("axes", ["pose", "x", "y rz"])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_derivative(robot_of: RobotOf, rng: np.random.Generator, name: str, axes: str):
+    """dPhi/dq is exact, at random and at singular postures."""
+    robot = robot_of(name)
+    features = ml.RelativeFrameJacobian(robot, tip_of(name), other_frame(name, robot), axes)
+    for q in postures(robot, rng):
+        check_derivative(features, robot, q)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_rows_are_the_rate_of_the_relative_pose(robot_of: RobotOf, rng: np.random.Generator, name: str):
+    """Linear rows are the rate of the position in the other frame, rotation rows that of the orientation there."""
+    robot = robot_of(name)
+    A, B = robot.frame(tip_of(name)), robot.frame(other_frame(name, robot))
+    features = ml.RelativeFrameJacobian(robot, A.name, B.name)
+    for q in postures(robot, rng):
+
+        def relative(x: np.ndarray) -> np.ndarray:
+            return np.linalg.inv(robot.pose(x, B)) @ robot.pose(x, A)
+
+        rate, R = central_difference(relative, robot, q), relative(q)[:3, :3]
+        spin = np.einsum("ijk,lj->ilk", rate[:3, :3], R)
+        expected = np.concatenate([rate[:3, 3], [spin[2, 1], spin[0, 2], spin[1, 0]]])
+        np.testing.assert_allclose(features(q), expected, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_bulk_is_the_same(robot_of: RobotOf, rng: np.random.Generator, name: str):
+    """Many configurations at once give the numbers of each alone."""
+    robot = robot_of(name)
+    features = ml.RelativeFrameJacobian(robot, tip_of(name), other_frame(name, robot), "x ry rz")
+    q = np.stack([robot.random_configuration(rng) for _ in range(5)])
+    Phi, dPhi = features.batch_with_derivative(q)
+    np.testing.assert_allclose(features.batch(q), [features(x) for x in q], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(Phi, [features(x) for x in q], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(dPhi, [features.derivative(x) for x in q], rtol=0, atol=1e-11)
+
+
+def test_a_constraint_is_saved_controlled_and_climbs(robot_of: RobotOf, rng: np.random.Generator, tmp_path):
+    """A constraint on relative rows is saved and read back, has an exact gradient, and drives a controller."""
+    robot = robot_of("tree")
+    features = ml.RelativeFrameJacobian(robot, "tip", "arm_b", "x y z")
+    constraint = ml.Constraint(np.array([[1.0, 0.2, 0.0], [0.0, 0.0, 1.0]]), features)
+    again = ml.Constraint.load(constraint.save(tmp_path / "c.json"), robot)
+    q = robot.random_configuration(rng)
+    np.testing.assert_array_equal(again(q), constraint(q))
+    expected = central_difference(lambda x: ml.manipulability(constraint, x), robot, q)
+    np.testing.assert_allclose(ml.manipulability_gradient(constraint, q), expected, rtol=0, atol=1e-8)
+    target = features.coordinates(q) + np.array([0.02, 0.0, 0.01])
+    controller = ml.ResolvedRateController(constraint, ml.PointAttractor(target), ml.ManipulabilityAscent(constraint))
+    rollout = ml.simulate(robot, controller, q, duration=6.0, dt=0.01)
+    end = features.error_to(target, rollout.q[-1])
+    assert np.linalg.norm(constraint.selection @ end) < 1e-3
+
+
+def test_carrying_an_object_together_is_no_relative_motion(robot_of: RobotOf, rng: np.random.Generator):
+    """Joints below both frames move neither relative to the other."""
+    robot = robot_of("tree")
+    features = ml.RelativeFrameJacobian(robot, "tip", "arm_b")
+    q = robot.random_configuration(rng)
+    shared = [j for j, name in enumerate(robot.joint_names) if name in ("joint0", "joint1")]
+    assert len(shared) == 2
+    np.testing.assert_allclose(features(q)[:, shared], 0.0, atol=1e-14)
+
+
+def test_a_target_pose_is_in_the_other_frame(robot_of: RobotOf, rng: np.random.Generator):
+    """At the target pose the error vanishes; a small displacement of it is what the error shows."""
+    robot = robot_of("sawyer")
+    features = ml.RelativeFrameJacobian(robot, "right_hand", "right_l3")
+    q = robot.random_configuration(rng)
+    here = np.linalg.inv(robot.pose(q, features.relative_to)) @ robot.pose(q, features.frame)
+    np.testing.assert_allclose(features.error_to(here, q), 0.0, atol=1e-12)
+    there = here.copy()
+    there[:3, 3] += [0.01, -0.02, 0.03]
+    np.testing.assert_allclose(features.error_to(there, q), [0.01, -0.02, 0.03, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(features.error_to(features.coordinates(q), q), 0.0, atol=1e-12)
+
+
+def test_bad_arguments_are_refused(robot_of: RobotOf):
+    """Unknown frames, the same frame twice, unknown axes and targets of another size are errors."""
+    robot = robot_of("sawyer")
+    with pytest.raises(UnknownNameError):
+        ml.RelativeFrameJacobian(robot, "right_hand", "rihgt_l3")
+    with pytest.raises(FeatureError, match="relative to itself"):
+        ml.RelativeFrameJacobian(robot, "right_hand", "right_hand")
+    with pytest.raises(FeatureError):
+        ml.RelativeFrameJacobian(robot, "right_hand", "right_l3", "x w")
+    with pytest.raises(TargetError):
+        ml.RelativeFrameJacobian(robot, "right_hand", "right_l3", "x").error_to([1.0, 2.0], np.zeros(7))
