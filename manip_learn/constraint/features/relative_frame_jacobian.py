@@ -104,7 +104,7 @@ class RelativeFrameJacobian(FeatureMap):
         return Phi[:, self._rows], dPhi[:, self._rows]
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Position of the frame's origin in the other frame [m] and its rotation vector there [rad], the chosen rows."""
+        """Position of the frame in the other one [m] and its rotation vector there [rad], the chosen rows."""
         return _coordinates(self._pose(q))[self._rows]
 
     def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
