@@ -19,7 +19,8 @@ from manip_learn.learning import ConstraintLearner, learner
 from manip_learn.learning.streaming.dask_executor import dask_client
 from manip_learn.learning.streaming.summary_pass import Survey
 from manip_learn.linalg import row_space_angle
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import load_robot
 from manip_learn.robot.planar_arm import planar_arm_urdf
 

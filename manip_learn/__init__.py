@@ -34,11 +34,12 @@ if TYPE_CHECKING:
     from manip_learn.learning import ConstraintLearner
     from manip_learn.playback import LiveViewer, replay
     from manip_learn.recordings import RecordingSource, iter_demonstrations, load_demonstrations
-    from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+    from manip_learn.recordings.demonstrations import Demonstrations
     from manip_learn.recordings.preprocessing import resample, thin, trim_standstill
+    from manip_learn.recordings.trajectory import Trajectory
     from manip_learn.recordings.velocities import derive_velocities
     from manip_learn.robot import Robot, load_robot
-    from manip_learn.robot.inspection.robot_summary import inspect_robot
+    from manip_learn.robot.robot_summary import inspect_robot
     from manip_learn.robot.tips import likely_tips
 
 __version__ = "0.1.0"
@@ -47,7 +48,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "RecordingSource": "recordings",
     "likely_tips": "robot.tips",
-    "inspect_robot": "robot.inspection.robot_summary",
+    "inspect_robot": "robot.robot_summary",
     "manipulability_batch": "constraint.manipulability_batch",
     "CompiledController": "control.compiled.compiled_controller",
     "CentreOfMass": "constraint.features",
@@ -72,7 +73,7 @@ _HOMES = {
     "Stacked": "constraint.features",
     "Task": "control.tasks",
     "Track": "control.tasks",
-    "Trajectory": "recordings.demonstrations",
+    "Trajectory": "recordings.trajectory",
     "ZeroPolicy": "control.policies",
     "derive_velocities": "recordings.velocities",
     "iter_demonstrations": "recordings",

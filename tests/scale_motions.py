@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 
 DT = 0.02
 

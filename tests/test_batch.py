@@ -12,7 +12,7 @@ from conftest import TIPS, URDFS, tip_of
 from manip_learn.constraint.features import CentreOfMass, FrameJacobian, Stacked
 from manip_learn.errors import ConfigurationError, MissingExtraError
 from manip_learn.robot.batch.batch_kinematics import CHUNK, BatchKinematics, batch_kinematics
-from manip_learn.robot.description.coupling import Mimic
+from manip_learn.robot.description.mimic import Mimic
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]
@@ -83,14 +83,14 @@ def test_compiled_kernels_give_the_same_numbers(
 
 def test_compiled_kernels_are_taken_by_number_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few postures: NumPy; many: compiled; without numba: NumPy, and an error that names the extra if insisted on."""
-    from manip_learn.robot.batch import compiled_choice
+    from manip_learn.robot.batch import batch_kinematics
 
-    assert compiled_choice.kernels(None, compiled_choice.COMPILED_FROM - 1) is None
-    assert compiled_choice.kernels(False, 10**9) is None
-    monkeypatch.setattr(compiled_choice, "find_spec", lambda name: None)
-    assert compiled_choice.kernels(None, 10**9) is None
+    assert batch_kinematics.kernels(None, batch_kinematics.COMPILED_FROM - 1) is None
+    assert batch_kinematics.kernels(False, 10**9) is None
+    monkeypatch.setattr(batch_kinematics, "find_spec", lambda name: None)
+    assert batch_kinematics.kernels(None, 10**9) is None
     with pytest.raises(MissingExtraError, match="fast"):
-        compiled_choice.kernels(True, 1)
+        batch_kinematics.kernels(True, 1)
 
 
 def test_chain_that_disagrees_with_pinocchio_is_not_used(robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> None:

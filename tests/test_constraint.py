@@ -11,7 +11,7 @@ from generated_motions import arm_features, guided_motions, oblique
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FrameJacobian, Stacked
 from manip_learn.errors import ConstraintError, ConstraintMismatchError, FeatureError
-from manip_learn.recordings.demonstrations import Trajectory
+from manip_learn.recordings.trajectory import Trajectory
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ from urdf_corpus_case import ARM
 from urdf_corpus_joints import mimic_chain
 
 from manip_learn.errors import RobotError
+from manip_learn.robot.cross_check import cross_check
 from manip_learn.robot.description.catalogue import example_robots
-from manip_learn.robot.inspection.cross_check import cross_check
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 
 NAMES = ("a", "b")
 

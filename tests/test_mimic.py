@@ -11,7 +11,7 @@ import pytest
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.description.catalogue import example_robots
-from manip_learn.robot.description.coupling import Mimic
+from manip_learn.robot.description.mimic import Mimic
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.urdf_robot import robot_from_urdf

@@ -21,7 +21,7 @@ from manip_learn.playback import replay
 from manip_learn.playback.page_writer import json_in_html
 from manip_learn.playback.palette import COLOURS, rollout_colours
 from manip_learn.playback.tip_frame import tip_frame
-from manip_learn.recordings.demonstrations import Trajectory
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.planar_arm import planar_arm_urdf
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from manip_learn.errors import ConfigurationError, OutputError
-from manip_learn.playback import LiveViewer, live_process
+from manip_learn.playback import LiveViewer, live_viewer
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -196,6 +196,6 @@ def test_server_that_does_not_start_is_an_error(robot_of, monkeypatch, tmp_path)
     for code in ("raise SystemExit(1)", "import time; time.sleep(60)", "print('no port', flush=True)"):
         script = tmp_path / "server.py"
         script.write_text(code)
-        monkeypatch.setattr(live_process, "SERVER", script)
+        monkeypatch.setattr(live_viewer, "SERVER", script)
         with pytest.raises(OutputError, match="did not start within"):
             LiveViewer(robot_of("planar3"), open_browser=False, timeout=1.0)

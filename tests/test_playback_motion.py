@@ -17,7 +17,7 @@ from manip_learn.playback.recorded_motion import (
     recorded_motion,
 )
 from manip_learn.playback.scene_data import scene_data
-from manip_learn.playback.shape import Appearance
+from manip_learn.playback.shapes import Appearance
 
 ROBOTS = ("planar3", "sawyer", "panda", "kinova", "gantry", "wrist", "humanoid", "rover", "tree", "mimic")
 

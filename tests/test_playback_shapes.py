@@ -8,12 +8,12 @@ from conftest import URDFS
 from test_playback import unpacked, waving
 
 from manip_learn.playback.appearance import appearance
+from manip_learn.playback.decimation import within_budget
 from manip_learn.playback.kinematic_tree import kinematic_tree
-from manip_learn.playback.mesh_budget import within_budget
-from manip_learn.playback.plain_figure import z_to
 from manip_learn.playback.recorded_motion import recorded_motion
 from manip_learn.playback.scene_data import scene_data
-from manip_learn.playback.shape import TriangleMesh
+from manip_learn.playback.shapes import TriangleMesh
+from manip_learn.playback.stick_figure import z_to
 from manip_learn.robot.loading import load_robot
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.preprocessing import prepared, resample, thin, trim_standstill
+from manip_learn.recordings.trajectory import Trajectory
 
 
 def motion(rest: int = 20, moving: int = 60, dt: float = 0.01) -> Trajectory:

@@ -32,7 +32,8 @@ from manip_learn.linalg import (
     row_space_angles,
 )
 from manip_learn.recordings import RecordingSource, load_demonstrations, trajectory_source
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import IteratedTrajectories, ListedTrajectories, source_of
 from manip_learn.robot.loading import load_robot
 

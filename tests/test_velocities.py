@@ -8,7 +8,8 @@ from generated_motions import angle_deg, arm_features, guided_motions, oblique
 
 from manip_learn.errors import RecordingError
 from manip_learn.learning import ConstraintLearner
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import best_window, derive_velocities, local_fit, with_velocities
 
 FEATURES = arm_features()

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from manip_learn.robot import load_robot
-from manip_learn.robot.inspection.robot_summary import RobotSummary, inspect_robot
+from manip_learn.robot.robot_summary import RobotSummary, inspect_robot
 
 
 def inspect(robot_name: str, locked: list[str] | None = None, package_dirs: list[str] | None = None) -> RobotSummary:

@@ -11,7 +11,7 @@ from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
 from manip_learn.playback import ReplayResult, replay
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.demonstrations import Trajectory
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import Robot, load_robot
 
 

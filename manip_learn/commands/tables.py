@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # so that printing one command's answer does not load the oth
     from manip_learn.commands.demo import Demo
     from manip_learn.commands.learn import Learnt
     from manip_learn.commands.reproduce import Reproduction
-    from manip_learn.robot.inspection.robot_summary import RobotSummary
+    from manip_learn.robot.robot_summary import RobotSummary
 
 UNDER_WAY = 0.1  # a nearly singular start is no fault of the policy: look from here on [s]
 

@@ -20,7 +20,7 @@ from manip_learn.constraint.manipulability import manipulability
 from manip_learn.control.batch import pays, run_batch
 from manip_learn.control.controller import Command, ResolvedRateController
 from manip_learn.errors import ConfigurationError, RecordingError
-from manip_learn.recordings.demonstrations import Trajectory
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.batch.postures import checked_postures
 from manip_learn.robot.robot import Robot
 

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.custom_features import CustomFeatures
 from manip_learn.linalg import orthonormal_rows
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 
 MONOMIALS = ("x", "y", "x^2", "x y", "y^2")
 # name -> coefficients of the monomials

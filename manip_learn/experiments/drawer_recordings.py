@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import load_demonstrations
 from manip_learn.recordings.preprocessing import thin
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot

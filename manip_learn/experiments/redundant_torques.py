@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.custom_features import CustomFeatures
 from manip_learn.experiments.curve_constraint import with_noise
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 
 LENGTHS = np.array([0.5, 0.5, 0.4, 0.3])  # [m]
 MASSES = np.array([3.0, 2.0, 1.5, 1.0])  # at the end of each link [kg]

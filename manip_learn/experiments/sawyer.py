@@ -26,7 +26,8 @@ from manip_learn.experiments.summary import markdown_table, mean_and_sd, number,
 from manip_learn.experiments.trial_runner import TrialRunner
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.linalg import row_space_angle
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Robot
 

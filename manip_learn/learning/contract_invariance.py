@@ -11,7 +11,7 @@ from manip_learn.constraint.features.custom_features import CustomFeatures
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.learning.contract_motions import ROUNDING_DEG, changed, mapped, velocities
 from manip_learn.learning.contract_subject import Learner, Subject
-from manip_learn.recordings.demonstrations import Trajectory
+from manip_learn.recordings.trajectory import Trajectory
 
 
 def refit_forgets(subject: Subject) -> None:

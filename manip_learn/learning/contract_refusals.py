@@ -17,7 +17,8 @@ from manip_learn.learning.contract_motions import (
     velocities,
 )
 from manip_learn.learning.contract_subject import Subject
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.loading import load_robot
 
 

@@ -14,7 +14,7 @@ from manip_learn.errors import LearnerContractError, ManipLearnError
 from manip_learn.learning.contract_motions import Motion, MotionKind, planar_motion
 from manip_learn.learning.report import LearningReport
 from manip_learn.linalg import row_space_angle
-from manip_learn.recordings.demonstrations import Trajectory
+from manip_learn.recordings.trajectory import Trajectory
 
 Verdict = Literal["accepted", "warned", "refused"]
 # what bad input must not end in

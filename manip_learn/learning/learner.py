@@ -28,7 +28,8 @@ from manip_learn.learning.streaming.sample_stream import reading
 from manip_learn.learning.streaming.summary_pass import Extent, Survey
 from manip_learn.learning.streaming.trajectory_buffer import KeptTrajectories
 from manip_learn.linalg import one_thread
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import ListedTrajectories, TrajectorySource, source_of
 from manip_learn.recordings.velocities import VelocityMethod, with_velocities
 

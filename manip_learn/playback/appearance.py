@@ -7,12 +7,12 @@ from collections.abc import Iterable
 import numpy as np
 import pinocchio as pin
 
+from manip_learn.playback.decimation import within_budget
 from manip_learn.playback.kinematic_tree import TreeJoint
-from manip_learn.playback.mesh_budget import within_budget
-from manip_learn.playback.plain_figure import plain_figure, rods
-from manip_learn.playback.shape import Appearance, Shape, TriangleMesh
+from manip_learn.playback.shapes import Appearance, Shape, TriangleMesh
+from manip_learn.playback.stick_figure import plain_figure, rods
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.visuals.shapes import Box, Capsule, Cylinder, Sphere, Triangles, Visual
+from manip_learn.robot.visuals.visual_elements import Box, Capsule, Cylinder, Sphere, Triangles, Visual
 from manip_learn.robot.visuals.visual_shapes import visual_shapes
 
 MAX_TRIANGLES = 60_000  # about 0.9 MB in the page

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks
-from manip_learn.recordings.demonstrations import Trajectory
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 

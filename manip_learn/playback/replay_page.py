@@ -21,7 +21,7 @@ from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.recorded_motion import recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.playback.tip_frame import tip_frame
-from manip_learn.recordings.demonstrations import Trajectory
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 
 Recording = Rollout | Trajectory

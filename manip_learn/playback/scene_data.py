@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.playback.recorded_motion import RecordedMotion
-from manip_learn.playback.shape import Appearance, TriangleMesh
+from manip_learn.playback.shapes import Appearance, TriangleMesh
 from manip_learn.robot.robot import Robot
 
 MAX_POSTURES_FOR_BOUNDS = 120

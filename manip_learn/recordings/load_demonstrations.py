@@ -7,9 +7,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal, TypedDict, Unpack
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.readers.read_request import ReadRequest, TimeUnit, Units
 from manip_learn.recordings.readers.recording_files import recording_files
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.validate import examine
 from manip_learn.robot import Robot
 

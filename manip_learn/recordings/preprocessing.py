@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 
 
 def trim_standstill(trajectory: Trajectory, share: float = 0.02) -> Trajectory:

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Unpack, final
 
-from manip_learn.recordings.demonstrations import Trajectory
 from manip_learn.recordings.load_demonstrations import Paths, ReadOptions, iter_demonstrations
 from manip_learn.recordings.readers.file_format import LEROBOT, read_json
 from manip_learn.recordings.readers.lerobot_dataset import open_dataset
 from manip_learn.recordings.readers.recording_files import RecordingFile, recording_files
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource
 from manip_learn.robot import Robot
 

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import final
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 
 # a part of a list holds about this many samples: a task for a worker, and what is in memory at a time
 PART = 65_536

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.demonstrations import Demonstrations, Trajectory
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 
 VelocityMethod = Literal["auto", "midpoint", "smooth"]

@@ -11,10 +11,9 @@ import pinocchio as pin
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.description.catalogue import find_robot
-from manip_learn.robot.description.description_file import read_description
+from manip_learn.robot.description.description_file import expanded_xacro, read_description
 from manip_learn.robot.description.locking import Locked, names_of
-from manip_learn.robot.description.mjcf import check_mjcf
-from manip_learn.robot.description.xacro_file import expanded_xacro
+from manip_learn.robot.description.mjcf_reader import check_mjcf
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.urdf_robot import robot_from_parts, robot_from_urdf
 

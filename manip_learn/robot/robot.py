@@ -14,10 +14,9 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.errors import ConfigurationError, UnknownNameError
-from manip_learn.robot.description.coupling import Coupling, Mimic
+from manip_learn.robot.description.mimic import Coupling, Mimic
 from manip_learn.robot.frame import Frame
-from manip_learn.robot.joint_block import JointBlock, joint_kind
-from manip_learn.robot.joint_limits import joint_limits
+from manip_learn.robot.joints import JointBlock, joint_kind, joint_limits
 from manip_learn.robot.kinematic_hessian import (
     REFERENCES,
     centre_of_mass_derivative,

@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
-from collections.abc import Collection, Sequence
+import sys
+import tempfile
+import threading
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 from manip_learn.errors import RobotError
-from manip_learn.robot.c_stderr import captured_c_stderr
-from manip_learn.robot.description.coupling import Mimic
 from manip_learn.robot.description.kinematic_urdf import LARGE, kinematic_urdf
 from manip_learn.robot.description.locking import Locked, locked_positions, names_of, with_fixed
+from manip_learn.robot.description.mimic import Mimic
 from manip_learn.robot.description.urdf_elements import UrdfFile
 from manip_learn.robot.description.validation import Passed, check_urdf
 from manip_learn.robot.robot import Robot
 
 DECIMAL = re.compile(r'(?<=["\s])-?\d+(\.\d+)?(e[+-]?\d+)?(?=["\s])')
+_one_at_a_time = threading.Lock()
 
 
 def robot_from_urdf(
@@ -142,3 +147,32 @@ def _fingerprint(
     lines.append(f"base {'fixed' if root_joint is None else root_joint.shortname()}")
     text = DECIMAL.sub(lambda found: repr(round(float(found.group()), 12) + 0.0), "\n".join(lines))
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+@contextmanager
+def captured_c_stderr() -> Iterator[list[str]]:
+    """Collect the lines written to file descriptor 2; the list is filled when the block ends, also by an error.
+
+    The descriptor belongs to the whole process: what other threads print meanwhile is collected too.
+    """
+    lines: list[str] = []
+    with _one_at_a_time:
+        if sys.stderr is not None:
+            sys.stderr.flush()
+        try:
+            saved = os.dup(2)
+        except OSError:  # no stderr, as in a service: nothing is lost that anybody could have seen
+            yield lines
+            return
+        with tempfile.TemporaryFile() as sink:
+            os.dup2(sink.fileno(), 2)
+            try:
+                yield lines
+            finally:
+                if sys.stderr is not None:
+                    sys.stderr.flush()
+                os.dup2(saved, 2)
+                os.close(saved)
+                sink.seek(0)
+                text = sink.read(1_000_000).decode("utf-8", "replace")
+                lines += [line.strip() for line in text.splitlines() if line.strip()]

@@ -11,7 +11,7 @@ import math
 from manip_learn.control.compiled.kernel_linalg import row_inverse
 from manip_learn.control.null_space_saturation import BLOCKED
 from manip_learn.control.velocity_limits import NEGLIGIBLE
-from manip_learn.robot.batch.compiled_chain import (
+from manip_learn.robot.batch.compiled_kinematics import (
     JOINTS,
     LARGEST_ANGLE,
     LOCAL,

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.demonstrations import Trajectory
+from manip_learn.recordings.trajectory import Trajectory
 
 CHUNK = 4096
 

@@ -10,7 +10,7 @@ from typing import final
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import RecordingError
 from manip_learn.learning.streaming.accumulator import Chunk, chunks
-from manip_learn.recordings.demonstrations import Trajectory
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource
 from manip_learn.recordings.velocities import VelocityMethod, derive_velocities
 from manip_learn.robot.robot import Robot

@@ -13,7 +13,7 @@ import numpy as np
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import RecordingError
 from manip_learn.learning.streaming.sample_stream import reading
-from manip_learn.recordings.demonstrations import Trajectory
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource, part_starts
 from manip_learn.recordings.velocities import VelocityMethod
 

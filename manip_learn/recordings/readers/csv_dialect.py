@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, final
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.readers.reason import reason
+from manip_learn.recordings.readers.recording import reason
 
 LONGEST_LINE = 1_000_000
 COMMENT_MARKS = ("#", "%")

@@ -22,8 +22,7 @@ from manip_learn.recordings.readers.csv_dialect import (
     sniff_dialect,
 )
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.reason import reason
-from manip_learn.recordings.readers.recording import Recording
+from manip_learn.recordings.readers.recording import Recording, reason
 
 VELOCITY_SUFFIX = "_velocity"
 # columns that a joint explains, but that nobody needs here

@@ -14,8 +14,7 @@ from typing import final
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.readers.csv_dialect import CsvDialect, sniff_dialect
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.reason import reason
-from manip_learn.recordings.readers.recording import Recording
+from manip_learn.recordings.readers.recording import Recording, reason
 
 Read = Callable[[Path, ReadRequest], Iterator[Recording]]
 

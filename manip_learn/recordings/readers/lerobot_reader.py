@@ -13,11 +13,9 @@ from typing import Any, final
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError
-from manip_learn.recordings.readers.float_array import float_array
 from manip_learn.recordings.readers.lerobot_dataset import STATE, VELOCITY, LeRobotDataset, open_dataset
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.reason import reason
-from manip_learn.recordings.readers.recording import Recording
+from manip_learn.recordings.readers.recording import Recording, float_array, reason
 
 try:
     import pyarrow as pa

@@ -16,10 +16,8 @@ from typing import IO, final
 import numpy as np
 
 from manip_learn.errors import RecordingError, closest_names
-from manip_learn.recordings.readers.float_array import float_array
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.reason import reason
-from manip_learn.recordings.readers.recording import Recording
+from manip_learn.recordings.readers.recording import Recording, float_array, reason
 
 WANTED = ("time", "q", "u", "joint_names", "format")
 ROLLOUT = "manip_learn.rollout"

@@ -12,6 +12,8 @@ from jaxtyping import Float
 
 from manip_learn.errors import RecordingError
 
+LONGEST = 160
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -68,3 +70,15 @@ class Recording:
         if column is not None:
             where += f", column {column!r}"
         return RecordingError(f"{where}: {text}", code=code, path=self.path, line=line, column=column)
+
+
+def reason(error: BaseException) -> str:
+    """Its message without line breaks; the name of its class if it has none."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
+
+
+def float_array(values: np.ndarray) -> Float[np.ndarray, "..."]:
+    """The values as native float64 in C order; whatever is no number becomes NaN, which the doctor finds."""
+    with np.errstate(invalid="ignore", over="ignore"):  # signalling NaN in damaged files
+        return np.ascontiguousarray(values, dtype=np.float64)

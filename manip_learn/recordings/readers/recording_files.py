@@ -11,7 +11,7 @@ from typing import final
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.readers.file_format import CSV, FileFormat, folder_format, looks_like_table, recognise
-from manip_learn.recordings.readers.reason import reason
+from manip_learn.recordings.readers.recording import reason
 
 
 @final

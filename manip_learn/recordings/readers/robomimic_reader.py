@@ -14,10 +14,8 @@ from typing import Any
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError
-from manip_learn.recordings.readers.float_array import float_array
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.reason import reason
-from manip_learn.recordings.readers.recording import Recording
+from manip_learn.recordings.readers.recording import Recording, float_array, reason
 from manip_learn.recordings.readers.recording_files import natural_order
 
 try:

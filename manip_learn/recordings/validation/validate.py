@@ -8,9 +8,9 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.recordings.demonstrations import Trajectory
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import MatchedRecording, angular_coordinates, match_joints
 from manip_learn.recordings.validation.limit_checks import check_limits
 from manip_learn.recordings.validation.time_checks import (

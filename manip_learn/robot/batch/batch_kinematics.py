@@ -1,8 +1,10 @@
-"""Kinematics of one frame at many postures: NumPy over structures of arrays, Pinocchio as judge and as fallback."""
+"""Kinematics of one frame at many postures: NumPy on structures of arrays, Pinocchio as reference and fallback."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from importlib.util import find_spec
+from types import ModuleType
 from typing import final
 from weakref import WeakKeyDictionary
 
@@ -10,20 +12,42 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from manip_learn.errors import ConfigurationError
-from manip_learn.robot.batch.chain import Chain, chain_to
-from manip_learn.robot.batch.column_map import ChainColumns
-from manip_learn.robot.batch.compiled_choice import kernels
+from manip_learn.errors import ConfigurationError, MissingExtraError
+from manip_learn.robot.batch.chain import Chain, ChainColumns, chain_to
 from manip_learn.robot.batch.forward_kinematics import SweepBuffers, sweep, tip_position
 from manip_learn.robot.batch.jacobian import ChainMotion, jacobian_vjp, write_derivative, write_jacobian
 from manip_learn.robot.batch.postures import checked_postures, positions_of
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Reference, Robot
 
+COMPILED_FROM = 50_000  # postures: fewer are done in NumPy before numba is even imported
 CHUNK = 1024  # postures: the columns of a 7-joint chain then stay in a second-level cache of 1 MB
 DERIVATIVE_CHUNK = 256
 AGREEMENT = 1e-12  # largest difference from Pinocchio, relative to the reach, that the check at first use lets pass
 ALL_ROWS = (0, 1, 2, 3, 4, 5)
+
+
+def kernels(compiled: bool | None, n: int) -> ModuleType | None:
+    """The module of compiled kernels, or None for NumPy.
+
+    Args:
+        compiled: True: always; False: never; None: for large numbers of postures, if numba is installed. That depends
+            on n only, so that a call gives the same last bits whatever ran before it.
+        n: Number of postures.
+
+    Raises:
+        MissingExtraError: True, and numba is not installed.
+    """
+    if compiled is False or (compiled is None and n < COMPILED_FROM):
+        return None
+    if find_spec("numba") is None:
+        if compiled:
+            raise MissingExtraError("compiled kinematics", "fast")
+        return None
+    from manip_learn.robot.batch import compiled_kinematics
+
+    return compiled_kinematics
+
 
 _KNOWN: WeakKeyDictionary[Robot, dict[int, BatchKinematics]] = WeakKeyDictionary()
 
@@ -176,7 +200,7 @@ class BatchKinematics:
         Raises:
             ConfigurationError: Pinocchio's loop is what serves this frame, there is no chain.
         """
-        from manip_learn.robot.batch.compiled_chain import chain_table
+        from manip_learn.robot.batch.compiled_kinematics import chain_table
 
         if self.public_columns is None:
             raise ConfigurationError(f"frame {self._frame.name!r} of {self._robot.name!r} has no compiled kinematics")

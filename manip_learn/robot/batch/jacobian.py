@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from manip_learn.robot.batch.column_map import ChainColumns
+from manip_learn.robot.batch.chain import ChainColumns
 
 AFTER = ((1, 2), (2, 0), (0, 1))  # (a x b)_r = a_i b_j - a_j b_i with i, j = AFTER[r]
 

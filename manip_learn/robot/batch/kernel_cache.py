@@ -20,7 +20,6 @@ _SETTINGS: Any = numba.config  # pyright: ignore[reportPrivateImportUsage]
 
 PACKAGE = Path(__file__).resolve().parents[2]
 KERNEL_FILES = (
-    "robot/batch/compiled_chain.py",
     "robot/batch/compiled_kinematics.py",
     "control/compiled/kernel_linalg.py",
     "control/compiled/kernel.py",

@@ -1,14 +1,40 @@
-"""The bytes of a robot description, read without trusting the path."""
+"""The bytes of a robot description, read without trusting the path; xacro is expanded only on request."""
 
 from __future__ import annotations
 
 import errno
+import os
+import stat
 from pathlib import Path
+from xml.parsers.expat import ExpatError
 
-from manip_learn.errors import RobotError
-from manip_learn.robot.description.regular_file import read_regular_file
+from manip_learn.errors import MissingExtraError, RobotError
 
 MAX_BYTES = 10_000_000
+
+
+def read_regular_file(path: Path, most: int) -> bytes:
+    """Content of a regular file of at most `most` bytes.
+
+    Raises:
+        OSError: As from `open`; `ENXIO` if it is no regular file, `EFBIG` if it is larger.
+        ValueError: The path holds a zero byte.
+    """
+    # O_NONBLOCK: opening a pipe would wait for its writer
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError(errno.ENXIO, "not a regular file")
+        if status.st_size > most:
+            raise OSError(errno.EFBIG, f"{status.st_size} bytes")
+        with os.fdopen(descriptor, "rb", closefd=False) as file:
+            content = file.read(most + 1)
+    finally:
+        os.close(descriptor)
+    if len(content) > most:
+        raise OSError(errno.EFBIG, f"more than {most} bytes")
+    return content
 
 
 def read_description(path: Path) -> bytes:
@@ -45,3 +71,40 @@ def _hint(path: Path) -> str:
         return "name a URDF file"
     inside = sorted(p.name for p in path.glob("*.urdf"))[:4]
     return f"it is a folder; name a file in it, e.g. {', '.join(inside)}" if inside else "it is a folder; name a file"
+
+
+def expanded_xacro(path: Path, *, allowed: bool) -> bytes:
+    """Text of the URDF that a xacro file stands for.
+
+    Args:
+        path: The .xacro file.
+        allowed: Whether the caller opted in.
+
+    Raises:
+        RobotError: Codes `xacro` (not opted in), `xacro-failed`, and those of reading a file.
+        MissingExtraError: xacrodoc is not installed.
+    """
+    content = read_description(path)
+    if not allowed:
+        raise RobotError(
+            f"{path}: a xacro file is not expanded unless you ask, since it runs expressions and includes other files; "
+            "if you trust it, load_robot(..., xacro=True)",
+            code="xacro",
+            path=path,
+        )
+    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+        raise RobotError(f"{path}: a <!DOCTYPE> is not read; delete it", code="doctype", path=path)
+    try:
+        from xacro import XacroException
+        from xacrodoc import XacroDoc
+    except ImportError as error:
+        raise MissingExtraError(f"the xacro file {path}", "xacro") from error
+    try:
+        return XacroDoc.from_file(str(path)).to_urdf_string().encode()
+    except (XacroException, ExpatError, OSError, ValueError, LookupError, RuntimeError) as error:
+        said = " ".join(str(error).split())[:300]
+        raise RobotError(
+            f"{path}: xacro could not be expanded ({said}); correct it, or set ROS_PACKAGE_PATH for $(find ...)",
+            code="xacro-failed",
+            path=path,
+        ) from error

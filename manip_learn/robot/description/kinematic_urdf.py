@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from xml.sax.saxutils import quoteattr
 
 from manip_learn.robot.description.urdf_elements import Pose, UrdfFile, UrdfInertial, UrdfJoint, UrdfLink
-from manip_learn.robot.description.urdf_limits import UNLIMITED
 from manip_learn.robot.description.urdf_reader import INERTIA
+from manip_learn.robot.description.validation import UNLIMITED
 
 LARGE = 1e300  # what C++ reads as a number and no joint reaches
 

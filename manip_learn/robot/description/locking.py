@@ -11,8 +11,7 @@ import pinocchio as pin
 
 from manip_learn.errors import RobotError, UnknownNameError
 from manip_learn.robot.description.mimic import Mimics
-from manip_learn.robot.description.pose_matrix import as_matrix, as_pose
-from manip_learn.robot.description.urdf_elements import UrdfFile, UrdfJoint
+from manip_learn.robot.description.urdf_elements import UrdfFile, UrdfJoint, as_matrix, as_pose
 
 Locked = Sequence[str] | Mapping[str, float | None]
 

@@ -1,4 +1,4 @@
-"""Mimic joints of a URDF -> each as a function of one independent joint, or standing still."""
+"""Mimic joints: the chains of a URDF resolved, and all joints as an affine map of the independent ones."""
 
 from __future__ import annotations
 
@@ -6,12 +6,45 @@ import math
 from dataclasses import dataclass
 from typing import final
 
+import numpy as np
+from jaxtyping import Float
+
 from manip_learn.errors import RobotError, closest_names
-from manip_learn.robot.description.coupling import Mimic
 from manip_learn.robot.description.diagnostics import GateLog, quoted
 from manip_learn.robot.description.urdf_elements import UrdfJoint, UrdfMimic
 
 LARGEST_MULTIPLIER = 1e6
+
+
+@final
+@dataclass(frozen=True)
+class Mimic:
+    """One mimic joint: position = multiplier * position of `leader` + offset."""
+
+    joint: str
+    leader: str
+    multiplier: float
+    offset: float
+
+
+@final
+@dataclass(frozen=True)
+class Coupling:
+    """Positions and velocities of all joints as an affine map of the independent ones.
+
+    positions_all = lift @ positions + offset;  velocities_all = lift @ velocities.
+
+    Attributes:
+        lift: shape (nv_all, nv).
+        offset: shape (nv_all,) [rad or m].
+    """
+
+    lift: Float[np.ndarray, "n_all nv"]
+    offset: Float[np.ndarray, " n_all"]
+
+    def __post_init__(self) -> None:
+        self.lift.setflags(write=False)
+        self.offset.setflags(write=False)
 
 
 @final

@@ -3,20 +3,38 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 from manip_learn.robot.description.diagnostics import GateLog, shortened
-from manip_learn.robot.description.mjcf_defaults import MAIN, MjcfDefaults, read_defaults
-from manip_learn.robot.description.mjcf_pose import MjcfUnits, pose_of, read_units
-from manip_learn.robot.description.mjcf_shapes import geom_visual, mesh_files
-from manip_learn.robot.description.pose_matrix import Matrix, as_pose
-from manip_learn.robot.description.urdf_elements import UrdfInertial, UrdfJoint, UrdfLimit, UrdfLink, UrdfMimic, Vector
-from manip_learn.robot.description.urdf_numbers import number, vector
+from manip_learn.robot.description.kinematic_urdf import kinematic_urdf
+from manip_learn.robot.description.mjcf_elements import (
+    MAIN,
+    MjcfDefaults,
+    MjcfUnits,
+    geom_visual,
+    mesh_files,
+    pose_of,
+    read_defaults,
+    read_units,
+)
+from manip_learn.robot.description.urdf_elements import (
+    Matrix,
+    UrdfInertial,
+    UrdfJoint,
+    UrdfLimit,
+    UrdfLink,
+    UrdfMimic,
+    Vector,
+    as_pose,
+)
 from manip_learn.robot.description.urdf_reader import read_name, unit_axis
-from manip_learn.robot.description.xml_node import XmlNode
+from manip_learn.robot.description.validation import Passed, pass_parts
+from manip_learn.robot.description.xml_node import XmlNode, number, parse_xml, vector
 
 WORLD = "world"
 TYPES = {"hinge": "revolute", "slide": "prismatic"}
@@ -203,3 +221,30 @@ def couplings(root: XmlNode, parts: MjcfParts, log: GateLog) -> dict[str, UrdfMi
         offset = parts.ref[first] + c[0] - c[1] * parts.ref.get(second, 0.0)
         out[first] = UrdfMimic(node.line, second, c[1], offset)
     return out
+
+
+def check_mjcf(content: bytes, path: Path, locked: Collection[str] = ()) -> tuple[Passed, bytes]:
+    """Read and check an MJCF file.
+
+    Joints coupled by a linear `<equality><joint>` become mimic joints; sites become frames.
+
+    Returns:
+        What passed, and the same robot as a URDF with its shapes.
+
+    Raises:
+        RobotError: As for a URDF, and codes `mjcf-element`, `mjcf-class`, `mjcf-compiler`, `mjcf-orientation`,
+            `mjcf-coupling`.
+    """
+    log = GateLog(path)
+    root = parse_xml(content, path)
+    unreadable(root, log)
+    parts = read_bodies(root, log)
+    follows = couplings(root, parts, log)
+    joints = tuple(replace(j, mimic=follows.get(j.name)) for j in parts.joints)
+    if any(j.nv == 1 for j in joints):
+        log.warn(None, "an MJCF file has no velocity limits; they are taken as unlimited")
+    if not parts.has_mass:
+        log.warn(None, "no body states its mass; masses of shapes are not computed, so there is no centre of mass")
+    name = root.attributes.get("model", "").strip() or path.stem
+    passed = pass_parts(name, tuple(parts.links), joints, locked, log)
+    return passed, kinematic_urdf(passed.urdf, parts.visuals, with_mimics=True).encode()

@@ -19,8 +19,7 @@ from manip_learn.robot.description.urdf_elements import (
     UrdfMimic,
     Vector,
 )
-from manip_learn.robot.description.urdf_numbers import number, vector
-from manip_learn.robot.description.xml_node import XmlNode
+from manip_learn.robot.description.xml_node import XmlNode, number, vector
 
 KNOWN_ATTRIBUTES = {
     "origin": {"xyz", "rpy"},

@@ -1,8 +1,10 @@
-"""The gate: nothing reaches Pinocchio that has not been read, counted and checked here."""
+"""Validation of a robot description: nothing reaches Pinocchio that has not been read, counted and checked here."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import math
+from collections import Counter
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import final
@@ -11,12 +13,15 @@ from manip_learn.errors import closest_names
 from manip_learn.robot.description.diagnostics import GateLog, quoted, shortened
 from manip_learn.robot.description.mimic import Mimics, resolve_mimics
 from manip_learn.robot.description.urdf_elements import UrdfFile, UrdfJoint, UrdfLink
-from manip_learn.robot.description.urdf_limits import check_limits
 from manip_learn.robot.description.urdf_reader import read_joint, read_link
-from manip_learn.robot.description.urdf_tree import MAX_LINKS, root_of_tree
 from manip_learn.robot.description.xml_node import XmlNode, parse_xml
 
 KNOWN_CHILDREN = {"link", "joint", "material", "transmission", "gazebo", "sensor", "ros2_control", "group"}
+MAX_LINKS = 1_000
+MAX_DEPTH = 500
+MAX_NV = 150
+LARGEST_ANGLE = 4.0 * math.pi  # [rad]
+UNLIMITED = 1_000.0  # [rad or m] what reaches beyond stands for "no limit" in practice
 
 
 @final
@@ -119,3 +124,165 @@ def _robot_name(root: XmlNode, log: GateLog) -> str:
         name = "".join(c for c in log.path.stem if c.isprintable()) or "robot"
         log.warn(root.line, f"the robot {reason}; it is called {quoted([name])} after its file")
     return name
+
+
+def root_of_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: GateLog) -> str:
+    """Name of the root link.
+
+    Raises:
+        RobotError: Codes `no-links`, `duplicate-link`, `duplicate-joint`, `unknown-link`, `self-loop`, `two-parents`,
+            `no-root`, `many-roots`, `detached`, `too-many-links`, `too-deep`, `too-many-dof`.
+    """
+    _check_counts(links, joints, log)
+    _check_names(links, joints, log)
+    _check_ends(links, joints, log)
+    children = {j.child for j in joints}
+    roots = [link for link in links if link.name not in children]
+    if not roots:
+        raise log.refusal(
+            "no-root",
+            joints[0].line,
+            "the joints",
+            "every link is the child of a joint, so they run in a circle",
+            "one link without a parent is wanted",
+            f"remove the joint that closes the circle, e.g. {joints[-1].name!r}",
+        )
+    if len(roots) > 1:
+        raise log.refusal(
+            "many-roots",
+            roots[1].line,
+            "the links",
+            f"{quoted([r.name for r in roots])} have no parent",
+            "one such link is wanted",
+            f"join {roots[1].name!r} to the rest by a joint, or delete it",
+        )
+    _check_reach(roots[0], links, joints, log)
+    return roots[0].name
+
+
+def _check_counts(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: GateLog) -> None:
+    if not links:
+        fix = "is it a xacro file, or cut off?"
+        raise log.refusal("no-links", 1, "the robot", "it has no <link>", "at least one is wanted", fix)
+    if len(links) > MAX_LINKS:
+        seen = f"it has {len(links)} links"
+        fix = "leave out what the arm does not need"
+        raise log.refusal("too-many-links", links[MAX_LINKS].line, "the robot", seen, f"at most {MAX_LINKS} work", fix)
+    nv = sum(j.nv for j in joints)
+    if nv > MAX_NV:
+        seen = f"it has {nv} degrees of freedom"
+        fix = 'make unused joints type="fixed"'
+        raise log.refusal("too-many-dof", None, "the robot", seen, f"at most {MAX_NV} work", fix)
+
+
+def _check_names(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: GateLog) -> None:
+    for kind, elements in (("link", links), ("joint", joints)):
+        first: dict[str, int] = {}
+        for e in elements:
+            if e.name in first:
+                seen = f"the name is already used on line {first[e.name]}"
+                fix = "rename one of the two"
+                raise log.refusal(f"duplicate-{kind}", e.line, f"{kind} {e.name!r}", seen, "names must be unique", fix)
+            first[e.name] = e.line
+
+
+def _check_ends(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: GateLog) -> None:
+    names = {link.name for link in links}
+    parent_joint: dict[str, str] = {}
+    for j in joints:
+        where = f"joint {j.name!r}"
+        for role, link in (("parent", j.parent), ("child", j.child)):
+            if link not in names:
+                near = closest_names(link, names)
+                fix = f"did you mean {quoted(near)}?" if near else "add the link or correct the name"
+                seen = f"its {role} link {link!r} does not exist"
+                raise log.refusal("unknown-link", j.line, where, seen, "a link of this file is wanted", fix)
+        if j.parent == j.child:
+            seen = f"its parent and its child are both {j.child!r}"
+            raise log.refusal("self-loop", j.line, where, seen, "two links are wanted", "correct one of them")
+        if j.child in parent_joint:
+            seen = f"its child {j.child!r} already hangs on joint {parent_joint[j.child]!r}"
+            fix = "closed chains are not supported: remove one of the two joints"
+            raise log.refusal("two-parents", j.line, where, seen, "one parent a link is wanted", fix)
+        parent_joint[j.child] = j.name
+
+
+def _check_reach(root: UrdfLink, links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: GateLog) -> None:
+    below: dict[str, list[str]] = {}
+    for j in joints:
+        below.setdefault(j.parent, []).append(j.child)
+    depth, level, reached = 0, [root.name], Counter([root.name])
+    while level:
+        level = [child for name in level for child in below.get(name, ())]
+        reached.update(level)
+        depth += bool(level)
+        if depth > MAX_DEPTH:
+            seen = "it is more than 500 joints deep"
+            fix = "merge links that are fixed to each other"
+            raise log.refusal("too-deep", None, "the tree of links", seen, f"at most {MAX_DEPTH} work", fix)
+    lost = [link for link in links if link.name not in reached]
+    if lost:
+        seen = f"{quoted([link.name for link in lost])} run in a circle that hangs on nothing"
+        fix = "remove the joint that closes the circle and join it to the rest"
+        raise log.refusal("detached", lost[0].line, "the links", seen, "one tree is wanted", fix)
+
+
+def check_limits(joint: UrdfJoint, log: GateLog) -> None:
+    """Refuse limits that cannot be meant, warn about those that say nothing.
+
+    Raises:
+        RobotError: Codes `limit-missing`, `limit-order`, `limit-degrees`, `velocity-limit`.
+    """
+    if joint.type in ("revolute", "prismatic"):
+        _check_range(joint, log)
+    if joint.type in ("revolute", "prismatic", "continuous"):
+        _check_velocity(joint, log)
+
+
+def _check_range(joint: UrdfJoint, log: GateLog) -> None:
+    where, unit = f"joint {joint.name!r}", "m" if joint.type == "prismatic" else "rad"
+    otherwise = ', or type="continuous"' if joint.type == "revolute" else ""
+    limit = joint.limit
+    if limit is None or limit.lower is None or limit.upper is None:
+        missing = "no <limit>" if limit is None else f"no {'lower' if limit.lower is None else 'upper'} limit"
+        fix = f'write <limit lower="..." upper="..."/>{otherwise}, or lock the joint'
+        line = joint.line if limit is None else limit.line
+        raise log.refusal("limit-missing", line, where, f"it has {missing}", f"a {joint.type} joint needs both", fix)
+    if limit.lower >= limit.upper:
+        seen = f"its limits are {limit.lower:g} ... {limit.upper:g} {unit}"
+        fix = f'swap or correct them{otherwise}, or type="fixed", or lock the joint'
+        raise log.refusal("limit-order", limit.line, where, seen, "lower below upper is wanted", fix)
+    largest = max(abs(limit.lower), abs(limit.upper))
+    if largest == math.inf:  # said by the format, not by a number
+        return
+    if largest > UNLIMITED:
+        log.warn(limit.line, f"{where}: its limit of {largest:.3g} {unit} is taken for no limit")
+    elif joint.type == "revolute" and largest > LARGEST_ANGLE:
+        raise log.refusal(
+            "limit-degrees",
+            limit.line,
+            where,
+            f"its limits are {limit.lower:g} ... {limit.upper:g} rad, more than two turns: they look like degrees",
+            "radians are wanted",
+            f"write {math.radians(limit.lower):.4f} ... {math.radians(limit.upper):.4f}{otherwise} for many turns",
+        )
+
+
+def _check_velocity(joint: UrdfJoint, log: GateLog) -> None:
+    where, limit = f"joint {joint.name!r}", joint.limit
+    if limit is None or limit.velocity is None:
+        if joint.type != "continuous" or limit is not None:
+            log.warn(
+                joint.line if limit is None else limit.line, f"{where}: no velocity limit; it is taken as unlimited"
+            )
+        return
+    if limit.velocity <= 0.0:
+        unit = "m/s" if joint.type == "prismatic" else "rad/s"
+        raise log.refusal(
+            "velocity-limit",
+            limit.line,
+            where,
+            f"its velocity limit is {limit.velocity:g} {unit}",
+            "a positive number is wanted",
+            "write the true limit, or leave velocity out for none, or lock the joint",
+        )

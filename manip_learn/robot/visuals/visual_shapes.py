@@ -11,13 +11,24 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.errors import RobotError
-from manip_learn.robot.description.pose_matrix import as_matrix
+from manip_learn.robot.description.urdf_elements import as_matrix
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.visuals.mesh_colour import mesh_colour
+from manip_learn.robot.visuals.mesh_content import mesh_colour
 from manip_learn.robot.visuals.mesh_paths import find_mesh, mesh_roots
 from manip_learn.robot.visuals.mesh_reader import Mesh, read_meshes
-from manip_learn.robot.visuals.shapes import Box, Capsule, Colour, Cylinder, Shape, Sphere, Triangles, Visual
-from manip_learn.robot.visuals.visual_elements import MeshElement, VisualElement, visual_elements
+from manip_learn.robot.visuals.visual_elements import (
+    Box,
+    Capsule,
+    Colour,
+    Cylinder,
+    MeshElement,
+    Shape,
+    Sphere,
+    Triangles,
+    Visual,
+    VisualElement,
+    visual_elements,
+)
 
 STAND_IN: Colour = (0.55, 0.60, 0.68, 1.0)
 GREY: Colour = (0.7, 0.7, 0.72, 1.0)

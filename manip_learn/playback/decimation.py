@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from manip_learn.playback.shape import TriangleMesh
+from manip_learn.playback.shapes import TriangleMesh
 
 CREASE = np.cos(np.deg2rad(38.0))
 MAX_STEPS = 18

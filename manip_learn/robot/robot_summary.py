@@ -9,9 +9,9 @@ from typing import final
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, RobotError
-from manip_learn.robot.description.coupling import Mimic
-from manip_learn.robot.inspection.cross_check import CrossCheck, cross_check
-from manip_learn.robot.joint_block import JointKind
+from manip_learn.robot.cross_check import CrossCheck, cross_check
+from manip_learn.robot.description.mimic import Mimic
+from manip_learn.robot.joints import JointKind
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import likely_tips
 from manip_learn.robot.visuals.visual_shapes import resolve_meshes

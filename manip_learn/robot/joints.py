@@ -1,18 +1,72 @@
-"""Limits of the independent joints, those of their followers included."""
+"""The independent joints of a robot: their slices of the vectors, and their limits."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Literal, final
 
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from manip_learn.robot.description.coupling import Mimic
-from manip_learn.robot.joint_block import JointBlock
+from manip_learn.robot.description.mimic import Mimic
+
+JointKind = Literal["revolute", "prismatic", "continuous", "floating", "planar", "other"]
+
+COORDINATE_SUFFIXES: dict[str, tuple[str, ...]] = {
+    "floating": (".x", ".y", ".z", ".rx", ".ry", ".rz"),
+    "planar": (".x", ".y", ".rz"),
+}
+
+
+@final
+@dataclass(frozen=True)
+class JointBlock:
+    """Slices of one independent joint.
+
+    Attributes:
+        name: Joint name in the URDF.
+        kind: What moves.
+        index: Pinocchio joint id.
+        q: Slice in the public configuration (size nq).
+        v: Slice in the public tangent vector (size nv).
+        pin_q: Slice in Pinocchio's configuration, which also holds the mimic joints.
+        pin_v: Slice in Pinocchio's tangent vector.
+    """
+
+    name: str
+    kind: JointKind
+    index: int
+    q: slice
+    v: slice
+    pin_q: slice
+    pin_v: slice
+
+    @property
+    def coordinate_names(self) -> tuple[str, ...]:
+        """One name a tangent coordinate: the joint's own, or `base.x`, `base.y`, ... for a floating or planar base."""
+        width = self.v.stop - self.v.start
+        if width == 1:
+            return (self.name,)
+        suffixes = COORDINATE_SUFFIXES.get(self.kind, tuple(f".{i}" for i in range(width)))
+        return tuple(self.name + s for s in suffixes)
+
+
+def joint_kind(short_name: str) -> JointKind:
+    """Kind of a Pinocchio joint from its `shortname()`."""
+    if short_name.startswith("JointModelRUB") or short_name == "JointModelRevoluteUnboundedUnaligned":
+        return "continuous"
+    if short_name.startswith(("JointModelR", "JointModelRevolute")):
+        return "revolute"
+    if short_name.startswith(("JointModelP", "JointModelPrismatic")) and short_name != "JointModelPlanar":
+        return "prismatic"
+    if short_name == "JointModelFreeFlyer":
+        return "floating"
+    if short_name == "JointModelPlanar":
+        return "planar"
+    return "other"
 
 
 @final

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.playback.kinematic_tree import TreeJoint
-from manip_learn.playback.shape import PLAIN, Colour, Shape
+from manip_learn.playback.shapes import PLAIN, Colour, Shape
 
 DARK: Colour = (0.27, 0.31, 0.36, 1.0)
 TUBE_RADIUS = 0.032  # share of the reach
