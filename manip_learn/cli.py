@@ -83,7 +83,7 @@ def learn(
 ) -> None:
     """Learn a constraint from recordings, and say what was learnt."""
     from manip_learn.commands.learn import learn as run
-    from manip_learn.commands.options import read_options
+    from manip_learn.commands.learn import read_options
 
     options = read_options(
         degrees=degrees,

@@ -133,7 +133,7 @@ def test_the_answer_is_not_shared(planar3: Robot, folder: Path) -> None:
     ("module", "reader", "extra"),
     [
         ("rosbags", "bag_file", "ros"),
-        ("lz4", "bag_safety", "ros"),
+        ("lz4", "bag_file", "ros"),
         ("pyarrow", "lerobot_reader", "lerobot"),
         ("h5py", "robomimic_reader", "robomimic"),
     ],
