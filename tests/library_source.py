@@ -55,3 +55,8 @@ def library() -> tuple[Source, ...]:
         name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
         sources.append(Source(path, name, text, ast.parse(text, str(path))))
     return tuple(sources)
+
+
+def listed(faults: list[str]) -> str:
+    """All faults that a rule has found, one per line: what its failing test shows."""
+    return "\n".join((f"{len(faults)} found:", *faults))

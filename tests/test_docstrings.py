@@ -7,23 +7,21 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-from library_source import Source, library
+from library_source import Source, library, listed
 
 from manip_learn import errors
 
 SOURCES = library()
-by_file = pytest.mark.parametrize("source", SOURCES, ids=lambda s: s.relative)
 Documented = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
 BUILTIN_ERRORS = {"ValueError", "TypeError", "KeyError", "AttributeError", "ImportError", "OSError", "RuntimeError"}
 
 
 def public(source: Source) -> Iterator[tuple[str, Documented]]:
-    """Public classes, functions and methods with their qualified names; overriding methods too."""
+    """Public classes, functions and methods with their qualified names; overriding methods too, overloads not."""
 
     def walk(body: list[ast.stmt], prefix: str) -> Iterator[tuple[str, Documented]]:
         for node in body:
-            if isinstance(node, Documented) and not node.name.startswith("_"):
+            if isinstance(node, Documented) and not node.name.startswith("_") and not is_overload(node):
                 yield prefix + node.name, node
                 if isinstance(node, ast.ClassDef):
                     yield from walk(node.body, f"{prefix}{node.name}.")
@@ -32,52 +30,72 @@ def public(source: Source) -> Iterator[tuple[str, Documented]]:
         yield from walk(source.tree.body, "")
 
 
+def is_overload(node: Documented) -> bool:
+    """A signature for type checkers only: the function that follows carries the docstring."""
+    return any(ast.unparse(decorator) == "overload" for decorator in node.decorator_list)
+
+
 def summary(text: str) -> str:
     """The first paragraph."""
     return text.strip().split("\n\n")[0].replace("\n", " ").strip()
 
 
-@by_file
-def test_modules_begin_with_a_sentence(source):
+def everything_public() -> Iterator[tuple[str, Source, Documented]]:
+    """Every public thing of the library: where it is, its file and its syntax tree."""
+    for source in SOURCES:
+        yield from ((f"{source.relative}: {name}", source, node) for name, node in public(source))
+
+
+def section_entries(node: Documented, title: str) -> list[str] | None:
+    """Names described in a docstring's section; None if there is no such section."""
+    section = re.search(rf"^{title}:\n((?:[ \t]+.*\n?|\n)+)", ast.get_docstring(node) or "", re.MULTILINE)
+    return None if section is None else re.findall(r"^    (\*{0,2}\w+)(?: \(.*\))?:", section[1], re.MULTILINE)
+
+
+def test_modules_begin_with_a_sentence():
     """The first thing in a file is a sentence about its one job."""
-    text = ast.get_docstring(source.tree)
-    assert text, f"{source.relative} has no docstring"
-    assert summary(text)[-1] in ".:)", f"{source.relative}: {summary(text)!r} is no sentence"
+    faults = []
+    for source in SOURCES:
+        text = ast.get_docstring(source.tree)
+        if not text or summary(text)[-1] not in ".:)":
+            faults.append(f"{source.relative}: {text and summary(text)!r} is not a sentence")
+    assert not faults, listed(faults)
 
 
-@by_file
-def test_public_things_begin_with_a_sentence(source):
+def test_public_things_begin_with_a_sentence():
     """Every public class, function and method is documented; the first paragraph is a sentence."""
-    for name, node in public(source):
+    faults = []
+    for where, _source, node in everything_public():
         text = ast.get_docstring(node)
-        assert text, f"{source.relative}: {name} has no docstring"
-        assert summary(text)[-1] in ".:?)", f"{source.relative}: {name}: {summary(text)!r} is no sentence"
+        if not text or summary(text)[-1] not in ".:?)":
+            faults.append(f"{where}: {text and summary(text)!r} is not a sentence")
+    assert not faults, listed(faults)
 
 
-@by_file
-def test_errors_named_under_raises_exist(source):
+def test_errors_named_under_raises_exist():
     """`Raises:` names errors of ours, or Python's own."""
-    for name, node in public(source):
-        section = re.search(r"^Raises:\n((?:[ \t]+.*\n?|\n)+)", ast.get_docstring(node) or "", re.MULTILINE)
-        if section is None:
+    faults = []
+    for where, source, node in everything_public():
+        named = section_entries(node, "Raises")
+        if named is None:
             continue
-        named = re.findall(r"^    (\w+):", section[1], re.MULTILINE)
-        assert named, f"{source.relative}: {name}: an empty Raises section"
+        if not named:
+            faults.append(f"{where}: an empty Raises section")
         own = {n.name for n in source.tree.body if isinstance(n, ast.ClassDef)}
-        for error in named:
-            assert hasattr(errors, error) or error in BUILTIN_ERRORS | own, f"{source.relative}: {name} raises {error}?"
+        unknown = [e for e in named if not hasattr(errors, e) and e not in BUILTIN_ERRORS | own]
+        faults += [f"{where} raises {error}?" for error in unknown]
+    assert not faults, listed(faults)
 
 
-@by_file
-def test_arguments_that_are_described_exist(source):
+def test_arguments_that_are_described_exist():
     """`Args:` describes only arguments that the function, or the class's constructor, has."""
-    for name, node in public(source):
-        section = re.search(r"^Args:\n((?:[ \t]+.*\n?|\n)+)", ast.get_docstring(node) or "", re.MULTILINE)
-        if section is None:
-            continue
-        described = {n.lstrip("*") for n in re.findall(r"^    (\*{0,2}\w+)(?: \(.*\))?:", section[1], re.MULTILINE)}
+    faults = []
+    for where, _source, node in everything_public():
+        described = {name.lstrip("*") for name in section_entries(node, "Args") or ()}
         extra = described - arguments(node)
-        assert not extra, f"{source.relative}: {name} describes {sorted(extra)}, which it does not take"
+        if extra:
+            faults.append(f"{where} describes {sorted(extra)}, which it does not take")
+    assert not faults, listed(faults)
 
 
 def arguments(node: Documented) -> set[str]:
@@ -91,10 +109,10 @@ def arguments(node: Documented) -> set[str]:
     return {x.arg for x in named}
 
 
-@by_file
-def test_our_own_errors_are_declared(source):
+def test_our_own_errors_are_declared():
     """A public function that raises one of our errors itself says so under `Raises:`."""
-    for name, node in public(source):
+    faults = []
+    for where, _source, node in everything_public():
         if isinstance(node, ast.ClassDef):
             continue
         raised = {
@@ -103,19 +121,20 @@ def test_our_own_errors_are_declared(source):
             if isinstance(n, ast.Raise) and isinstance(n.exc, ast.Call) and isinstance(n.exc.func, ast.Name)
         }
         text = ast.get_docstring(node) or ""
-        for error in raised:
-            if error.endswith("Error") and hasattr(errors, error):
-                assert re.search(rf"^\s+{error}:", text, re.MULTILINE), f"{source.relative}: {name} hides {error}"
+        for error in sorted(raised):
+            declared = re.search(rf"^\s+{error}:", text, re.MULTILINE)
+            if error.endswith("Error") and hasattr(errors, error) and not declared:
+                faults.append(f"{where} hides {error}")
+    assert not faults, listed(faults)
 
 
-TESTS = sorted(Path(__file__).parent.glob("test_*.py"))
-
-
-@pytest.mark.parametrize("path", TESTS, ids=lambda p: p.name)
-def test_tests_say_what_must_hold(path):
+def test_tests_say_what_must_hold():
     """Each test has a docstring that is a sentence."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
-            text = ast.get_docstring(node)
-            assert text, f"{path.name}: {node.name} does not say what must hold"
-            assert summary(text).endswith((".", "?", ")")), f"{path.name}: {node.name}: {summary(text)!r}"
+    faults = []
+    for path in sorted(Path(__file__).parent.glob("test_*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
+                text = ast.get_docstring(node)
+                if not text or not summary(text).endswith((".", "?", ")")):
+                    faults.append(f"{path.name}: {node.name}: {text and summary(text)!r} does not say what must hold")
+    assert not faults, listed(faults)

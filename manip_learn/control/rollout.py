@@ -5,10 +5,10 @@ from __future__ import annotations
 import io
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Literal, final, overload
 
 import numpy as np
 from jaxtyping import Float
@@ -130,6 +130,32 @@ class Rollout:
             raise RecordingError(f"{path} is no rollout file: {error}", code="not-a-rollout") from error
 
 
+@overload
+def simulate(
+    robot: Robot | None,
+    controller: ResolvedRateController,
+    q0: Sequence[float] | Float[np.ndarray, " n"],
+    duration: float = ...,
+    dt: float = ...,
+    method: Literal["euler", "rk4"] = ...,
+    *,
+    progress: Progress | None = ...,
+) -> Rollout: ...
+
+
+@overload
+def simulate(
+    robot: Robot | None,
+    controller: ResolvedRateController,
+    q0: Sequence[Sequence[float]],
+    duration: float = ...,
+    dt: float = ...,
+    method: Literal["euler", "rk4"] = ...,
+    *,
+    progress: Progress | None = ...,
+) -> tuple[Rollout, ...]: ...
+
+
 def simulate(
     robot: Robot | None,
     controller: ResolvedRateController,
@@ -139,7 +165,7 @@ def simulate(
     method: Literal["euler", "rk4"] = "euler",
     *,
     progress: Progress | None = None,
-) -> Any:
+) -> Rollout | tuple[Rollout, ...]:
     """Integrate the controller on the configuration manifold.
 
     Args:

@@ -44,7 +44,7 @@ class PartStore:
         if not others:
             write_atomically(marker, json.dumps({"format": FORMAT}) + "\n")
 
-    def load(self, key: dict[str, Any]) -> Any | None:
+    def load(self, key: dict[str, Any]) -> list[dict[str, Any]] | None:
         """What was kept under a key; None if nothing was, or if the file is damaged."""
         path = self._path(key)
         try:
@@ -53,7 +53,7 @@ class PartStore:
             return None
         return content.get("value") if isinstance(content, dict) and content.get("key") == _plain(key) else None
 
-    def keep(self, key: dict[str, Any], value: Any) -> None:
+    def keep(self, key: dict[str, Any], value: list[dict[str, Any]]) -> None:
         """Write a finished part, whole or not at all.
 
         Raises:
