@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from manip_learn.playback import LiveViewer, replay
     from manip_learn.recordings import RecordingSource, iter_demonstrations, load_demonstrations
     from manip_learn.recordings.demonstrations import Demonstrations
-    from manip_learn.recordings.preprocessing import resample, thin, trim_standstill
+    from manip_learn.recordings.preprocessing import resample, subsample, trim_standstill
     from manip_learn.recordings.trajectory import Trajectory
     from manip_learn.recordings.velocities import derive_velocities
     from manip_learn.robot import Robot, load_robot
@@ -85,7 +85,7 @@ _HOMES = {
     "replay": "playback",
     "resample": "recordings.preprocessing",
     "simulate": "control.rollout",
-    "thin": "recordings.preprocessing",
+    "subsample": "recordings.preprocessing",
     "trim_standstill": "recordings.preprocessing",
 }
 __all__ = [
@@ -128,7 +128,7 @@ __all__ = [
     "replay",
     "resample",
     "simulate",
-    "thin",
+    "subsample",
     "trim_standstill",
 ]
 

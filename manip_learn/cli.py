@@ -176,10 +176,10 @@ def replay(
     as_json: Json = False,
 ) -> None:
     """Write a browser replay with the manipulability plot: one file, no server, no network."""
-    from manip_learn.commands.replay import show
+    from manip_learn.commands.replay import replay as run
 
     with waiting(as_json, "writing the replay"):
-        page = show(robot, rollouts, html=html, open_browser=open_browser, tip=tip, package_dirs=package_dir)
+        page = run(robot, rollouts, html=html, open_browser=open_browser, tip=tip, package_dirs=package_dir)
     answer = {"html": str(page.html), "bytes": page.bytes, "notes": list(page.notes)}
     if as_json:
         _answer(True, answer)

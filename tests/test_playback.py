@@ -15,15 +15,22 @@ from xml.sax.saxutils import escape
 import numpy as np
 import pytest
 
-from manip_learn.control.rollout import Rollout
-from manip_learn.errors import ConfigurationError, OutputError, RecordingError, UnknownNameError
+from manip_learn.commands.robot_loading import choose_frame
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.policies import ZeroPolicy
+from manip_learn.control.rollout import Rollout, simulate
+from manip_learn.control.tasks import Hold
+from manip_learn.errors import ConfigurationError, OutputError, RecordingError, RobotError, UnknownNameError
 from manip_learn.playback import replay
 from manip_learn.playback.page_writer import json_in_html
 from manip_learn.playback.palette import COLOURS, rollout_colours
-from manip_learn.playback.tip_frame import tip_frame
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.description.catalogue import robot_names
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.planar_arm import planar_arm_urdf
+from manip_learn.robot.tips import default_tip, likely_tips
 
 EVIL = '</script><script>window.hacked=1</script><img src=x onerror="window.hacked=2">'
 
@@ -190,11 +197,43 @@ def test_colours_differ():
 
 @pytest.mark.parametrize(
     ("robot_name", "tip"),
-    [("planar3", "tip"), ("panda", "panda_hand_tcp"), ("ur5", "tool0"), ("one", "tip"), ("tree", "tip")],
+    [("planar3", "tip"), ("panda", "panda_hand_tcp"), ("ur5", "ee_link"), ("one", "tip"), ("tree", "tip")],
 )
 def test_tip_is_found(robot_of, robot_name, tip):
     """The tip of an arm is its last link, not a finger."""
-    assert tip_frame(robot_of(robot_name)) == tip
+    assert default_tip(robot_of(robot_name)) == tip
+
+
+def test_replay_draws_the_tip_that_is_learnt():
+    """On every robot with one likely tip, replay and live view draw the frame that `learn` takes; else the first."""
+    alone = 0
+    for name in robot_names():
+        try:
+            robot = load_robot(name)
+        except RobotError:
+            continue
+        tips = likely_tips(robot)
+        if len(tips) == 1:
+            assert default_tip(robot) == choose_frame(robot, None) == tips[0], name
+            alone += 1
+        elif tips:
+            assert default_tip(robot) == tips[0], name
+        else:
+            assert default_tip(robot) in ("", *robot.frame_names), name
+    assert alone >= 2
+
+
+def test_replay_draws_the_frame_of_the_rollout(robot_of, tmp_path):
+    """A rollout knows the frame of its constraint, in its file too; `tip` overrules it."""
+    robot = robot_of("planar3")
+    features = FrameJacobian(robot, "link2", "planar")
+    controller = ResolvedRateController(Constraint(np.eye(3)[:2], features), Hold(), ZeroPolicy(3))
+    rollout = Rollout.load(simulate(robot, controller, [0.1, 0.2, 0.3], 0.1).save(tmp_path / "r.npz"))
+    assert rollout.frame == "link2"
+    replay(robot, rollout, tmp_path / "a.html")
+    assert data_in(tmp_path / "a.html")["robot"]["tip"] == "link2"
+    replay(robot, rollout, tmp_path / "b.html", tip="tip")
+    assert data_in(tmp_path / "b.html")["robot"]["tip"] == "tip"
 
 
 def test_without_a_file_the_browser_opens(robot_of, tmp_path, monkeypatch):

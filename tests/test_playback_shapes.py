@@ -8,7 +8,7 @@ from conftest import URDFS
 from test_playback import unpacked, waving
 
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.decimation import within_budget
+from manip_learn.playback.decimation import decimated
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.recorded_motion import recorded_motion
 from manip_learn.playback.scene_data import scene_data
@@ -42,18 +42,18 @@ def volume(mesh):
 def test_budget_is_kept_and_shape_too():
     """Large meshes are simplified until all fit, small ones stay; size, volume and orientation hardly change."""
     large, small = ball(), cube()
-    (ball_out, cube_out), before, after = within_budget([large, small], 3000)
+    (ball_out, cube_out), before, after = decimated([large, small], 3000)
     assert before > 10_000
     assert 1500 < after <= 3000
     assert len(cube_out.triangles) == 12
     assert volume(ball_out) == pytest.approx(volume(large), rel=0.05)
     np.testing.assert_allclose(np.ptp(ball_out.vertices, axis=0), 0.2, rtol=0.06)
-    assert within_budget([large], 10**6)[1:] == (before - 12, before - 12)
+    assert decimated([large], 10**6)[1:] == (before - 12, before - 12)
 
 
 def test_edges_stay_sharp_and_round_things_smooth():
     """A cube's corners are split into three vertices, a smooth sphere's vertices are shared."""
-    (cube_out, ball_out), _, _ = within_budget([cube(), ball()], 10**6)
+    (cube_out, ball_out), _, _ = decimated([cube(), ball()], 10**6)
     assert len(cube_out.vertices) == 24
     assert len(ball_out.vertices) < 0.51 * len(ball_out.triangles) + 10
     assert volume(cube_out) == pytest.approx(1.0)

@@ -6,18 +6,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import Any, final, get_args
 
 from manip_learn.commands.robot_loading import load_for_recordings, source_for_recordings
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import FeatureError, ManipLearnError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
-from manip_learn.learning.learner import EstimatorName
+from manip_learn.learning.learner import ESTIMATORS, EstimatorName
 from manip_learn.learning.streaming.executor import Progress
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import ReadOptions
-from manip_learn.recordings.preprocessing import thin
+from manip_learn.recordings.preprocessing import subsample
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.robot import Reference
 
@@ -75,16 +75,21 @@ def learn(
         ManipLearnError: Anything else that is wrong with the robot, the recordings, the settings or the output.
     """
     if reference not in REFERENCES:
-        raise FeatureError(f"reference must be world, local or auto, not {reference!r}")
+        raise FeatureError(f"--reference must be world, local or auto, not {reference!r}")
     if points is not None and dask is not None:
-        raise RecordingError("--points thins recordings in memory, where --dask has none: leave one out", code="option")
+        raise RecordingError(
+            "--points works on recordings in memory, not with --dask: give one of the two", code="option"
+        )
     if progress is not None:
         progress("reading", 0.0)
     load = load_for_recordings if dask is None else source_for_recordings
     robot, demos, chosen, notes = load(robot_name, recordings, frame, locked or [], package_dirs or [], options)
     if points is not None and isinstance(demos, Demonstrations):
-        demos = Demonstrations([thin(t, points) for t in with_velocities(demos, robot)], demos.notes)
+        demos = Demonstrations([subsample(t, points) for t in with_velocities(demos, robot)], demos.notes)
     candidates = [FrameJacobian(robot, chosen, axes, r) for r in REFERENCES[reference]]
+    most = min(min(c.n_rows, c.nv) for c in candidates)
+    if n_constraints is not None and not 1 <= n_constraints <= most:
+        raise FeatureError(f"--constraints must be between 1 and {most} for the axes {axes!r}, got {n_constraints}")
     learner = ConstraintLearner(candidates, n_constraints, _estimator(estimator), seed=seed)
     with _client(dask) as client:
         learner.fit(demos, client=client, progress=progress)
@@ -105,7 +110,10 @@ def _client(dask: str | None) -> Iterator[Any]:
 
 
 def _estimator(name: str) -> EstimatorName:
-    return name  # type: ignore[return-value]  # the learner checks it and lists the names
+    for known in get_args(EstimatorName):
+        if name == known:
+            return known
+    raise FeatureError(f"--estimator must be one of {', '.join(ESTIMATORS)}, not {name!r}")
 
 
 def read_options(

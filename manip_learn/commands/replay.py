@@ -9,13 +9,14 @@ import numpy as np
 from manip_learn.commands.robot_loading import load_for_joints
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
-from manip_learn.playback import ReplayResult, replay
+from manip_learn.playback import ReplayResult
+from manip_learn.playback import replay as write_replay
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import Robot, load_robot
 
 
-def show(
+def replay(
     robot_name: str,
     files: list[str],
     *,
@@ -44,7 +45,7 @@ def show(
                 named[_unique(trajectory.name, named)] = trajectory
     if robot is None:
         raise RecordingError("name at least one rollout file; `manip-learn control ... --out rollout.npz` writes one")
-    return replay(robot, named, html or Path("replay.html"), tip=tip, open_browser=open_browser)
+    return write_replay(robot, named, html or Path("replay.html"), tip=tip, open_browser=open_browser)
 
 
 def _is_rollout(path: Path) -> bool:

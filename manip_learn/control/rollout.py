@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.control.batch import pays, run_batch
 from manip_learn.control.controller import Command, ResolvedRateController
@@ -47,6 +48,7 @@ class Rollout:
         status: T words, see `Command.status`.
         joint_names: One name a velocity.
         task_error: shape (T,), distance to the task's goal along the constrained rows [m or rad].
+        frame: Frame that the constraint holds, whose path a replay draws; empty if its features have no frame.
     """
 
     time: Float[np.ndarray, " T"]
@@ -56,6 +58,7 @@ class Rollout:
     status: tuple[str, ...]
     joint_names: tuple[str, ...]
     task_error: Float[np.ndarray, " T"]
+    frame: str = ""
 
     def __post_init__(self) -> None:
         for name in ("time", "q", "u", "manipulability", "task_error"):
@@ -100,6 +103,7 @@ class Rollout:
             status=np.array(self.status),
             joint_names=np.array(self.joint_names),
             task_error=self.task_error,
+            frame=np.array(self.frame),
         )
         return write_atomically(path, stream.getvalue())
 
@@ -123,6 +127,7 @@ class Rollout:
                     tuple(str(s) for s in content["status"]),
                     tuple(str(n) for n in content["joint_names"]),
                     content["task_error"],
+                    str(content["frame"]) if "frame" in content else "",
                 )
         except FileNotFoundError as error:
             raise RecordingError(f"rollout file {path} does not exist", code="missing") from error
@@ -214,6 +219,7 @@ def simulate(
         tuple(c.status for c in commands),
         robot.joint_names if robot is not None else tuple(f"q{i}" for i in range(controller.constraint.nv)),
         errors,
+        _frame_of(controller.constraint),
     )
 
 
@@ -236,7 +242,16 @@ def _simulate_all(
         progress(1.0)
     time = np.arange(steps + 1) * dt
     rows = zip(run.q, run.u, run.mu, run.status, run.error, strict=True)
-    return tuple(Rollout(time, q, u, mu, tuple(status), robot.joint_names, error) for q, u, mu, status, error in rows)
+    frame = _frame_of(controller.constraint)
+    return tuple(
+        Rollout(time, q, u, mu, tuple(status), robot.joint_names, error, frame) for q, u, mu, status, error in rows
+    )
+
+
+def _frame_of(constraint: Constraint) -> str:
+    """Name of the frame whose rows are constrained; empty for features that belong to no frame."""
+    features = constraint.features
+    return features.frame.name if isinstance(features, FrameJacobian) else ""
 
 
 def _stepped(

@@ -11,7 +11,7 @@ import numpy as np
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import load_demonstrations
-from manip_learn.recordings.preprocessing import thin
+from manip_learn.recordings.preprocessing import subsample
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.loading import load_robot
@@ -41,7 +41,7 @@ def turned_recordings(along_x: bool, points: int | None) -> Demonstrations:
     out = []
     for t in _recordings():
         turned = Trajectory(t.time, t.q + shift, t.u, t.joint_names, t.name)
-        out.append(turned if points is None else thin(turned, points))
+        out.append(turned if points is None else subsample(turned, points))
     return Demonstrations(out)
 
 

@@ -7,10 +7,10 @@ from collections.abc import Iterable
 import numpy as np
 import pinocchio as pin
 
-from manip_learn.playback.decimation import within_budget
+from manip_learn.playback.decimation import decimated
 from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.playback.shapes import Appearance, Shape, TriangleMesh
-from manip_learn.playback.stick_figure import plain_figure, rods
+from manip_learn.playback.stick_figure import rods, stick_figure
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.visual_elements import Box, Capsule, Cylinder, Sphere, Triangles, Visual
 from manip_learn.robot.visuals.visual_shapes import visual_shapes
@@ -32,13 +32,13 @@ def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = M
     notes = _fault_notes(faults) if robot.source is not None else []
     plain_joints = {v.joint for v in faults} - {v.joint for v in own}
     if not own:
-        return Appearance(plain_figure(tree, end_points(robot, tree)), notes=tuple(notes))
+        return Appearance(stick_figure(tree, end_points(robot, tree)), notes=tuple(notes))
     shapes, meshes, mesh_notes = _own_shapes(own, max_triangles)
     if not meshes:
         # boxes and cylinders rarely touch each other: slim rods show what holds them together
         shapes += rods(tree, end_points(robot, tree), shapes)
     if plain_joints:
-        shapes += plain_figure(tree, end_points(robot, tree), plain_joints)
+        shapes += stick_figure(tree, end_points(robot, tree), plain_joints)
     return Appearance(tuple(shapes), tuple(meshes), tuple(notes + mesh_notes))
 
 
@@ -55,7 +55,7 @@ def _own_shapes(visuals: list[Visual], max_triangles: int) -> tuple[list[Shape],
             shapes.append(Shape(v.joint, "mesh", (), v.placement, v.colour, mesh=files[key]))
         else:
             shapes += _plain_shapes(v)
-    meshes, before, after = within_budget(meshes, max_triangles)
+    meshes, before, after = decimated(meshes, max_triangles)
     notes = []
     if after < before:
         notes.append(f"The meshes were simplified from {before:,} to {after:,} triangles to keep the page small.")

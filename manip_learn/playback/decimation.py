@@ -13,7 +13,7 @@ CREASE = np.cos(np.deg2rad(38.0))
 MAX_STEPS = 18
 
 
-def within_budget(meshes: list[TriangleMesh], triangles: int) -> tuple[list[TriangleMesh], int, int]:
+def decimated(meshes: list[TriangleMesh], triangles: int) -> tuple[list[TriangleMesh], int, int]:
     """Simplify meshes until all of them together have at most so many triangles.
 
     Large meshes give up more than small ones, and no mesh becomes so coarse that it cannot be recognised as long as

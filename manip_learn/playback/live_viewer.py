@@ -29,8 +29,8 @@ from manip_learn.playback.page_writer import page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.recorded_motion import RecordedMotion
 from manip_learn.playback.scene_data import scene_data
-from manip_learn.playback.tip_frame import tip_frame
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.tips import default_tip
 
 SERVER = Path(__file__).with_name("live_server.py")
 FRAMES_PER_SECOND = 60.0
@@ -226,7 +226,7 @@ class LiveViewer:
 
 
 def _live_page(robot: Robot, tree: tuple[TreeJoint, ...], name: str, token: str) -> bytes:
-    rest, tip = robot.neutral(), tip_frame(robot)
+    rest, tip = robot.neutral(), default_tip(robot)
     rng = np.random.default_rng(0)
     postures = np.array([rest, *(robot.random_configuration(rng) for _ in range(POSTURES_FOR_CAMERA))])
     none = np.zeros(0)

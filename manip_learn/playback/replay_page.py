@@ -20,9 +20,9 @@ from manip_learn.playback.page_writer import page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.recorded_motion import recorded_motion
 from manip_learn.playback.scene_data import scene_data
-from manip_learn.playback.tip_frame import tip_frame
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.tips import default_tip
 
 Recording = Rollout | Trajectory
 MAX_GHOSTS = 12  # as in page/scene.js
@@ -63,7 +63,7 @@ def replay(
         robot: The robot that the rollouts were made with.
         rollouts: Name -> rollout or demonstration (which has no manipulability curve); or a single one.
         html: File to write; None for a temporary file.
-        tip: Frame whose way is drawn; None for the last frame of the arm.
+        tip: Frame whose path is drawn; None for the frame that the rollouts were made with, else `default_tip`.
         title: Stands beside the robot's name.
         colours: Rollout name -> a name in `palette.COLOURS`, for those whose colour matters.
         open_browser: Show the page now; None: only if it is a temporary file.
@@ -75,7 +75,7 @@ def replay(
         OutputError: The file cannot be written.
     """
     named = _named(rollouts)
-    tip_name = tip_frame(robot, tip)
+    tip_name = _tip(robot, tip, named)
     chosen_colours = rollout_colours(list(named), colours or {})
     tree = kinematic_tree(robot)
     motions = [recorded_motion(robot, tree, robot.frame(tip_name), name, r) for name, r in named.items()]
@@ -87,6 +87,14 @@ def replay(
     if open_browser or (open_browser is None and html is None):
         webbrowser.open(path.as_uri())
     return ReplayResult(path, len(content), notes)
+
+
+def _tip(robot: Robot, tip: str | None, named: Mapping[str, Recording]) -> str:
+    """The frame whose path is drawn: the given one, else that of the first rollout that has one, else the default."""
+    if tip is not None:
+        return robot.frame(tip).name
+    guided = (r.frame for r in named.values() if isinstance(r, Rollout))
+    return next((name for name in guided if name in robot.frame_names), None) or default_tip(robot)
 
 
 def _named(rollouts: Mapping[str, Recording] | Recording) -> dict[str, Recording]:

@@ -16,7 +16,7 @@ ROD = 0.8  # share of the slimmest shape's half width
 TAPER = 0.55  # radius at the last joint, share of that at the base
 
 
-def plain_figure(
+def stick_figure(
     tree: tuple[TreeJoint, ...], ends: dict[int, Float[np.ndarray, "E 3"]], only: set[int] | None = None
 ) -> tuple[Shape, ...]:
     """Shapes made from the kinematics alone.
@@ -47,7 +47,7 @@ def rods(
 
     Args:
         tree: The joints.
-        ends: As for `plain_figure`.
+        ends: As for `stick_figure`.
         shapes: What the rods connect; a rod is slimmer than the slimmest shape on its joint.
     """
     radius = _radii(tree, ends)

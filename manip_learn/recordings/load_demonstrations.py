@@ -11,7 +11,7 @@ from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.readers.read_request import ReadRequest, TimeUnit, Units
 from manip_learn.recordings.readers.recording_files import recording_files
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.validation.validate import examine
+from manip_learn.recordings.validation.validate import validate
 from manip_learn.robot import Robot
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
@@ -85,7 +85,7 @@ def iter_demonstrations(
     found = False
     for file in files:
         for recording in file.format.reader()(file.path, request):
-            examined = examine(recording, request)
+            examined = validate(recording, request)
             for note in examined.notes:
                 by_text.setdefault(note, []).append(recording.name)
             for trajectory in examined.trajectories:

@@ -44,7 +44,7 @@ def resample(trajectory: Trajectory, dt: float) -> Trajectory:
     return Trajectory(time, at(trajectory.q), u, trajectory.joint_names, trajectory.name)
 
 
-def thin(trajectory: Trajectory, n_samples: int) -> Trajectory:
+def subsample(trajectory: Trajectory, n_samples: int) -> Trajectory:
     """At most n_samples samples, evenly spread.
 
     Raises:
@@ -64,5 +64,5 @@ def prepared(demonstrations: Demonstrations, *, trim: bool = True, samples: int 
         kept = trim_standstill(trajectory) if trim else trajectory
         if len(kept) < len(trajectory):
             notes.append(f"{trajectory.name}: {len(trajectory) - len(kept)} samples of standstill were left out")
-        out.append(thin(kept, samples) if samples else kept)
+        out.append(subsample(kept, samples) if samples else kept)
     return Demonstrations(out, notes)

@@ -20,3 +20,6 @@ class Frame:
     name: str
     index: int
     parent_joint: int
+
+
+FrameLike = str | Frame  # what every method of `Robot` takes; a `Frame` saves the look-up

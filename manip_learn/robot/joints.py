@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from manip_learn.robot.description.mimic import Mimic
+from manip_learn.robot.description.mimic import Coupling, Mimic
 
 JointKind = Literal["revolute", "prismatic", "continuous", "floating", "planar", "other"]
 
@@ -137,3 +137,27 @@ def _bind(
         ]
     lower[k], upper[k] = narrow
     return [f"joint {m.leader!r} is limited to {narrow[0]:.4g} ... {narrow[1]:.4g} by its follower {m.joint!r}"]
+
+
+def build_coupling(
+    model: pin.Model, blocks: Sequence[JointBlock], mimics: Sequence[Mimic]
+) -> tuple[Coupling | None, list[tuple[int, slice]]]:
+    """The affine map from the independent joints to all joints of a model; None without mimic joints.
+
+    Returns:
+        The map, and for each mimic joint its row in Pinocchio's tangent vector and its slice of the configuration.
+    """
+    if not mimics:
+        return None, []
+    lift, offset = np.zeros((model.nv, sum(b.v.stop - b.v.start for b in blocks))), np.zeros(model.nv)
+    for b in blocks:
+        lift[b.pin_v, b.v] = np.eye(b.v.stop - b.v.start)
+    column = {b.name: b.v.start for b in blocks if b.v.stop - b.v.start == 1}
+    followers: list[tuple[int, slice]] = []
+    for m in mimics:
+        joint = model.joints[model.getJointId(m.joint)]
+        row = joint.idx_v
+        followers.append((row, slice(joint.idx_q, joint.idx_q + joint.nq)))
+        lift[row, column[m.leader]] = m.multiplier
+        offset[row] = m.offset
+    return Coupling(lift, offset), followers

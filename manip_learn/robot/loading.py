@@ -13,9 +13,9 @@ from manip_learn.errors import RobotError
 from manip_learn.robot.description.catalogue import find_robot
 from manip_learn.robot.description.description_file import expanded_xacro, read_description
 from manip_learn.robot.description.locking import Locked, names_of
-from manip_learn.robot.description.mjcf_reader import check_mjcf
+from manip_learn.robot.description.mjcf_reader import validate_mjcf
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.urdf_robot import robot_from_parts, robot_from_urdf
+from manip_learn.robot.urdf_robot import robot_from_urdf, robot_from_validated
 
 Base = Literal["fixed", "floating", "planar"]
 SUFFIXES = (".urdf", ".xml", ".xacro", ".mjcf")
@@ -75,8 +75,8 @@ def robot_from_text(
     """
     if not _is_mjcf(content):
         return robot_from_urdf(content, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint)
-    passed, urdf = check_mjcf(content, path, names_of(locked))
-    return robot_from_parts(passed, urdf, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint)
+    validated, urdf = validate_mjcf(content, path, names_of(locked))
+    return robot_from_validated(validated, urdf, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint)
 
 
 def _path(name: str | os.PathLike[str]) -> Path:

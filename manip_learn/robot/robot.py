@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from manip_learn.errors import ConfigurationError, UnknownNameError
 from manip_learn.robot.description.mimic import Coupling, Mimic
-from manip_learn.robot.frame import Frame
-from manip_learn.robot.joints import JointBlock, joint_kind, joint_limits
+from manip_learn.robot.frame import Frame, FrameLike
+from manip_learn.robot.joints import JointBlock, build_coupling, joint_kind, joint_limits
 from manip_learn.robot.kinematic_hessian import (
     REFERENCES,
     centre_of_mass_derivative,
@@ -115,27 +115,11 @@ class Robot:
         self.blocks = tuple(blocks)
         self.nq, self.nv = nq, nv
         self.joint_names: tuple[str, ...] = tuple(n for b in blocks for n in b.coordinate_names)
-        self._followers: list[tuple[int, slice]] = []
-        self._coupling = self._build_coupling() if self.mimics else None
+        self._coupling, self._followers = build_coupling(model, blocks, self.mimics)
         # a plain robot's configuration IS Pinocchio's: the hot path skips all conversions
         self._plain = nq == nv == model.nq and self._coupling is None
         self._positions_add_up = all(b.kind not in ("floating", "planar", "other") for b in blocks)
         self._unit_blocks = tuple(b for b in blocks if b.kind in ("continuous", "floating", "planar"))
-
-    def _build_coupling(self) -> Coupling:
-        model = self._model
-        lift = np.zeros((model.nv, self.nv))
-        offset = np.zeros(model.nv)
-        for b in self.blocks:
-            lift[b.pin_v, b.v] = np.eye(b.v.stop - b.v.start)
-        column = {b.name: b.v.start for b in self.blocks if b.v.stop - b.v.start == 1}
-        for m in self.mimics:
-            joint = model.joints[model.getJointId(m.joint)]
-            row = joint.idx_v
-            self._followers.append((row, slice(joint.idx_q, joint.idx_q + joint.nq)))
-            lift[row, column[m.leader]] = m.multiplier
-            offset[row] = m.offset
-        return Coupling(lift, offset)
 
     def _build_frames(self) -> None:
         frames: dict[str, Frame] = {}
@@ -150,15 +134,17 @@ class Robot:
 
     # ---- names ----------------------------------------------------------------------------------------------------
 
-    def frame(self, name: str) -> Frame:
-        """The frame of that name.
+    def frame(self, name: FrameLike) -> Frame:
+        """The frame of that name; a `Frame` is handed back.
 
         Raises:
             UnknownNameError: No such frame; lists near matches.
         """
+        if type(name) is Frame:
+            return name
         if isinstance(name, str) and name in self._frames:
             return self._frames[name]
-        raise UnknownNameError("frame", name, self.frame_names, f"robot {self.name!r}")
+        raise UnknownNameError("frame", str(name), self.frame_names, f"robot {self.name!r}")
 
     def joint_index(self, name: str) -> int:
         """Tangent coordinate of the joint of that name.
@@ -170,7 +156,7 @@ class Robot:
             return self.joint_names.index(name)
         raise UnknownNameError("joint", name, self.joint_names, f"robot {self.name!r}")
 
-    def moves(self, joint: str, frame: str) -> bool:
+    def moves(self, joint: str, frame: FrameLike) -> bool:
         """Whether a joint, or one that mimics it, lies between the base and a frame.
 
         Raises:
@@ -352,8 +338,14 @@ class Robot:
         return vector
 
     def pinocchio_configuration(self, q: ArrayLike) -> Float[np.ndarray, " n"]:
-        """Configuration of the underlying Pinocchio model, mimic joints included (for geometry and playback)."""
-        return self._pin_q(q)
+        """Configuration of the underlying Pinocchio model, mimic joints included."""
+        if self._plain:
+            return self._finite_vector(q)
+        if self._coupling is None:
+            return self.configuration(q)
+        vector = self._finite_vector(q)
+        # of joint positions the full turns count: a follower at half speed is elsewhere after one
+        return self._expanded(self.configuration(vector), vector if vector.shape[0] == self.nv else None)
 
     @property
     def coupling(self) -> Coupling | None:
@@ -388,50 +380,47 @@ class Robot:
             self._local.data = self._model.createData()
             return self._local.data
 
-    def _pin_q(self, q: ArrayLike) -> np.ndarray:
-        if self._plain:
-            return self._finite_vector(q)
-        return self.configuration(q) if self._coupling is None else self._coupled(q)
-
-    def _coupled(self, q: ArrayLike) -> np.ndarray:
-        vector = self._finite_vector(q)
-        # of joint positions the full turns count: a follower at half speed is elsewhere after one
-        return self._expanded(self.configuration(vector), vector if vector.shape[0] == self.nv else None)
-
-    def pose(self, q: ArrayLike, frame: Frame) -> Float[np.ndarray, "4 4"]:
+    def pose(self, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, "4 4"]:
         """Homogeneous transform from the frame to the robot's base [m].
 
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
         data = self._data
-        pin.forwardKinematics(self._model, data, self._pin_q(q))
-        return pin.updateFramePlacement(self._model, data, frame.index).homogeneous  # a copy
+        index = frame.index if type(frame) is Frame else self.frame(frame).index
+        pin.forwardKinematics(self._model, data, self.pinocchio_configuration(q))
+        return pin.updateFramePlacement(self._model, data, index).homogeneous  # a copy
 
-    def position(self, q: ArrayLike, frame: Frame) -> Float[np.ndarray, " 3"]:
+    def position(self, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, " 3"]:
         """Origin of the frame in the robot's base [m]: the last column of `pose`.
 
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
         data = self._data
-        pin.forwardKinematics(self._model, data, self._finite_vector(q) if self._plain else self._pin_q(q))
-        return pin.updateFramePlacement(self._model, data, frame.index).translation.copy()
+        index = frame.index if type(frame) is Frame else self.frame(frame).index
+        pin.forwardKinematics(
+            self._model, data, self._finite_vector(q) if self._plain else self.pinocchio_configuration(q)
+        )
+        return pin.updateFramePlacement(self._model, data, index).translation.copy()
 
-    def jacobian(self, q: ArrayLike, frame: Frame, reference: Reference = "world") -> Float[np.ndarray, "6 nv"]:
+    def jacobian(self, q: ArrayLike, frame: FrameLike, reference: Reference = "world") -> Float[np.ndarray, "6 nv"]:
         """Frame Jacobian, linear rows first: velocity of the frame's origin [m/s] and angular velocity [rad/s] a
         joint velocity, along the base axes (`"world"`) or along the frame's own axes (`"local"`).
 
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        J = pin.computeFrameJacobian(self._model, self._data, self._pin_q(q), frame.index, REFERENCES[reference])
+        index = frame.index if type(frame) is Frame else self.frame(frame).index
+        J = pin.computeFrameJacobian(
+            self._model, self._data, self.pinocchio_configuration(q), index, REFERENCES[reference]
+        )
         if J.ndim == 1:  # nv == 1
             J = J.reshape(6, 1)
         return J if self._coupling is None else J @ self._coupling.lift
 
     def jacobian_and_derivative(
-        self, q: ArrayLike, frame: Frame, reference: Reference = "world"
+        self, q: ArrayLike, frame: FrameLike, reference: Reference = "world"
     ) -> tuple[Float[np.ndarray, "6 nv"], Float[np.ndarray, "6 nv nv"]]:
         """Frame Jacobian J and dJ/dq, entry [i, j, k] = d J_ij / d q_k, the derivative taken along tangent
         coordinate k. Exact.
@@ -440,15 +429,16 @@ class Robot:
             ConfigurationError: Wrong size or not finite.
         """
         model, data, ref = self._model, self._data, REFERENCES[reference]
-        pin_q = self._pin_q(q)
+        pin_q = self.pinocchio_configuration(q)
+        index = frame.index if type(frame) is Frame else self.frame(frame).index
         if self._fast_hessian:
             pin.computeJointKinematicHessians(model, data, pin_q)
-            pin.updateFramePlacement(model, data, frame.index)
-            J = pin.getFrameJacobian(model, data, frame.index, ref)
-            H = reordered(pin.getFrameKinematicHessian(model, data, frame.index, ref), model.nv)
+            pin.updateFramePlacement(model, data, index)
+            J = pin.getFrameJacobian(model, data, index, ref)
+            H = reordered(pin.getFrameKinematicHessian(model, data, index, ref), model.nv)
             J = J.reshape(6, model.nv)
         else:
-            J = pin.computeFrameJacobian(model, data, pin_q, frame.index, ref).reshape(6, model.nv)
+            J = pin.computeFrameJacobian(model, data, pin_q, index, ref).reshape(6, model.nv)
             H = closed_form(J, self._columns_to_joints, reference)
         if self._coupling is not None:
             lift = self._coupling.lift
@@ -456,7 +446,7 @@ class Robot:
         return J, H
 
     def weighted_jacobian_vjp(
-        self, q: ArrayLike, frame: Frame, reference: Reference, selection: Float[np.ndarray, "s 6"]
+        self, q: ArrayLike, frame: FrameLike, reference: Reference, selection: Float[np.ndarray, "s 6"]
     ) -> tuple[Float[np.ndarray, "s nv"], Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]]:
         """A = Lambda J of the frame, and its vector-Jacobian product, weights -> sum_ij weights_ij dA_ij/dq_k.
 
@@ -469,8 +459,11 @@ class Robot:
             J, H = self.jacobian_and_derivative(q, frame, reference)
             flat = H.reshape(6 * self.nv, self.nv)
             return selection.dot(J), lambda weights: selection.T.dot(weights).reshape(-1).dot(flat)
-        model, data, ref, index = self._model, self._data, REFERENCES[reference], frame.index
-        pin.computeJointKinematicHessians(model, data, self._finite_vector(q) if self._plain else self._pin_q(q))
+        model, data, ref = self._model, self._data, REFERENCES[reference]
+        index = frame.index if type(frame) is Frame else self.frame(frame).index
+        pin.computeJointKinematicHessians(
+            model, data, self._finite_vector(q) if self._plain else self.pinocchio_configuration(q)
+        )
         pin.updateFramePlacement(model, data, index)
         J = pin.getFrameJacobian(model, data, index, ref)
         # Pinocchio's buffer as it lies in memory is [k, j, i] (see `reordered`)
@@ -485,14 +478,14 @@ class Robot:
 
     def centre_of_mass(self, q: ArrayLike) -> Float[np.ndarray, " 3"]:
         """Centre of mass in the base frame [m]."""
-        return pin.centerOfMass(self._model, self._data, self._pin_q(q)).copy()
+        return pin.centerOfMass(self._model, self._data, self.pinocchio_configuration(q)).copy()
 
     def centre_of_mass_jacobian_and_derivative(
         self, q: ArrayLike
     ) -> tuple[Float[np.ndarray, "3 nv"], Float[np.ndarray, "3 nv nv"]]:
         """Jacobian of the centre of mass [m/s a joint velocity] and its exact derivative along tangent coordinates."""
         model, data = self._model, self._data
-        Jc = np.array(pin.jacobianCenterOfMass(model, data, self._pin_q(q))).reshape(3, model.nv)
+        Jc = np.array(pin.jacobianCenterOfMass(model, data, self.pinocchio_configuration(q))).reshape(3, model.nv)
         w = np.array(data.J).reshape(6, model.nv)[3:].T
         H = centre_of_mass_derivative(model, Jc, w, self._columns_to_joints)
         if self._coupling is not None:
@@ -500,7 +493,7 @@ class Robot:
             return Jc @ lift, lift.T @ (H @ lift)
         return Jc, H
 
-    # ---- plumbing -------------------------------------------------------------------------------------------------
+    # ---- internals -------------------------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
         return f"Robot({self.name!r}, nq={self.nq}, nv={self.nv}, joints={', '.join(self.joint_names)})"

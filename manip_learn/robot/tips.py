@@ -44,6 +44,21 @@ def likely_tips(robot: Robot) -> tuple[str, ...]:
     return tuple(sorted(free, key=lambda n: (-len(movers[n]), n)))
 
 
+def default_tip(robot: Robot) -> str:
+    """The frame taken for the tip where nobody is asked: the first of `likely_tips`.
+
+    That is the only one where there is only one, as in `manip-learn learn` without --frame; of several, the one moved
+    by the most joints, by name among equals. Without any: the last link of those with the most joints above them; an
+    empty string for a robot without frames.
+    """
+    tips = likely_tips(robot)
+    if tips:
+        return tips[0]
+    above = {name: len(joints) for name, joints in _joints_above(robot).items()}
+    most = max(above.values(), default=0)
+    return next((name for name in reversed(above) if above[name] == most), next(iter(robot.frame_names), ""))
+
+
 def _joints_above(robot: Robot) -> dict[str, frozenset[int]]:
     """Of each link the joints that move it."""
     model = robot.pinocchio_model

@@ -20,7 +20,7 @@ from manip_learn.robot.description.kinematic_urdf import LARGE, kinematic_urdf
 from manip_learn.robot.description.locking import Locked, locked_positions, names_of, with_fixed
 from manip_learn.robot.description.mimic import Mimic
 from manip_learn.robot.description.urdf_elements import UrdfFile
-from manip_learn.robot.description.validation import Passed, check_urdf
+from manip_learn.robot.description.validation import ValidatedRobot, validate_urdf
 from manip_learn.robot.robot import Robot
 
 DECIMAL = re.compile(r'(?<=["\s])-?\d+(\.\d+)?(e[+-]?\d+)?(?=["\s])')
@@ -48,12 +48,14 @@ def robot_from_urdf(
         RobotError: The gate refuses the description, or Pinocchio does.
         UnknownNameError: A locked joint that does not exist.
     """
-    passed = check_urdf(content, path, names_of(locked))
-    return robot_from_parts(passed, content, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint)
+    validated = validate_urdf(content, path, names_of(locked))
+    return robot_from_validated(
+        validated, content, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint
+    )
 
 
-def robot_from_parts(
-    passed: Passed,
+def robot_from_validated(
+    validated: ValidatedRobot,
     content: bytes,
     path: Path,
     *,
@@ -67,14 +69,14 @@ def robot_from_parts(
         RobotError: Pinocchio refuses it, or a joint cannot be locked.
         UnknownNameError: A locked joint that does not exist.
     """
-    urdf, warnings = passed.urdf, list(passed.warnings)
+    urdf, warnings = validated.urdf, list(validated.warnings)
     if root_joint is not None and urdf.joint("root_joint") is not None:
         raise RobotError(
             f"{path}: a joint is called 'root_joint', the name of the moving base; rename it",
             code="name-reserved",
             path=path,
         )
-    still = locked_positions(urdf, passed.mimics, locked)
+    still = locked_positions(urdf, validated.mimics, locked)
     model = _built(kinematic_urdf(with_fixed(urdf, still)), root_joint, path, warnings)
     _check_counts(model, urdf, still, root_joint, path)
     _set_unlimited(model)
@@ -84,8 +86,8 @@ def robot_from_parts(
         source=path.absolute(),  # meshes are looked up later, perhaps from another folder
         description=content,
         package_dirs=[d.absolute() for d in package_dirs],
-        fingerprint=_fingerprint(urdf, still, passed.mimics.followers, root_joint),
-        mimics=[m for m in passed.mimics.followers if m.joint not in still],
+        fingerprint=_fingerprint(urdf, still, validated.mimics.followers, root_joint),
+        mimics=[m for m in validated.mimics.followers if m.joint not in still],
         locked=still,
         warnings=warnings,
     )

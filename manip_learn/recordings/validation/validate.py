@@ -36,7 +36,7 @@ class Examined:
     notes: tuple[str, ...]
 
 
-def examine(recording: Recording, request: ReadRequest) -> Examined:
+def validate(recording: Recording, request: ReadRequest) -> Examined:
     """Trajectories of one recording, in the robot's joints and in SI units.
 
     Raises:

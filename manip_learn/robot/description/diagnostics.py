@@ -13,7 +13,7 @@ MAX_WARNINGS = 100
 
 
 @final
-class GateLog:
+class Diagnostics:
     """Collects warnings about one file and words its refusals.
 
     Attributes:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import RobotError, closest_names
-from manip_learn.robot.description.diagnostics import GateLog, quoted
+from manip_learn.robot.description.diagnostics import Diagnostics, quoted
 from manip_learn.robot.description.urdf_elements import UrdfJoint, UrdfMimic
 
 LARGEST_MULTIPLIER = 1e6
@@ -61,7 +61,7 @@ class Mimics:
     resting: dict[str, float]
 
 
-def resolve_mimics(joints: tuple[UrdfJoint, ...], alone: frozenset[str], log: GateLog) -> Mimics:
+def resolve_mimics(joints: tuple[UrdfJoint, ...], alone: frozenset[str], log: Diagnostics) -> Mimics:
     """Follow every chain of mimics to its end, in whatever order the joints come.
 
     Args:
@@ -97,7 +97,7 @@ def _is_alone(joint: UrdfJoint, alone: frozenset[str], by_name: dict[str, UrdfJo
 
 
 def _end_of_chain(
-    start: UrdfJoint, alone: frozenset[str], by_name: dict[str, UrdfJoint], log: GateLog
+    start: UrdfJoint, alone: frozenset[str], by_name: dict[str, UrdfJoint], log: Diagnostics
 ) -> tuple[UrdfJoint, float, float]:
     multiplier, offset = 1.0, 0.0
     joint, seen = start, [start.name]
@@ -132,14 +132,14 @@ def _end_of_chain(
     return joint, multiplier, offset
 
 
-def _check_type(joint: UrdfJoint, log: GateLog) -> None:
+def _check_type(joint: UrdfJoint, log: Diagnostics) -> None:
     if joint.type in ("floating", "planar"):
         seen = f"it is {joint.type}, with {joint.nv} degrees of freedom, and takes part in a <mimic>"
         fix = "delete the <mimic>"
         raise log.refusal("mimic-type", joint.line, f"joint {joint.name!r}", seen, "one degree is wanted", fix)
 
 
-def _unknown_leader(joint: UrdfJoint, mimic: UrdfMimic, by_name: dict[str, UrdfJoint], log: GateLog) -> RobotError:
+def _unknown_leader(joint: UrdfJoint, mimic: UrdfMimic, by_name: dict[str, UrdfJoint], log: Diagnostics) -> RobotError:
     near = closest_names(mimic.leader, by_name)
     fix = f"did you mean {quoted(near)}?" if near else "correct the name, or lock the joint"
     seen = f"it follows the joint {mimic.leader!r}, which does not exist"
@@ -147,7 +147,7 @@ def _unknown_leader(joint: UrdfJoint, mimic: UrdfMimic, by_name: dict[str, UrdfJ
     return log.refusal("mimic-unknown", mimic.line, where, seen, wanted, fix)
 
 
-def _warn_about_turns(joint: UrdfJoint, leader: UrdfJoint, multiplier: float, log: GateLog) -> None:
+def _warn_about_turns(joint: UrdfJoint, leader: UrdfJoint, multiplier: float, log: Diagnostics) -> None:
     line = None if joint.mimic is None else joint.mimic.line
     if multiplier == 0.0:
         log.warn(line, f"joint {joint.name!r} follows {leader.name!r} by the factor 0: it never moves")

@@ -12,7 +12,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.errors import RobotError
-from manip_learn.robot.description.diagnostics import GateLog, shortened
+from manip_learn.robot.description.diagnostics import Diagnostics, shortened
 from manip_learn.robot.description.urdf_elements import Matrix, as_pose
 from manip_learn.robot.description.xml_node import XmlNode, vector
 
@@ -31,7 +31,7 @@ class MjcfDefaults:
 
     classes: dict[str, Attributes]
 
-    def of(self, node: XmlNode, childclass: str, log: GateLog) -> XmlNode:
+    def of(self, node: XmlNode, childclass: str, log: Diagnostics) -> XmlNode:
         """The element with the attributes of its class filled in; `childclass` is that of the body around it.
 
         Raises:
@@ -83,7 +83,7 @@ class MjcfUnits:
     meshdir: str
 
 
-def read_units(root: XmlNode, log: GateLog) -> MjcfUnits:
+def read_units(root: XmlNode, log: Diagnostics) -> MjcfUnits:
     """The `<compiler>` settings that matter for kinematics.
 
     Raises:
@@ -106,7 +106,7 @@ def read_units(root: XmlNode, log: GateLog) -> MjcfUnits:
     return MjcfUnits(factor, eulerseq, settings.get("autolimits", "true") != "false", meshdir)
 
 
-def pose_of(node: XmlNode, units: MjcfUnits, where: str, log: GateLog) -> Matrix:
+def pose_of(node: XmlNode, units: MjcfUnits, where: str, log: Diagnostics) -> Matrix:
     """Pose of an element relative to the body around it [m].
 
     Raises:
@@ -129,7 +129,7 @@ def pose_of(node: XmlNode, units: MjcfUnits, where: str, log: GateLog) -> Matrix
 
 
 def _rotation(
-    kind: str, numbers: np.ndarray, units: MjcfUnits, node: XmlNode, where: str, log: GateLog
+    kind: str, numbers: np.ndarray, units: MjcfUnits, node: XmlNode, where: str, log: Diagnostics
 ) -> Float[np.ndarray, "3 3"]:
     if kind == "euler":
         R = np.eye(3)
@@ -167,7 +167,7 @@ def mesh_files(root: XmlNode) -> dict[str, XmlNode]:
     return meshes
 
 
-def geom_visual(geom: XmlNode, units: MjcfUnits, meshes: dict[str, XmlNode], log: GateLog) -> str:
+def geom_visual(geom: XmlNode, units: MjcfUnits, meshes: dict[str, XmlNode], log: Diagnostics) -> str:
     """The shape as URDF text; empty for what is not drawn (planes, fields, collision groups) or not readable."""
     if geom.attributes.get("group", "0") in COLLISION_GROUPS:
         return ""
@@ -184,7 +184,7 @@ def geom_visual(geom: XmlNode, units: MjcfUnits, meshes: dict[str, XmlNode], log
     return f'<visual><origin xyz="{xyz}" rpy="{rpy}"/><geometry>{shape}</geometry>{rgba}</visual>'
 
 
-def _shape(geom: XmlNode, units: MjcfUnits, meshes: dict[str, XmlNode], log: GateLog) -> tuple[str, Matrix]:
+def _shape(geom: XmlNode, units: MjcfUnits, meshes: dict[str, XmlNode], log: Diagnostics) -> tuple[str, Matrix]:
     kind = geom.attributes.get("type", "mesh" if "mesh" in geom.attributes else "sphere")
     if kind == "mesh":
         return _mesh(geom, units, meshes, log)
@@ -209,7 +209,7 @@ def _shape(geom: XmlNode, units: MjcfUnits, meshes: dict[str, XmlNode], log: Gat
     return shapes.get(kind, ""), T
 
 
-def _mesh(geom: XmlNode, units: MjcfUnits, meshes: dict[str, XmlNode], log: GateLog) -> tuple[str, Matrix]:
+def _mesh(geom: XmlNode, units: MjcfUnits, meshes: dict[str, XmlNode], log: Diagnostics) -> tuple[str, Matrix]:
     asset = meshes.get(geom.attributes.get("mesh", ""))
     if asset is None or "file" not in asset.attributes:
         return "", np.eye(4)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from manip_learn.robot.description.diagnostics import GateLog, shortened
+from manip_learn.robot.description.diagnostics import Diagnostics, shortened
 from manip_learn.robot.description.kinematic_urdf import kinematic_urdf
 from manip_learn.robot.description.mjcf_elements import (
     MAIN,
@@ -33,7 +33,7 @@ from manip_learn.robot.description.urdf_elements import (
     as_pose,
 )
 from manip_learn.robot.description.urdf_reader import read_name, unit_axis
-from manip_learn.robot.description.validation import Passed, pass_parts
+from manip_learn.robot.description.validation import ValidatedRobot, validate_parts
 from manip_learn.robot.description.xml_node import XmlNode, number, parse_xml, vector
 
 WORLD = "world"
@@ -61,7 +61,7 @@ class MjcfParts:
     has_mass: bool = False
 
 
-def read_bodies(root: XmlNode, log: GateLog) -> MjcfParts:
+def read_bodies(root: XmlNode, log: Diagnostics) -> MjcfParts:
     """All bodies, joints and sites of an MJCF file.
 
     Raises:
@@ -74,7 +74,7 @@ def read_bodies(root: XmlNode, log: GateLog) -> MjcfParts:
     return reader.parts
 
 
-def unreadable(root: XmlNode, log: GateLog) -> None:
+def unreadable(root: XmlNode, log: Diagnostics) -> None:
     """Refuse elements that stand for other files or for copies.
 
     Raises:
@@ -90,7 +90,7 @@ def unreadable(root: XmlNode, log: GateLog) -> None:
 
 
 class _Reader:
-    def __init__(self, log: GateLog, defaults: MjcfDefaults, units: MjcfUnits, meshes: dict[str, XmlNode]):
+    def __init__(self, log: Diagnostics, defaults: MjcfDefaults, units: MjcfUnits, meshes: dict[str, XmlNode]):
         self.log, self.defaults, self.units, self.meshes = log, defaults, units, meshes
         self.parts = MjcfParts()
 
@@ -197,7 +197,7 @@ class _Reader:
         return UrdfInertial(pose, mass, (xx, 0.0, 0.0, yy, 0.0, zz))
 
 
-def couplings(root: XmlNode, parts: MjcfParts, log: GateLog) -> dict[str, UrdfMimic]:
+def couplings(root: XmlNode, parts: MjcfParts, log: Diagnostics) -> dict[str, UrdfMimic]:
     """Joint -> the joint it follows, from the linear `<equality><joint>`; offsets count from the reference pose.
 
     Raises:
@@ -223,7 +223,7 @@ def couplings(root: XmlNode, parts: MjcfParts, log: GateLog) -> dict[str, UrdfMi
     return out
 
 
-def check_mjcf(content: bytes, path: Path, locked: Collection[str] = ()) -> tuple[Passed, bytes]:
+def validate_mjcf(content: bytes, path: Path, locked: Collection[str] = ()) -> tuple[ValidatedRobot, bytes]:
     """Read and check an MJCF file.
 
     Joints coupled by a linear `<equality><joint>` become mimic joints; sites become frames.
@@ -235,7 +235,7 @@ def check_mjcf(content: bytes, path: Path, locked: Collection[str] = ()) -> tupl
         RobotError: As for a URDF, and codes `mjcf-element`, `mjcf-class`, `mjcf-compiler`, `mjcf-orientation`,
             `mjcf-coupling`.
     """
-    log = GateLog(path)
+    log = Diagnostics(path)
     root = parse_xml(content, path)
     unreadable(root, log)
     parts = read_bodies(root, log)
@@ -246,5 +246,5 @@ def check_mjcf(content: bytes, path: Path, locked: Collection[str] = ()) -> tupl
     if not parts.has_mass:
         log.warn(None, "no body states its mass; masses of shapes are not computed, so there is no centre of mass")
     name = root.attributes.get("model", "").strip() or path.stem
-    passed = pass_parts(name, tuple(parts.links), joints, locked, log)
-    return passed, kinematic_urdf(passed.urdf, parts.visuals, with_mimics=True).encode()
+    validated = validate_parts(name, tuple(parts.links), joints, locked, log)
+    return validated, kinematic_urdf(validated.urdf, parts.visuals, with_mimics=True).encode()

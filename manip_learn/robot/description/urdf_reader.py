@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from manip_learn.errors import RobotError, closest_names
-from manip_learn.robot.description.diagnostics import GateLog, quoted, shortened
+from manip_learn.robot.description.diagnostics import Diagnostics, quoted, shortened
 from manip_learn.robot.description.urdf_elements import (
     DEGREES_OF_FREEDOM,
     ZERO,
@@ -40,7 +40,7 @@ AXIS_NORMS = (1e-3, 1e3)
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
-def read_link(node: XmlNode, log: GateLog) -> UrdfLink:
+def read_link(node: XmlNode, log: Diagnostics) -> UrdfLink:
     """A link and its inertia.
 
     Raises:
@@ -53,7 +53,7 @@ def read_link(node: XmlNode, log: GateLog) -> UrdfLink:
     return UrdfLink(name, node.line, None if inertial is None else _inertial(inertial, where, log))
 
 
-def read_joint(node: XmlNode, log: GateLog) -> UrdfJoint:
+def read_joint(node: XmlNode, log: Diagnostics) -> UrdfJoint:
     """A joint with its pose, unit axis, limit and mimic.
 
     Raises:
@@ -77,7 +77,7 @@ def read_joint(node: XmlNode, log: GateLog) -> UrdfJoint:
     )
 
 
-def read_name(node: XmlNode, log: GateLog) -> str:
+def read_name(node: XmlNode, log: Diagnostics) -> str:
     """The name of an element.
 
     Raises:
@@ -101,7 +101,7 @@ def read_name(node: XmlNode, log: GateLog) -> str:
     return name
 
 
-def _type(node: XmlNode, where: str, log: GateLog) -> str:
+def _type(node: XmlNode, where: str, log: Diagnostics) -> str:
     joint_type = node.attributes.get("type", "")
     if joint_type in DEGREES_OF_FREEDOM:
         return joint_type
@@ -116,7 +116,7 @@ def _type(node: XmlNode, where: str, log: GateLog) -> str:
     )
 
 
-def _link_of(node: XmlNode, tag: str, where: str, log: GateLog) -> str:
+def _link_of(node: XmlNode, tag: str, where: str, log: Diagnostics) -> str:
     child = _only(node, tag, where, log)
     link = child.attributes.get("link", "") if child is not None else ""
     if not link:
@@ -125,7 +125,7 @@ def _link_of(node: XmlNode, tag: str, where: str, log: GateLog) -> str:
     return link
 
 
-def _pose(node: XmlNode, where: str, log: GateLog) -> Pose:
+def _pose(node: XmlNode, where: str, log: Diagnostics) -> Pose:
     origin = _only(node, "origin", where, log)
     if origin is None:
         return Pose()
@@ -139,7 +139,7 @@ def _pose(node: XmlNode, where: str, log: GateLog) -> Pose:
     return Pose((xyz[0], xyz[1], xyz[2]), (rpy[0], rpy[1], rpy[2]))
 
 
-def _axis(node: XmlNode, joint_type: str, where: str, log: GateLog) -> Vector:
+def _axis(node: XmlNode, joint_type: str, where: str, log: Diagnostics) -> Vector:
     axis = _only(node, "axis", where, log)
     xyz = None if axis is None else vector(axis, "xyz", 3, where, log)
     if joint_type in ("fixed", "floating"):
@@ -157,7 +157,7 @@ def _axis(node: XmlNode, joint_type: str, where: str, log: GateLog) -> Vector:
     return unit_axis(xyz, axis, where, log)
 
 
-def unit_axis(xyz: tuple[float, ...], axis: XmlNode, where: str, log: GateLog) -> Vector:
+def unit_axis(xyz: tuple[float, ...], axis: XmlNode, where: str, log: Diagnostics) -> Vector:
     """The direction of an axis.
 
     Raises:
@@ -176,12 +176,12 @@ def unit_axis(xyz: tuple[float, ...], axis: XmlNode, where: str, log: GateLog) -
     return (x, y, z)
 
 
-def _limit(node: XmlNode, where: str, log: GateLog) -> UrdfLimit:
+def _limit(node: XmlNode, where: str, log: Diagnostics) -> UrdfLimit:
     lower, upper, velocity, effort = (number(node, key, where, log) for key in ("lower", "upper", "velocity", "effort"))
     return UrdfLimit(node.line, lower, upper, velocity, effort)
 
 
-def _mimic(node: XmlNode, where: str, log: GateLog) -> UrdfMimic:
+def _mimic(node: XmlNode, where: str, log: Diagnostics) -> UrdfMimic:
     leader = node.attributes.get("joint", "")
     if not leader:
         fix = 'add joint="..." to <mimic>, or delete it'
@@ -190,7 +190,7 @@ def _mimic(node: XmlNode, where: str, log: GateLog) -> UrdfMimic:
     return UrdfMimic(node.line, leader, 1.0 if multiplier is None else multiplier, 0.0 if offset is None else offset)
 
 
-def _inertial(node: XmlNode, where: str, log: GateLog) -> UrdfInertial:
+def _inertial(node: XmlNode, where: str, log: Diagnostics) -> UrdfInertial:
     _warn_unknown_children(node, INERTIAL_CHILDREN, where, log)
     mass_node, inertia_node = _only(node, "mass", where, log), _only(node, "inertia", where, log)
     mass = number(mass_node, "value", where, log) if mass_node is not None else None
@@ -209,7 +209,7 @@ def _inertial(node: XmlNode, where: str, log: GateLog) -> UrdfInertial:
     return UrdfInertial(_pose(node, where, log), mass or 0.0, tuple(entries))
 
 
-def _only(node: XmlNode, tag: str, where: str, log: GateLog) -> XmlNode | None:
+def _only(node: XmlNode, tag: str, where: str, log: Diagnostics) -> XmlNode | None:
     """The child with that tag, its attributes looked through; None if there is none."""
     found = node.all(tag)
     if len(found) > 1:
@@ -226,12 +226,12 @@ def _only(node: XmlNode, tag: str, where: str, log: GateLog) -> XmlNode | None:
     return found[0]
 
 
-def _twice(node: XmlNode, where: str, log: GateLog) -> RobotError:
+def _twice(node: XmlNode, where: str, log: Diagnostics) -> RobotError:
     seen = f"it has more than one <{node.tag}>"
     return log.refusal("element-twice", node.line, where, seen, "one is wanted", "delete all but one")
 
 
-def _warn_unknown_children(node: XmlNode, known: set[str], where: str, log: GateLog) -> None:
+def _warn_unknown_children(node: XmlNode, known: set[str], where: str, log: Diagnostics) -> None:
     for child in node.children:
         if child.tag in known:
             continue

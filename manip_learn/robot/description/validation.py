@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import final
 
 from manip_learn.errors import closest_names
-from manip_learn.robot.description.diagnostics import GateLog, quoted, shortened
+from manip_learn.robot.description.diagnostics import Diagnostics, quoted, shortened
 from manip_learn.robot.description.mimic import Mimics, resolve_mimics
 from manip_learn.robot.description.urdf_elements import UrdfFile, UrdfJoint, UrdfLink
 from manip_learn.robot.description.urdf_reader import read_joint, read_link
@@ -26,7 +26,7 @@ UNLIMITED = 1_000.0  # [rad or m] what reaches beyond stands for "no limit" in p
 
 @final
 @dataclass(frozen=True)
-class Passed:
+class ValidatedRobot:
     """A description that passed the gate.
 
     Attributes:
@@ -40,7 +40,7 @@ class Passed:
     warnings: tuple[str, ...]
 
 
-def check_urdf(content: bytes, path: Path, locked: Collection[str] = ()) -> Passed:
+def validate_urdf(content: bytes, path: Path, locked: Collection[str] = ()) -> ValidatedRobot:
     """Read and check a URDF.
 
     Args:
@@ -51,17 +51,17 @@ def check_urdf(content: bytes, path: Path, locked: Collection[str] = ()) -> Pass
     Raises:
         RobotError: With a `code`, the file, the line, the joint or link, the value seen and the fix.
     """
-    log = GateLog(path)
+    log = Diagnostics(path)
     root = parse_xml(content, path)
     check_root(root, log)
     links = tuple(read_link(node, log) for node in _counted(root, "link", log))
     joints = tuple(read_joint(node, log) for node in _counted(root, "joint", log))
-    return pass_parts(_robot_name(root, log), links, joints, locked, log)
+    return validate_parts(_robot_name(root, log), links, joints, locked, log)
 
 
-def pass_parts(
-    name: str, links: tuple[UrdfLink, ...], joints: tuple[UrdfJoint, ...], locked: Collection[str], log: GateLog
-) -> Passed:
+def validate_parts(
+    name: str, links: tuple[UrdfLink, ...], joints: tuple[UrdfJoint, ...], locked: Collection[str], log: Diagnostics
+) -> ValidatedRobot:
     """Check links and joints, from whatever format, against each other.
 
     Raises:
@@ -75,10 +75,10 @@ def pass_parts(
             check_limits(joint, log)
     if not any(j.nv for j in joints):
         log.warn(None, "no joint moves")
-    return Passed(urdf, mimics, log.warnings)
+    return ValidatedRobot(urdf, mimics, log.warnings)
 
 
-def check_root(root: XmlNode, log: GateLog) -> None:
+def check_root(root: XmlNode, log: Diagnostics) -> None:
     """Refuse what is not plain URDF 1.0; warn about elements nobody reads.
 
     Raises:
@@ -106,7 +106,7 @@ def check_root(root: XmlNode, log: GateLog) -> None:
         log.warn(line, f"<{shortened(tag)}> is ignored{hint}")
 
 
-def _counted(root: XmlNode, tag: str, log: GateLog) -> list[XmlNode]:
+def _counted(root: XmlNode, tag: str, log: Diagnostics) -> list[XmlNode]:
     nodes = root.all(tag)
     if len(nodes) > MAX_LINKS:
         seen = f"it has {len(nodes)} <{tag}> elements"
@@ -117,7 +117,7 @@ def _counted(root: XmlNode, tag: str, log: GateLog) -> list[XmlNode]:
     return nodes
 
 
-def _robot_name(root: XmlNode, log: GateLog) -> str:
+def _robot_name(root: XmlNode, log: Diagnostics) -> str:
     name = root.attributes.get("name", "").strip()
     if not name or not name.isprintable() or len(name) > 200:
         reason = "has no name" if not name else f"has the unusable name {shortened(name)!r}"
@@ -126,7 +126,7 @@ def _robot_name(root: XmlNode, log: GateLog) -> str:
     return name
 
 
-def root_of_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: GateLog) -> str:
+def root_of_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Diagnostics) -> str:
     """Name of the root link.
 
     Raises:
@@ -160,7 +160,7 @@ def root_of_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Ga
     return roots[0].name
 
 
-def _check_counts(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: GateLog) -> None:
+def _check_counts(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Diagnostics) -> None:
     if not links:
         fix = "is it a xacro file, or cut off?"
         raise log.refusal("no-links", 1, "the robot", "it has no <link>", "at least one is wanted", fix)
@@ -175,7 +175,7 @@ def _check_counts(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: G
         raise log.refusal("too-many-dof", None, "the robot", seen, f"at most {MAX_NV} work", fix)
 
 
-def _check_names(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: GateLog) -> None:
+def _check_names(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Diagnostics) -> None:
     for kind, elements in (("link", links), ("joint", joints)):
         first: dict[str, int] = {}
         for e in elements:
@@ -186,7 +186,7 @@ def _check_names(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Ga
             first[e.name] = e.line
 
 
-def _check_ends(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: GateLog) -> None:
+def _check_ends(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Diagnostics) -> None:
     names = {link.name for link in links}
     parent_joint: dict[str, str] = {}
     for j in joints:
@@ -207,7 +207,7 @@ def _check_ends(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Gat
         parent_joint[j.child] = j.name
 
 
-def _check_reach(root: UrdfLink, links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: GateLog) -> None:
+def _check_reach(root: UrdfLink, links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Diagnostics) -> None:
     below: dict[str, list[str]] = {}
     for j in joints:
         below.setdefault(j.parent, []).append(j.child)
@@ -227,7 +227,7 @@ def _check_reach(root: UrdfLink, links: Sequence[UrdfLink], joints: Sequence[Urd
         raise log.refusal("detached", lost[0].line, "the links", seen, "one tree is wanted", fix)
 
 
-def check_limits(joint: UrdfJoint, log: GateLog) -> None:
+def check_limits(joint: UrdfJoint, log: Diagnostics) -> None:
     """Refuse limits that cannot be meant, warn about those that say nothing.
 
     Raises:
@@ -239,7 +239,7 @@ def check_limits(joint: UrdfJoint, log: GateLog) -> None:
         _check_velocity(joint, log)
 
 
-def _check_range(joint: UrdfJoint, log: GateLog) -> None:
+def _check_range(joint: UrdfJoint, log: Diagnostics) -> None:
     where, unit = f"joint {joint.name!r}", "m" if joint.type == "prismatic" else "rad"
     otherwise = ', or type="continuous"' if joint.type == "revolute" else ""
     limit = joint.limit
@@ -268,7 +268,7 @@ def _check_range(joint: UrdfJoint, log: GateLog) -> None:
         )
 
 
-def _check_velocity(joint: UrdfJoint, log: GateLog) -> None:
+def _check_velocity(joint: UrdfJoint, log: Diagnostics) -> None:
     where, limit = f"joint {joint.name!r}", joint.limit
     if limit is None or limit.velocity is None:
         if joint.type != "continuous" or limit is not None:

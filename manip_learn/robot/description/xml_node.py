@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import final
 
 from manip_learn.errors import RobotError
-from manip_learn.robot.description.diagnostics import GateLog, shortened
+from manip_learn.robot.description.diagnostics import Diagnostics, shortened
 
 MAX_ELEMENTS = 200_000
 MAX_NESTING = 60
@@ -132,7 +132,7 @@ def _explained(error: xml.parsers.expat.ExpatError, content: bytes, path: Path) 
     return RobotError(sentence, code=code, path=path, line=line)
 
 
-def number(node: XmlNode, attribute: str, where: str, log: GateLog) -> float | None:
+def number(node: XmlNode, attribute: str, where: str, log: Diagnostics) -> float | None:
     """The number in an attribute; None if there is no such attribute.
 
     Raises:
@@ -142,7 +142,7 @@ def number(node: XmlNode, attribute: str, where: str, log: GateLog) -> float | N
     return None if text is None else _parsed(text.strip(), node, attribute, where, log)
 
 
-def vector(node: XmlNode, attribute: str, size: int, where: str, log: GateLog) -> tuple[float, ...] | None:
+def vector(node: XmlNode, attribute: str, size: int, where: str, log: Diagnostics) -> tuple[float, ...] | None:
     """`size` numbers in an attribute; None if there is no such attribute.
 
     Raises:
@@ -165,7 +165,7 @@ def vector(node: XmlNode, attribute: str, size: int, where: str, log: GateLog) -
     return tuple(_parsed(word, node, attribute, where, log) for word in words)
 
 
-def _parsed(text: str, node: XmlNode, attribute: str, where: str, log: GateLog) -> float:
+def _parsed(text: str, node: XmlNode, attribute: str, where: str, log: Diagnostics) -> float:
     seen = f'{node.tag} {attribute}="{shortened(text)}"'
     if NUMBER.fullmatch(text):
         value = float(text)

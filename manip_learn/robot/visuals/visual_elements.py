@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.errors import RobotError
-from manip_learn.robot.description.diagnostics import GateLog, shortened
+from manip_learn.robot.description.diagnostics import Diagnostics, shortened
 from manip_learn.robot.description.urdf_elements import ZERO, Pose
 from manip_learn.robot.description.xml_node import XmlNode, number, parse_xml, vector
 
@@ -135,7 +135,7 @@ def visual_elements(content: bytes, path: Path) -> list[VisualElement]:
         RobotError: The text is not XML.
     """
     root = parse_xml(content, path)
-    log = GateLog(path)
+    log = Diagnostics(path)
     colours = {m.attributes.get("name", ""): c for m in root.all("material") if (c := _colour(m, log)) is not None}
     found: list[VisualElement] = []
     for link in root.all("link"):
@@ -144,7 +144,7 @@ def visual_elements(content: bytes, path: Path) -> list[VisualElement]:
     return found
 
 
-def _element(link: str, node: XmlNode, colours: dict[str, Colour], log: GateLog) -> VisualElement:
+def _element(link: str, node: XmlNode, colours: dict[str, Colour], log: Diagnostics) -> VisualElement:
     pose, geometry, fault = Pose(), None, ""
     where = f"link {link!r}"
     try:
@@ -159,7 +159,7 @@ def _element(link: str, node: XmlNode, colours: dict[str, Colour], log: GateLog)
     return VisualElement(link, node.line, pose, geometry, colour, fault)
 
 
-def _pose(node: XmlNode, where: str, log: GateLog) -> Pose:
+def _pose(node: XmlNode, where: str, log: Diagnostics) -> Pose:
     origin = node.first("origin")
     if origin is None:
         return Pose()
@@ -170,7 +170,7 @@ def _pose(node: XmlNode, where: str, log: GateLog) -> Pose:
     return Pose((x, y, z), (roll, pitch, yaw))
 
 
-def _geometry(node: XmlNode, where: str, log: GateLog) -> Shape | MeshElement:
+def _geometry(node: XmlNode, where: str, log: Diagnostics) -> Shape | MeshElement:
     geometry = node.first("geometry")
     if geometry is None or not geometry.children:
         raise _unusable(node, where, "its <visual> has no geometry", log)
@@ -195,13 +195,13 @@ def _geometry(node: XmlNode, where: str, log: GateLog) -> Shape | MeshElement:
     raise _unusable(shape, where, f"the shape <{shortened(shape.tag)}> is not known", log)
 
 
-def _size(value: float | None, node: XmlNode, where: str, log: GateLog) -> float:
+def _size(value: float | None, node: XmlNode, where: str, log: Diagnostics) -> float:
     if value is None or not 0.0 < value <= LARGEST:
         raise _unusable(node, where, f"a size of its {node.tag} is {value}", log)
     return value
 
 
-def _colour(material: XmlNode, log: GateLog) -> Colour | None:
+def _colour(material: XmlNode, log: Diagnostics) -> Colour | None:
     node = material.first("color")
     if node is None:
         return None
@@ -215,5 +215,5 @@ def _colour(material: XmlNode, log: GateLog) -> Colour | None:
     return (r, g, b, a)
 
 
-def _unusable(node: XmlNode, where: str, seen: str, log: GateLog) -> RobotError:
+def _unusable(node: XmlNode, where: str, seen: str, log: Diagnostics) -> RobotError:
     return log.refusal("visual", node.line, where, seen, "a usable shape is wanted", "a plain shape is drawn")

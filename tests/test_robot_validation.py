@@ -11,7 +11,7 @@ from urdf_corpus_case import ARM, edited
 
 from manip_learn.errors import RobotError
 from manip_learn.robot import urdf_robot
-from manip_learn.robot.description.validation import check_urdf
+from manip_learn.robot.description.validation import validate_urdf
 from manip_learn.robot.urdf_robot import robot_from_urdf
 
 PATH = Path("some/arm.urdf")
@@ -20,7 +20,7 @@ PATH = Path("some/arm.urdf")
 def refusal(content: bytes) -> RobotError:
     """The error that a description gives."""
     with pytest.raises(RobotError) as caught:
-        check_urdf(content, PATH)
+        validate_urdf(content, PATH)
     return caught.value
 
 
@@ -58,7 +58,7 @@ def test_all_refusals_of_the_corpus_are_sentences(tmp_path):
         if len(case.content) > 1_000_000 or case.options:
             continue
         try:
-            check_urdf(case.content, tmp_path / "x.urdf")
+            validate_urdf(case.content, tmp_path / "x.urdf")
         except RobotError as error:
             text = str(error)
             assert str(tmp_path / "x.urdf") in text, case.name
@@ -109,10 +109,10 @@ def test_a_model_that_lost_something_is_refused(monkeypatch):
 def test_warnings_have_an_end():
     """A file full of oddities gives a hundred sentences and the number of the rest, at once."""
     junk = "".join(f"<x{i}/>" for i in range(100_000))
-    warnings = check_urdf(edited(('<link name="base"/>', f'<link name="base">{junk}</link>')), PATH).warnings
+    warnings = validate_urdf(edited(('<link name="base"/>', f'<link name="base">{junk}</link>')), PATH).warnings
     assert len(warnings) == 101 and warnings[-1] == "99900 more warnings are left out"
 
 
 def test_nothing_is_said_about_a_sound_robot():
     """A robot without oddities has no warnings."""
-    assert check_urdf(ARM.encode(), PATH).warnings == ()
+    assert validate_urdf(ARM.encode(), PATH).warnings == ()

@@ -7,7 +7,7 @@ import pytest
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.preprocessing import prepared, resample, thin, trim_standstill
+from manip_learn.recordings.preprocessing import prepared, resample, subsample, trim_standstill
 from manip_learn.recordings.trajectory import Trajectory
 
 
@@ -58,12 +58,12 @@ def test_resample():
 def test_thin():
     """At most as many samples as asked for, both ends among them; fewer stay as they are."""
     t = motion()
-    few = thin(t, 10)
+    few = subsample(t, 10)
     assert len(few) == 10 and few.time[0] == t.time[0] and few.time[-1] == t.time[-1]
-    assert thin(t, 1000) is t
-    assert len(thin(t, 1)) == 1
+    assert subsample(t, 1000) is t
+    assert len(subsample(t, 1)) == 1
     with pytest.raises(RecordingError, match="positive"):
-        thin(t, 0)
+        subsample(t, 0)
 
 
 def test_prepared_says_what_it_left_out():
