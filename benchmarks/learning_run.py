@@ -17,7 +17,6 @@ from scale_motions import motions
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.learning import ConstraintLearner, learner
 from manip_learn.learning.streaming.dask_executor import dask_client
-from manip_learn.learning.streaming.summary_pass import Survey
 from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -66,7 +65,7 @@ def run(job: dict) -> dict:
     stream = Repeated(motions(features, selection, rng, BASE, held=held), job["samples"] // 100)
     source = stream if job["how"] == "stream" else list(stream)
     if job["how"] == "at once":
-        learner.Survey = lambda: Survey(10**9)  # type: ignore[misc,assignment]
+        learner.IN_MEMORY_SAMPLES = 10**9
     model = {} if held else {"policy_model": "affine"}
     fit = ConstraintLearner(features, s, "null-space" if held else "joint", **model)
     before = peak_megabytes()

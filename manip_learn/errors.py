@@ -84,6 +84,26 @@ class FeatureError(ManipLearnError):
     """A feature map cannot be built or evaluated as asked."""
 
 
+@final
+class NumberOfConstraintsError(FeatureError):
+    """A number of constraints that the features cannot have.
+
+    Attributes:
+        given: The number asked for.
+        most: The largest possible number; the smallest is 1.
+        features: The features, in words.
+    """
+
+    def __init__(self, given: int, most: int, features: str):
+        self.given = given
+        self.most = most
+        self.features = features
+        super().__init__(f"n_constraints must be between 1 and {most} for {features}, got {given}")
+
+    def __reduce__(self):
+        return NumberOfConstraintsError, (self.given, self.most, self.features)
+
+
 class ConstraintError(ManipLearnError):
     """A selection matrix is unusable (wrong size, dependent rows, not finite)."""
 
@@ -128,10 +148,6 @@ class NotIdentifiableError(ManipLearnError):
     def __init__(self, message: str, *, code: str = "not-identifiable"):
         super().__init__(message)
         self.code = code
-
-
-class LearnerContractError(ManipLearnError):
-    """An estimator does not do what every estimator must, see `check_learner`."""
 
 
 class TargetError(ManipLearnError):

@@ -218,3 +218,12 @@ def one_thread() -> AbstractContextManager[Any]:
     differently differ in their last digits.
     """
     return _libraries().limit(limits=1, user_api="blas")
+
+
+def inverse_triangles(R: Float[np.ndarray, "n s s"]) -> Float[np.ndarray, "n s s"]:
+    """Inverses of stacked upper triangles; zero where a sample's constraint loses rank, so that it has no say."""
+    s = R.shape[1]
+    diagonal = np.abs(np.einsum("nii->ni", R))
+    usable = np.min(diagonal, axis=1) > 1e-9 * np.max(diagonal, axis=1)
+    safe = np.where(usable[:, None, None], R, np.eye(s))
+    return np.where(usable[:, None, None], np.linalg.inv(safe), 0.0)

@@ -16,7 +16,6 @@ from manip_learn.cli import main
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import ManipLearnError, MissingExtraError, RecordingError
 from manip_learn.learning import ConstraintLearner, learner
-from manip_learn.learning.streaming.summary_pass import Survey
 from manip_learn.linalg import orthonormal_rows
 from manip_learn.recordings import RecordingSource, trajectory_source
 from manip_learn.robot.loading import load_robot
@@ -48,7 +47,7 @@ def client():
 def small_parts(monkeypatch):
     """Many parts of few samples, and an answer from few to begin with."""
     monkeypatch.setattr(trajectory_source, "PART", 700)
-    monkeypatch.setattr(learner, "Survey", lambda: Survey(1000))
+    monkeypatch.setattr(learner, "IN_MEMORY_SAMPLES", 1000)
 
 
 @pytest.mark.parametrize(("held", "settings"), [(True, HELD), (False, JOINT)])

@@ -13,6 +13,7 @@ from manip_learn.errors import (
     ManipLearnError,
     MissingExtraError,
     NotIdentifiableError,
+    NumberOfConstraintsError,
     RecordingError,
     RobotError,
     UnknownNameError,
@@ -26,7 +27,8 @@ EXAMPLES = [
     RecordingError("no", code="missing-joint", path=Path("a.csv"), line=7, column="j1"),
     NotIdentifiableError("no", code="weak-gap"),
     MissingExtraError("reading ROS bags", "ros"),
-    *(c("a sentence") for c in ALL if c not in (UnknownNameError, MissingExtraError)),
+    NumberOfConstraintsError(7, 3, "FrameJacobian(...)"),
+    *(c("a sentence") for c in ALL if c not in (UnknownNameError, MissingExtraError, NumberOfConstraintsError)),
 ]
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from estimator_checks.checks import check_learner, checks
+from estimator_checks.subject import EstimatorCheckError, Subject
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.errors import LearnerContractError
-from manip_learn.learning import ConstraintLearner, check_learner
-from manip_learn.learning.contract import checks
-from manip_learn.learning.contract_subject import Subject
+from manip_learn.learning import ConstraintLearner
 
 # name -> (estimator, kind of motion, accuracy on clean motions [deg])
 ESTIMATORS = {
@@ -76,7 +75,7 @@ GOOD = list(subject_of("null-space").motion().demonstrations)
 )
 def test_the_contract_bites(check: str):
     """An estimator that believes a perfect training cost does not pass."""
-    with pytest.raises(LearnerContractError, match=check):
+    with pytest.raises(EstimatorCheckError, match=check):
         check_learner(Gullible, only=[check])
 
 
@@ -85,13 +84,13 @@ def test_check_learner_runs_what_it_is_asked_for():
     chosen = ["clean_motion_is_learnt", "zero_actions"]
     make = subject_of("joint").make
     assert check_learner(make, "moved", only=chosen) == tuple(chosen)
-    with pytest.raises(LearnerContractError, match="unknown check 'typo'"):
+    with pytest.raises(EstimatorCheckError, match="unknown check 'typo'"):
         check_learner(make, only=["typo"])
 
 
 def test_all_failures_are_named():
     """One run tells every check that does not hold, with its reason."""
-    with pytest.raises(LearnerContractError) as caught:
+    with pytest.raises(EstimatorCheckError) as caught:
         check_learner(Gullible, only=["zero_actions", "fit_returns_the_learner", "one_row"])
     message = str(caught.value)
     assert message.startswith("2 of 3 checks do not hold")

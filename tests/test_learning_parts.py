@@ -11,12 +11,12 @@ from generated_motions import arm_features, guided_motions, oblique, paper_motio
 from manip_learn.constraint.features import CustomFeatures
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.estimators.conditional_pca import conditional_pca
+from manip_learn.learning.estimators.estimate import gaps_of_levels, gaps_of_residuals
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
 from manip_learn.learning.estimators.policy_model import PolynomialModel, RadialModel
-from manip_learn.learning.estimators.rank import gaps_of_levels, gaps_of_residuals
 from manip_learn.learning.estimators.variable_projection import fit_joint, scores
+from manip_learn.learning.report import free_directions
 from manip_learn.learning.samples import Samples
-from manip_learn.learning.words import free_directions
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 
 
@@ -44,10 +44,10 @@ def test_null_space_fit_from_random_starts():
     _, directions = levels(samples)
     best = fit_null_space(samples, directions[:2])
     assert np.max(np.abs(best.scores.sum(axis=0))) < 1e-6 * np.max(np.abs(best.scores))
-    assert row_space_angle(best.selection, directions[:2]) < 0.1
+    assert row_space_angle(best.whitened_selection, directions[:2]) < 0.1
     others = [fit_null_space(samples, rng.standard_normal((2, 3))) for _ in range(12)]
     assert min(other.cost for other in others) >= best.cost * (1.0 - 1e-9)
-    assert sum(row_space_angle(other.selection, best.selection) < 1e-6 for other in others) >= 10
+    assert sum(row_space_angle(other.whitened_selection, best.whitened_selection) < 1e-6 for other in others) >= 10
 
 
 def test_null_space_cost_is_equation_10():
@@ -59,7 +59,7 @@ def test_null_space_cost_is_equation_10():
     total = 0.0
     for block in samples.blocks():
         for Phi, w in zip(block.Phi, block.u, strict=True):
-            A = fit.selection @ Phi
+            A = fit.whitened_selection @ Phi
             total += w @ np.linalg.pinv(A) @ A @ w
     assert fit.cost == pytest.approx(total / len(samples))
 
@@ -71,10 +71,10 @@ def test_joint_fit_is_an_optimum(reaching):
     fit = fit_joint(samples, truth.selection @ np.linalg.pinv(samples.whitening), model)
     rng = np.random.default_rng(4)
     for _ in range(5):
-        turned = orthonormal_rows(fit.selection + 1e-3 * rng.standard_normal(fit.selection.shape))
+        turned = orthonormal_rows(fit.whitened_selection + 1e-3 * rng.standard_normal(fit.whitened_selection.shape))
         assert fit_joint(samples, turned, model, max_iterations=0).cost > fit.cost
     gradients, hessians = scores(samples, fit)
-    m = fit.selection.shape[0] * (samples.n_rows - fit.selection.shape[0])
+    m = fit.whitened_selection.shape[0] * (samples.n_rows - fit.whitened_selection.shape[0])
     assert np.max(np.abs(gradients.sum(axis=0))) < 1e-3 * np.max(np.linalg.norm(gradients, axis=1))
     # the policy's part is orthonormal and already eliminated from Lambda's
     total, k = hessians.sum(axis=0), hessians.shape[1] - m

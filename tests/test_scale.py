@@ -13,17 +13,20 @@ from scale_motions import Stream, motions
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import ConstraintLearner, learner
+from manip_learn.learning.bootstrap import TrajectoryBlocks
 from manip_learn.learning.estimators.null_space import _moments
 from manip_learn.learning.estimators.policy_model import PolynomialModel
 from manip_learn.learning.estimators.variable_projection import _normal_equations, fit_joint
 from manip_learn.learning.samples import Samples
-from manip_learn.learning.streaming.accumulator import Sums, chunks, tallied, tree_total
-from manip_learn.learning.streaming.joint_normal_equations import JointTally, Regressors
-from manip_learn.learning.streaming.null_space_normal_equations import NullSpaceTally
-from manip_learn.learning.streaming.row_spaces import row_spaces
-from manip_learn.learning.streaming.summary_pass import Survey
-from manip_learn.learning.streaming.trajectory_buffer import KeptTrajectories
-from manip_learn.learning.streaming.trajectory_pools import Pools
+from manip_learn.learning.streaming.accumulator import SumAccumulator, accumulate, chunks, merge_tree
+from manip_learn.learning.streaming.normal_equations import (
+    JointAccumulator,
+    NullSpaceAccumulator,
+    Regressors,
+    row_spaces,
+)
+from manip_learn.learning.streaming.summary_pass import SummaryAccumulator
+from manip_learn.learning.streaming.trajectory_buffer import TrajectoryBuffer
 from manip_learn.linalg import (
     batch_row_spaces,
     complement_rows,
@@ -60,7 +63,7 @@ def moved(features) -> Demonstrations:
 
 def from_few(monkeypatch, few: int) -> None:
     """The learner begins with so many samples."""
-    monkeypatch.setattr(learner, "Survey", lambda: Survey(few))
+    monkeypatch.setattr(learner, "IN_MEMORY_SAMPLES", few)
 
 
 # ---- one pass --------------------------------------------------------------------------------------------------------
@@ -96,13 +99,13 @@ def test_row_spaces_without_rank():
     assert np.all(spaces.inverse_gram()[:, :, :2] == 0.0)
 
 
-def test_null_space_tally(features, held):
+def test_null_space_pass(features, held):
     """Cost, gradients and Hessians of each trajectory are those of the estimator in memory."""
     samples = Samples.collect(features, held)
     Lambda = orthonormal_rows(np.random.default_rng(0).standard_normal((2, 3)))
     mixing = np.concatenate([Lambda, complement_rows(Lambda)]) @ samples.whitening
-    tally = NullSpaceTally(features, mixing, 2, Pools(len(held), 512))
-    cost, energy, gradients, hessians = tallied(tally, chunks(held))
+    accumulator = NullSpaceAccumulator(features, mixing, 2, TrajectoryBlocks(len(held), 512))
+    cost, energy, gradients, hessians = accumulate(accumulator, chunks(held))
     direct = _moments(samples, Lambda, None)
     assert cost / len(samples) == pytest.approx(direct.cost, rel=1e-12)
     assert energy / len(samples) == pytest.approx(direct.energy, rel=1e-12)
@@ -111,22 +114,22 @@ def test_null_space_tally(features, held):
 
 
 @pytest.mark.parametrize("s", [1, 2])
-def test_joint_tally(features, moved, s):
+def test_joint_pass(features, moved, s):
     """Normal equations for Theta and Lambda, Theta eliminated, are those of the accumulated QR."""
     samples = Samples.collect(features, moved)
     model = PolynomialModel(1, 7)
     fit = fit_joint(samples, np.random.default_rng(0).standard_normal((s, 3)), model, max_iterations=1)
-    mixing = np.concatenate([fit.selection, complement_rows(fit.selection)]) @ samples.whitening
+    mixing = np.concatenate([fit.whitened_selection, complement_rows(fit.whitened_selection)]) @ samples.whitening
     regressors = Regressors(model, samples.centre, samples.spread, np.eye(model.n_terms))
-    tally = JointTally(features, mixing, s, regressors, fit.theta, Pools(len(moved), 7))
-    cost, energy, parts = tallied(tally, chunks(moved))
+    accumulator = JointAccumulator(features, mixing, s, regressors, fit.theta, TrajectoryBlocks(len(moved), 7))
+    cost, energy, parts = accumulate(accumulator, chunks(moved))
     assert cost / len(samples) == pytest.approx(fit.cost, rel=1e-10)
     assert energy / len(samples) == pytest.approx(fit.energy, rel=1e-10)
     assert sorted(parts) == list(range(7))
     g, H = (sum(part[i] for part in parts.values()) for i in (0, 1))
     m = s * (3 - s)
     K, C = H[:-m, :-m], H[:-m, -m:]
-    expected_H, expected_g = _normal_equations(samples, fit.selection, fit.theta, model)
+    expected_H, expected_g = _normal_equations(samples, fit.whitened_selection, fit.theta, model)
     np.testing.assert_allclose(H[-m:, -m:] - C.T @ np.linalg.lstsq(K, C, rcond=1e-12)[0], expected_H, rtol=1e-7)
     reduced = g[-m:] - C.T @ np.linalg.lstsq(K, g[:-m], rcond=1e-12)[0]
     np.testing.assert_allclose(reduced, expected_g, rtol=1e-6, atol=1e-7 * np.abs(H).max() ** 0.5)
@@ -143,7 +146,7 @@ def test_angles_of_many_row_spaces(s, p, size, rng):
 # ---- the order of sums, the choice of few ----------------------------------------------------------------------------
 
 
-class Brackets(Sums):
+class Brackets(SumAccumulator):
     """Says in which order it was called."""
 
     def of(self, chunk):
@@ -166,18 +169,18 @@ def test_sums_are_taken_in_one_order(n):
             return Text(f"({str(self)}{str(other)})")
 
     parts = [Text(chr(97 + i)) for i in range(n)]
-    (total,) = tree_total(Brackets(), ((part,) for part in parts))
+    (total,) = merge_tree(Brackets(), ((part,) for part in parts))
     assert str(total) == level_by_level([str(p) for p in parts])
 
 
 def test_parts_without_samples_add_nothing():
     """A file without demonstrations does not disturb the sum."""
-    assert tree_total(Brackets(), [None, (1,), None, (2,), None]) == (3,)
-    assert tree_total(Brackets(), [None, None]) is None
+    assert merge_tree(Brackets(), [None, (1,), None, (2,), None]) == (3,)
+    assert merge_tree(Brackets(), [None, None]) is None
 
 
 def test_chunks_keep_every_sample(features):
-    """Long trajectories are cut, short ones joined; order, trajectory and place in the part are kept."""
+    """Long trajectories are cut, short ones merge; order, trajectory and place in the part are kept."""
     rng = np.random.default_rng(0)
     names = features.robot.joint_names
     lengths = [1, 9000, 3, 4096, 1, 1, 5000]
@@ -187,7 +190,7 @@ def test_chunks_keep_every_sample(features):
     assert [c.first for c in cut] == [0, 4096, 8192, 12288, 16384]
     assert {c.part for c in cut} == {3}
     np.testing.assert_array_equal(np.concatenate([c.q for c in cut]), np.concatenate([t.q for t in trajectories]))
-    np.testing.assert_array_equal(np.concatenate([c.group for c in cut]), np.repeat(np.arange(7), lengths))
+    np.testing.assert_array_equal(np.concatenate([c.trajectory for c in cut]), np.repeat(np.arange(7), lengths))
 
 
 def test_few_are_spread_evenly(features):
@@ -196,32 +199,33 @@ def test_few_are_spread_evenly(features):
     count = np.arange(256)[:, None] * np.ones(7)
     trajectories = [Trajectory(np.arange(256), count + 1000 * i, count + 1, names) for i in range(90)]
     source = ListedTrajectories(trajectories)
-    extent = tree_total(Survey(1000), [tallied(Survey(1000), chunks(source.part(0)))])
-    assert extent.n_samples == 90 * 256 and extent.n_groups == 90
-    assert len(extent.q) == 1000 == len(np.unique(extent.q[:, 0]))
+    summary = merge_tree(SummaryAccumulator(1000), [accumulate(SummaryAccumulator(1000), chunks(source.part(0)))])
+    assert summary.data.n_samples == 90 * 256 and summary.data.n_trajectories == 90
+    assert len(summary.data.q) == 1000 == len(np.unique(summary.data.q[:, 0]))
     # no rhythm of the recording is met: each eighth of the trajectories' time holds an eighth of the choice
-    phase = np.histogram(extent.q[:, 0] % 1000, bins=8, range=(0, 256))[0]
+    phase = np.histogram(summary.data.q[:, 0] % 1000, bins=8, range=(0, 256))[0]
     assert phase.min() > 115 and phase.max() < 135
-    per_trajectory = np.bincount(extent.group, minlength=90)
+    per_trajectory = np.bincount(summary.data.trajectory, minlength=90)
     assert per_trajectory.min() >= 8 and per_trajectory.max() <= 14
-    assert extent.low[0] == 0 and extent.high[0] == 89_255
-    assert extent.fastest_at == (255, 0)
-    everything = tallied(Survey(10**6), chunks(trajectories))
-    np.testing.assert_array_equal(everything.q, np.concatenate([t.q for t in trajectories]))
+    assert summary.data.low[0] == 0 and summary.data.high[0] == 89_255
+    assert summary.data.fastest_at == (255, 0)
+    everything = accumulate(SummaryAccumulator(10**6), chunks(trajectories))
+    np.testing.assert_array_equal(everything.data.q, np.concatenate([t.q for t in trajectories]))
 
 
-def test_extent_counts_trajectories_on_over_parts(features, held, monkeypatch):
-    """Cut into parts, the survey names the same trajectories."""
-    whole = tallied(Survey(10**6), chunks(held))
+def test_summary_counts_trajectories_on_over_parts(features, held, monkeypatch):
+    """Cut into parts, the summary names the same trajectories."""
+    whole = accumulate(SummaryAccumulator(10**6), chunks(held))
     monkeypatch.setattr(trajectory_source, "PART", 700)
     source = ListedTrajectories(held)
     assert source.n_parts > 5
-    total = tree_total(
-        Survey(10**6), (tallied(Survey(10**6), chunks(source.part(i), i)) for i in range(source.n_parts))
+    total = merge_tree(
+        SummaryAccumulator(10**6),
+        (accumulate(SummaryAccumulator(10**6), chunks(source.part(i), i)) for i in range(source.n_parts)),
     )
-    np.testing.assert_array_equal(total.group, whole.group)
-    assert total.n_groups == len(held) and total.fastest_at == whole.fastest_at
-    assert list(total.first_groups.values())[:2] == [0, 7]
+    np.testing.assert_array_equal(total.data.trajectory, whole.data.trajectory)
+    assert total.data.n_trajectories == len(held) and total.data.fastest_at == whole.data.fastest_at
+    assert list(total.first_trajectories.values())[:2] == [0, 7]
 
 
 # ---- the answer ------------------------------------------------------------------------------------------------------
@@ -235,12 +239,12 @@ def test_all_samples_count(request, features, monkeypatch, kind, settings):
     demos = request.getfixturevalue(kind)
     direct = ConstraintLearner(features, **settings).fit(demos)
     from_few(monkeypatch, 1000)
-    polished = ConstraintLearner(features, **settings).fit(demos)
-    assert row_space_angle(direct.constraint_.selection, polished.constraint_.selection) < 1e-10
-    assert polished.report_.n_samples == direct.report_.n_samples == 6000
-    assert polished.report_.n_trajectories == 60
-    assert polished.report_.energy_fraction == pytest.approx(direct.report_.energy_fraction, rel=1e-6)
-    assert polished.report_.uncertainty_deg == pytest.approx(direct.report_.uncertainty_deg, rel=0.25)
+    refine = ConstraintLearner(features, **settings).fit(demos)
+    assert row_space_angle(direct.constraint_.selection, refine.constraint_.selection) < 1e-10
+    assert refine.report_.n_samples == direct.report_.n_samples == 6000
+    assert refine.report_.n_trajectories == 60
+    assert refine.report_.energy_fraction == pytest.approx(direct.report_.energy_fraction, rel=1e-6)
+    assert refine.report_.uncertainty_deg == pytest.approx(direct.report_.uncertainty_deg, rel=0.25)
 
 
 @pytest.mark.parametrize(("held", "selection", "settings"), [(True, TWO, HELD), (False, ONE, JOINT)])
@@ -362,7 +366,7 @@ def test_partial_fit_is_one_fit(request, features, monkeypatch, kind, settings, 
 
 def test_partial_fit_spills_to_a_file(features, held):
     """Beyond the limit, trajectories lie in a file and come back as they were."""
-    kept = KeptTrajectories(in_memory=40_000)
+    kept = TrajectoryBuffer(in_memory=40_000)
     kept.add(source_of(held), [features], "auto")
     assert kept.bytes_in_memory <= 40_000
     back = [t for i in range(kept.n_parts) for t in kept.part(i)]

@@ -13,11 +13,12 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import FeatureError, ManipLearnError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
-from manip_learn.learning.learner import ESTIMATORS, EstimatorName
-from manip_learn.learning.streaming.executor import Progress
+from manip_learn.learning.candidate import EstimatorName
+from manip_learn.learning.learner import ESTIMATORS
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import ReadOptions
 from manip_learn.recordings.preprocessing import subsample
+from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.robot import Reference
 

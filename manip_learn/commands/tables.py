@@ -11,7 +11,7 @@ from rich.markdown import Markdown
 from rich.markup import escape
 from rich.table import Table
 
-from manip_learn.learning.estimators.rank import CLEAR_GAP
+from manip_learn.learning.estimators.estimate import CLEAR_GAP
 
 if TYPE_CHECKING:  # so that printing one command's answer does not load the others
     from manip_learn.commands.control import Controlled

@@ -14,13 +14,14 @@ from jaxtyping import Float
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments.paper_setup import Setup, demonstrate, null_parts, planar_features
+from manip_learn.experiments.row_by_row import fit_row_by_row
 from manip_learn.experiments.scaled_rows import ScaledRows
 from manip_learn.learning.estimators.joint_estimator import estimate_joint
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
-from manip_learn.learning.estimators.separation_estimator import Learner, estimate_separate
+from manip_learn.learning.estimators.separation import estimate_separate, separate_null_motion
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.learning.samples import Samples
-from manip_learn.linalg import row_space_angle
+from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 
 Matrix = Float[np.ndarray, "s p"]
@@ -89,23 +90,26 @@ def _judged(features: FeatureMap, true: Matrix, learnt: Matrix, seen: list[np.nd
 def _joint(model: str) -> Way:
     def learn(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
         samples = Samples.collect(features, demos)
-        return samples.selection(estimate_joint(samples, len(true), rng, model).selection), {}
+        return samples.selection(estimate_joint(samples, len(true), rng, model).whitened_selection), {}
 
     return learn
 
 
-def _separate(learner: Learner) -> Way:
-    def learn(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
-        samples = Samples.collect(features, demos)
-        return samples.selection(estimate_separate(samples, len(true), rng, learner).selection), {}
+def _separate(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
+    samples = Samples.collect(features, demos)
+    return samples.selection(estimate_separate(samples, len(true), rng).whitened_selection), {}
 
-    return learn
+
+def _separate_row_by_row(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
+    samples = Samples.collect(features, demos)
+    _, null_motion = separate_null_motion(samples, rng)
+    return samples.selection(orthonormal_rows(fit_row_by_row(null_motion, len(true)))), {}
 
 
 def _true_null_part(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
     samples = Samples.collect(features, demos)
     motion = dataclasses.replace(samples, u=null_parts(features, demos, true))
-    return samples.selection(fit_null_space(motion, levels(motion)[1][: len(true)]).selection), {}
+    return samples.selection(fit_null_space(motion, levels(motion)[1][: len(true)]).whitened_selection), {}
 
 
 def _auto(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
@@ -119,9 +123,9 @@ ESTIMATORS: dict[str, Way] = {
     "joint-quadratic": _joint("quadratic"),
     "joint-cubic": _joint("cubic"),
     "joint-rbf": _joint("rbf"),
-    "joint-own": _joint("own"),
-    "separate": _separate("gauss-newton"),
-    "separate-row-by-row": _separate("row-by-row"),
+    "joint-own": _joint("affine-offset"),
+    "separate": _separate,
+    "separate-row-by-row": _separate_row_by_row,
     "true-w": _true_null_part,
     "auto": _auto,
 }

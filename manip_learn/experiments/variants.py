@@ -123,7 +123,8 @@ class VariantsResult(ExperimentResult):
                 lines[-1] += [_percent(auto["rows_right"]), _percent(auto["warned"]), _percent(auto["refused"])]
                 if "joint-own" in ours:
                     own = ours["joint-own"]
-                    lines.append(["... told so (policy_model='own')", rows.replace("rz", "theta"), _cell(own)])
+                    told = "... told so (policy_model='affine-offset')"
+                    lines.append([told, rows.replace("rz", "theta"), _cell(own)])
                     lines[-1] += ["", "", "", number(own["angle_deg"]["median"]), "told", "", _percent(own["refused"])]
         return markdown_table(header, lines)
 

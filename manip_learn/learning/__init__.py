@@ -1,7 +1,6 @@
 """Demonstrations -> Lambda."""
 
-from manip_learn.learning.contract import check_learner
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.learning.report import LearningReport
 
-__all__ = ["ConstraintLearner", "LearningReport", "check_learner"]
+__all__ = ["ConstraintLearner", "LearningReport"]

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import final
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import complement_rows, row_space_angles
 
-# a trajectory that alone determines a direction has no say about it when it is left out
+# share of the mean curvature added to each direction, so that a trajectory that alone determines a direction has no
+# unbounded influence on it when it is left out
 LEVERAGE_FLOOR = 1e-3
 
 
 def bootstrap_angle_deg(
     samples: Samples,
-    Lambda: Float[np.ndarray, "s r"],
+    whitened_selection: Float[np.ndarray, "s r"],
     gradients: Float[np.ndarray, "g d"],
     hessians: Float[np.ndarray, "g d d"],
     rng: np.random.Generator,
@@ -30,8 +34,8 @@ def bootstrap_angle_deg(
 
     Args:
         samples: What was recorded.
-        Lambda: The optimum, in whitened coordinates.
-        gradients: Of each trajectory (or set of them) at the optimum; the last s (p'-s) unknowns are those of Lambda,
+        whitened_selection: Lambda at the optimum, in whitened coordinates.
+        gradients: Of each trajectory (or block of them) at the optimum; the last s (p'-s) unknowns are those of Lambda,
             others before them are eliminated.
         hessians: Gauss-Newton Hessians, likewise.
         rng: For the draws.
@@ -41,7 +45,7 @@ def bootstrap_angle_deg(
     Returns:
         The angle; None with fewer than two trajectories or no freedom.
     """
-    s, r = Lambda.shape
+    s, r = whitened_selection.shape
     n, m = gradients.shape[0], s * (r - s)
     if n < 2 or m == 0:
         return None
@@ -52,8 +56,8 @@ def bootstrap_angle_deg(
     freedom = max(float(energy.sum() ** 2 / np.sum(energy**2)), 2.0)
     spread = np.sqrt(rng.chisquare(freedom, size=repetitions) / freedom)
     steps = (-weights @ influence) / spread[:, None]
-    moved = Lambda + steps.reshape(repetitions, s, r - s) @ complement_rows(Lambda)
-    angles = row_space_angles(moved @ samples.whitening, samples.selection(Lambda))
+    turns = steps.reshape(repetitions, s, r - s) @ complement_rows(whitened_selection)
+    angles = row_space_angles((whitened_selection + turns) @ samples.whitening, samples.selection(whitened_selection))
     return float(np.degrees(np.quantile(angles, quantile)))
 
 
@@ -72,3 +76,35 @@ def _whitener(influence: Float[np.ndarray, "g m"]) -> Float[np.ndarray, "m m"]:
     values, vectors = np.linalg.eigh(influence.T @ influence)
     keep = values > 1e-12 * values[-1]
     return vectors * np.where(keep, 1.0 / np.sqrt(np.where(keep, values, 1.0)), 0.0)
+
+
+@final
+@dataclass(frozen=True)
+class TrajectoryBlocks:
+    """TrajectoryBlocks of neighbouring trajectories; each its own if there are no more than `most`.
+
+    Attributes:
+        n_trajectories: Number of trajectories.
+        most: Largest number of blocks.
+    """
+
+    n_trajectories: int
+    most: int
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of blocks."""
+        return min(self.n_trajectories, self.most)
+
+    def runs(self, trajectory: Int[np.ndarray, " n"]) -> list[tuple[int, slice]]:
+        """TrajectoryBlocks of some samples whose trajectories never decrease, and which samples belong to each."""
+        block = trajectory if self.n_trajectories <= self.most else trajectory * self.most // self.n_trajectories
+        starts = np.flatnonzero(np.diff(block, prepend=-1)).tolist()
+        return [(int(block[a]), slice(a, b)) for a, b in zip(starts, [*starts[1:], len(block)], strict=True)]
+
+    def sums(self, values: Float[np.ndarray, "m n"], trajectory: Int[np.ndarray, " n"]) -> Float[np.ndarray, "g m"]:
+        """Sum over the samples of each block."""
+        runs = self.runs(trajectory)
+        out = np.zeros((self.n_blocks, len(values)))
+        out[[block for block, _ in runs]] = np.add.reduceat(values, [part.start for _, part in runs], axis=1).T
+        return out

@@ -8,46 +8,51 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import NotIdentifiableError, RecordingError
-from manip_learn.learning.postures import check_postures
+from manip_learn.learning.data_summary import DataSummary
 from manip_learn.learning.samples import Samples
-from manip_learn.learning.streaming.summary_pass import Extent
 
+# how many times the median speed a sample may have
 OUTLIER_FACTOR = 1e4
+# a joint with less of the energy, a thousandth of the velocity, has hardly moved
 STILL_SHARE = 1e-6
 # fewer joints than this moving at a time, in the mean, is how a hand-guided arm with stiction moves
 FEW_JOINTS = 1.6
+# how much farther out than nearly all others a posture may lie, in their own distances from the middle
+FAR_OUT = 1e4
+# postures closer together than this share of their size are one and the same
+SAME = 1e-9
 
 
 def excitation(samples: Samples) -> Float[np.ndarray, " nv"]:
     """Share of the motion's energy in each joint; sums to 1."""
-    return shares(np.mean(samples.u**2, axis=0))
+    return energy_shares(np.mean(samples.u**2, axis=0))
 
 
-def shares(energy: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
+def energy_shares(energy: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
     """Share of each joint in the sum; sums to 1."""
     return energy / max(float(energy.sum()), np.finfo(np.float64).tiny)
 
 
-def check_fastest(samples: Samples, extent: Extent, joint_names: Sequence[str]) -> None:
+def check_fastest(samples: Samples, data: DataSummary, joint_names: Sequence[str]) -> None:
     """Refuse a velocity that is far out of line with all others.
 
     Args:
         samples: All of them or an even choice, for what is usual.
-        extent: Of all of them.
+        data: Of all of them.
         joint_names: For the message.
 
     Raises:
         RecordingError: There is one.
     """
     speed = np.linalg.norm(samples.u, axis=1)
-    fastest, (sample, group) = extent.fastest, extent.fastest_at
+    fastest, (sample, trajectory) = data.fastest, data.fastest_at
     if not np.any(speed > 0.0):
         return
     ratio = float(np.linalg.norm(fastest)) / float(np.median(speed[speed > 0.0]))
     if ratio > OUTLIER_FACTOR:
         joint = int(np.argmax(np.abs(fastest)))
         raise RecordingError(
-            f"sample {sample} (trajectory {group}) moves at {fastest[joint]:.3g} in joint {joint_names[joint]!r}, "
+            f"sample {sample} (trajectory {trajectory}) moves at {fastest[joint]:.3g} in joint {joint_names[joint]!r}, "
             f"{ratio:.1e} times the median speed: remove the outlier",
             code="outlier",
         )
@@ -75,10 +80,10 @@ def check_samples(samples: Samples, joint_names: Sequence[str], n_constraints: i
             "needed, and many more are better",
             code="too-few-samples",
         )
-    return _doubts(samples, joint_names)
+    return _warn(samples, joint_names)
 
 
-def _doubts(samples: Samples, joint_names: Sequence[str]) -> list[str]:
+def _warn(samples: Samples, joint_names: Sequence[str]) -> list[str]:
     warnings = []
     share = excitation(samples)
     still = [name for name, part in zip(joint_names, share, strict=True) if part < STILL_SHARE]
@@ -97,7 +102,35 @@ def _doubts(samples: Samples, joint_names: Sequence[str]) -> list[str]:
             f"only {together:.1f} joints move at a time on average: friction of a hand-guided arm looks like a "
             "constraint; move all joints together"
         )
-    if samples.n_groups < 5:
-        count = "one trajectory" if samples.n_groups == 1 else f"{samples.n_groups} trajectories"
+    if samples.n_trajectories < 5:
+        count = "one trajectory" if samples.n_trajectories == 1 else f"{samples.n_trajectories} trajectories"
         warnings.append(f"only {count}: evidence from so few is thin; record 5 or more")
     return warnings
+
+
+def check_postures(samples: Samples) -> None:
+    """Refuse recordings whose postures cannot belong to their velocities.
+
+    Raises:
+        NotIdentifiableError: The posture never changes, or there is a single joint.
+        RecordingError: A posture is far out of line with all others.
+    """
+    if samples.nv < 2:
+        raise NotIdentifiableError("a constraint leaves no null space for a single joint", code="no-freedom")
+    middle = np.median(samples.q, axis=0)
+    distance = np.linalg.norm(samples.q - middle, axis=1)
+    farthest = int(np.argmax(distance))
+    if distance[farthest] <= SAME * (1.0 + float(np.linalg.norm(middle))):
+        raise NotIdentifiableError(
+            "the posture never changes although the velocities are not zero: give each sample the posture that it was "
+            "recorded at",
+            code="constant-posture",
+        )
+    # standing still at the median posture for long is no reason to call all motion far out
+    usual = float(np.quantile(distance, 0.9)) or float(np.mean(np.delete(distance, farthest)))
+    if 0.0 < usual * FAR_OUT < distance[farthest]:
+        raise RecordingError(
+            f"the posture of sample {farthest} (trajectory {samples.trajectory[farthest]}) is "
+            f"{distance[farthest] / usual:.1e} times farther out than nearly all others: remove the outlier",
+            code="outlier",
+        )

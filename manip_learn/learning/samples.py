@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError, RecordingError
+from manip_learn.learning.data_summary import DataSummary
 from manip_learn.recordings.demonstrations import Demonstrations
 
 BLOCK = 4096
@@ -29,13 +30,13 @@ class Block:
         Phi: Whitened features, shape (n, p', nv).
         u: Velocities, shape (n, nv).
         x: Postures shifted and scaled to about [-1, 1], shape (n, m): the regressors of policy models.
-        group: Trajectory of each sample, shape (n,).
+        trajectory: Trajectory of each sample, shape (n,).
     """
 
     Phi: Float[np.ndarray, "n p nv"]
     u: Float[np.ndarray, "n nv"]
     x: Float[np.ndarray, "n m"]
-    group: Int[np.ndarray, " n"]
+    trajectory: Int[np.ndarray, " n"]
 
 
 @final
@@ -50,7 +51,7 @@ class Samples:
         features: Phi.
         q: Postures, shape (n, nq).
         u: Velocities, shape (n, nv).
-        group: Trajectory of each sample, counted from 0, shape (n,).
+        trajectory: Trajectory of each sample, counted from 0, shape (n,).
         whitening: W, shape (p', p), with Phi' = W Phi.
         centre, spread: x = (q - centre) / spread.
     """
@@ -58,7 +59,7 @@ class Samples:
     features: FeatureMap
     q: Float[np.ndarray, "n nq"]
     u: Float[np.ndarray, "n nv"]
-    group: Int[np.ndarray, " n"]
+    trajectory: Int[np.ndarray, " n"]
     whitening: Float[np.ndarray, "r p"]
     centre: Float[np.ndarray, " nq"]
     spread: Float[np.ndarray, " nq"]
@@ -72,39 +73,30 @@ class Samples:
             RecordingError: A trajectory lacks velocities, or acts on another number of joints.
             NotIdentifiableError: Every feature row is zero throughout.
         """
-        for t in demonstrations:
-            if t.u is None:
-                raise RecordingError(f"{t.name} has no velocities: derive them first", code="no-velocities")
-            if t.u.shape[1] != features.nv:
-                raise RecordingError(
-                    f"{t.name} has {t.u.shape[1]} joint velocities, the features act on {features.nv}", code="shape"
-                )
-        q = np.concatenate([t.q for t in demonstrations])
-        u = np.concatenate([t.u for t in demonstrations])  # type: ignore[misc]
-        group = np.repeat(np.arange(len(demonstrations)), [len(t) for t in demonstrations])
-        return Samples.of(features, q, u, group, q.min(axis=0), q.max(axis=0))
+        return Samples.of(features, DataSummary.of(demonstrations))
 
     @staticmethod
-    def of(
-        features: FeatureMap,
-        q: Float[np.ndarray, "n nq"],
-        u: Float[np.ndarray, "n nv"],
-        group: Int[np.ndarray, " n"],
-        low: Float[np.ndarray, " nq"],
-        high: Float[np.ndarray, " nq"],
-    ) -> Samples:
-        """Samples that are given, or chosen from more, whose postures reach from `low` to `high`.
+    def of(features: FeatureMap, data: DataSummary) -> Samples:
+        """Samples to learn from, all or chosen from more; scaled by the range of all postures.
 
         Raises:
+            RecordingError: They act on another number of joints.
             NotIdentifiableError: Every feature row is zero throughout.
         """
-        centre, spread = 0.5 * (high + low), np.maximum(0.5 * (high - low), 1e-9)
-        raw = Samples(features, q, u, group, np.eye(features.n_rows), centre, spread)
+        if data.u.shape[1] != features.nv:
+            raise RecordingError(
+                f"the demonstrations have {data.u.shape[1]} joint velocities, the features act on {features.nv}",
+                code="shape",
+            )
+        # of some chosen samples no trajectory may be left: count those that are
+        _, trajectory = np.unique(data.trajectory, return_inverse=True)
+        centre, spread = 0.5 * (data.high + data.low), np.maximum(0.5 * (data.high - data.low), 1e-9)
+        raw = Samples(features, data.q, data.u, trajectory, np.eye(features.n_rows), centre, spread)
         S = np.zeros((features.n_rows, features.n_rows))
         for block in raw.blocks():
             S += np.einsum("niv,njv->ij", block.Phi, block.Phi, optimize=True)
-        whitening = _whitening(S / len(q), features)
-        return Samples(features, q, u, group, whitening, centre, spread, raw._kept)
+        whitening = _whitening(S / len(raw), features)
+        return Samples(features, data.q, data.u, trajectory, whitening, centre, spread, raw._kept)
 
     def __len__(self) -> int:
         return int(self.u.shape[0])
@@ -120,9 +112,9 @@ class Samples:
         return int(self.whitening.shape[0])
 
     @property
-    def n_groups(self) -> int:
+    def n_trajectories(self) -> int:
         """Number of trajectories."""
-        return int(self.group[-1]) + 1 if len(self) else 0
+        return int(self.trajectory[-1]) + 1 if len(self) else 0
 
     def blocks(self) -> Iterator[Block]:
         """The samples in order, at most BLOCK at a time."""
@@ -138,16 +130,16 @@ class Samples:
             x = (self.q[part] - self.centre) / self.spread
             n, p, nv = raw.shape
             Phi = (self.whitening @ raw.transpose(1, 0, 2).reshape(p, n * nv)).reshape(-1, n, nv).transpose(1, 0, 2)
-            yield Block(Phi, self.u[part], x, self.group[part])
+            yield Block(Phi, self.u[part], x, self.trajectory[part])
 
     def subset(self, keep: np.ndarray) -> Samples:
         """The samples where the mask is true, in the same whitened coordinates."""
-        _, group = np.unique(self.group[keep], return_inverse=True)
-        return Samples(self.features, self.q[keep], self.u[keep], group, self.whitening, self.centre, self.spread)
+        _, trajectory = np.unique(self.trajectory[keep], return_inverse=True)
+        return Samples(self.features, self.q[keep], self.u[keep], trajectory, self.whitening, self.centre, self.spread)
 
-    def selection(self, whitened: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "s p"]:
-        """Lambda in the features' own units, with orthonormal rows, from a Lambda in whitened coordinates."""
-        _, _, Vt = np.linalg.svd(whitened @ self.whitening, full_matrices=False)
+    def selection(self, whitened_selection: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "s p"]:
+        """Lambda in the basis of the features' own rows, orthonormal, from Lambda W^+ in whitened coordinates."""
+        _, _, Vt = np.linalg.svd(whitened_selection @ self.whitening, full_matrices=False)
         return Vt
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import final
 
 from manip_learn.errors import RecordingError
@@ -12,6 +12,8 @@ from manip_learn.recordings.trajectory import Trajectory
 
 # a part of a list holds about this many samples: a task for a worker, and what is in memory at a time
 PART = 65_536
+# called with what is being done and the share of it that is done, between 0 and 1
+Progress = Callable[[str, float], None]
 
 
 class TrajectorySource(ABC):

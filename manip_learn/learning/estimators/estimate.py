@@ -1,15 +1,49 @@
-"""What an estimator hands to the learner."""
+"""What an estimator returns: Lambda, and the evidence for the number of its rows."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import final
+from typing import Literal, final
 
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.learning.estimators.rank import GapTable
 from manip_learn.learning.estimators.variable_projection import JointFit
+
+# ratios of singular values, noise directions against free ones
+CLEAR_GAP = 10.0
+WEAK_GAP = 3.0
+# the joint estimator compares residuals of whole fits: noise enters both, so that less of a ratio says as much
+WEAK_RESIDUAL_GAP = 1.3
+
+Verdict = Literal["clear", "weak", "none"]
+
+
+@final
+@dataclass(frozen=True)
+class GapTable:
+    """Evidence for each number of rows.
+
+    Attributes:
+        counts: Candidate numbers of rows s.
+        gaps: Ratio that speaks for each.
+        weak_from: Gap from which a weak answer is given.
+        best: The number of rows that the gaps speak for.
+    """
+
+    counts: tuple[int, ...]
+    gaps: tuple[float, ...]
+    weak_from: float
+    best: int
+
+    def gap(self, count: int) -> float:
+        """Gap of a number of rows; 0 if it is no candidate."""
+        return self.gaps[self.counts.index(count)] if count in self.counts else 0.0
+
+    def verdict(self, count: int) -> Verdict:
+        """How sure a number of rows is."""
+        gap = self.gap(count)
+        return "clear" if gap >= CLEAR_GAP else "weak" if gap >= self.weak_from else "none"
 
 
 @final
@@ -19,7 +53,7 @@ class Estimate:
 
     Attributes:
         name: Of the estimator.
-        selection: Lambda, shape (s, p').
+        whitened_selection: Lambda, shape (s, p').
         table: Evidence for the number of rows.
         unexplained: Share of the energy that is not explained on the data it was fitted to.
         held_out: The same on trajectories that were left out.
@@ -28,11 +62,12 @@ class Estimate:
         policy_residuals: Policy model -> held-out share of unexplained energy.
         noise: Held-out residual energy a degree of freedom [(rad/s)^2]; 0 where there is no such thing.
         warnings: Doubts.
-        joint: Joint estimator: the fit with the policy's parameters, from where more samples can improve on it.
+        joint: Joint estimator: the fit with the policy's parameters, the start of a refinement on more samples.
+        levels: Null-space estimator: levels of the whitened directions, least first [1], see `null_space.levels`.
     """
 
     name: str
-    selection: Float[np.ndarray, "s r"]
+    whitened_selection: Float[np.ndarray, "s r"]
     table: GapTable
     unexplained: float
     held_out: float
@@ -43,3 +78,35 @@ class Estimate:
     noise: float = 0.0
     warnings: tuple[str, ...] = ()
     joint: JointFit | None = None
+    levels: Float[np.ndarray, " r"] = field(default_factory=lambda: np.zeros(0))
+
+
+def gaps_of_levels(levels: Float[np.ndarray, " r"], nv: int) -> GapTable:
+    """Gaps between the levels of a motion with b = 0, least level first.
+
+    s = p (nothing of Phi moves) has no free direction to be compared with; there the level of a motion that is equally
+    strong in all joints, 1, takes its place.
+    """
+    r = len(levels)
+    # levels are roots of eigenvalues: below this they are rounding, and a gap among them says nothing
+    floor = 3e-8 * max(float(levels[-1]), 1.0)
+    padded = np.maximum(np.append(levels, 1.0), floor)
+    counts = [s for s in range(1, r + 1) if s < nv]
+    gaps = tuple(float(padded[s] / padded[s - 1]) for s in counts)
+    return GapTable(tuple(counts), gaps, WEAK_GAP, counts[int(np.argmax(gaps))])
+
+
+def gaps_of_residuals(residuals: dict[int, float], floor: float, n_samples: int) -> GapTable:
+    """Gaps between the held-out residuals [root mean square a degree of freedom] of fits with s - 1 and with s rows.
+
+    With too few rows the task's own motion is left over; with enough rows only noise is, and more rows change nothing.
+    So the last row that still helps is the answer, not the one that helps most: a task that moves much more along one
+    of its rows than along the other has its largest gap too early. What counts as help grows with the largest gap,
+    for imperfect policy models leave small differences, and with the chance of few samples.
+    """
+    counts = [s for s in sorted(residuals) if s > 0]
+    gaps = tuple(max(residuals[s - 1], floor) / max(residuals[s], floor) for s in counts)
+    weak_from = max(WEAK_RESIDUAL_GAP, float(np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / n_samples))))
+    needed = max(weak_from, max(gaps) ** 0.25)
+    helping = [s for s, gap in zip(counts, gaps, strict=True) if gap >= needed]
+    return GapTable(tuple(counts), gaps, weak_from, helping[-1] if helping else counts[int(np.argmax(gaps))])

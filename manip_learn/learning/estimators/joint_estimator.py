@@ -10,10 +10,9 @@ from jaxtyping import Float
 
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.estimators.conditional_pca import conditional_pca
-from manip_learn.learning.estimators.estimate import Estimate
-from manip_learn.learning.estimators.per_trajectory_offsets import estimate_own_offsets, own_offsets_if_clear
+from manip_learn.learning.estimators.estimate import Estimate, GapTable, gaps_of_residuals
+from manip_learn.learning.estimators.per_trajectory_offsets import estimate_with_offsets, offsets_if_clear
 from manip_learn.learning.estimators.policy_model import PolicyModel, PolynomialModel, RadialModel
-from manip_learn.learning.estimators.rank import GapTable, gaps_of_residuals
 from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, held_out_cost, scores
 from manip_learn.learning.samples import Samples
 
@@ -56,21 +55,20 @@ def estimate_joint(
         n_constraints: Number of rows; found from the data by default.
         rng: For k-means and the random starts.
         policy_model: `"auto"` (tries them all), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"` or `"rbf"`; or
-            `"own"`: affine, with a constant of its own for each trajectory, where demonstrators rest in different
-            postures.
+            `"affine-offset"`: affine, with an offset per trajectory, where demonstrators rest in different postures.
         unexplained: Held-out share of the energy above which to give up before the expensive part.
 
     Raises:
         NotIdentifiableError: One trajectory only, too few samples for even the smallest model, or given up.
     """
-    if samples.n_groups < 2:
+    if samples.n_trajectories < 2:
         raise NotIdentifiableError(
             "one trajectory does not identify a constraint whose task velocity is unknown: give several, from "
             "different starts to different targets",
             code="one-trajectory",
         )
-    if policy_model == "own":
-        return estimate_own_offsets(samples, n_constraints, rng)
+    if policy_model == "affine-offset":
+        return estimate_with_offsets(samples, n_constraints, rng)
     few = _few(samples)
     models = _models(few, rng, policy_model)
     usable = _scan(few, models[:2])
@@ -84,7 +82,7 @@ def estimate_joint(
     s = n_constraints or table.best
     chosen, residuals = _chosen(few, s, models, usable[s])
     if policy_model == "auto" and chosen.held_out > POOR * _null_energy(samples, chosen.fit):
-        own = own_offsets_if_clear(samples, n_constraints, rng, chosen.fit.selection)
+        own = offsets_if_clear(samples, n_constraints, rng, chosen.fit.whitened_selection)
         if own is not None:
             return own
     if chosen.held_out > unexplained * _null_energy(samples, chosen.fit):
@@ -93,7 +91,7 @@ def estimate_joint(
     gradients, hessians = scores(samples, fit)
     return Estimate(
         "joint",
-        fit.selection,
+        fit.whitened_selection,
         table,
         fit.cost / _null_energy(samples, fit),
         chosen.held_out / _null_energy(samples, chosen.fit),
@@ -127,7 +125,8 @@ def _models(samples: Samples, rng: np.random.Generator, name: str) -> list[Polic
     if name != "auto":
         if name not in PolynomialModel.NAMES:
             raise NotIdentifiableError(
-                f"unknown policy model {name!r}: use 'auto', 'rbf', 'own' or one of {', '.join(PolynomialModel.NAMES)}",
+                f"unknown policy model {name!r}: use 'auto', 'rbf', 'affine-offset' or one of "
+                f"{', '.join(PolynomialModel.NAMES)}",
                 code="policy-model",
             )
         return [PolynomialModel(PolynomialModel.NAMES.index(name), m)]
@@ -168,8 +167,8 @@ def _enough(samples: Samples, s: int, model: PolicyModel) -> bool:
 
 def _candidate(samples: Samples, model: PolicyModel, start: np.ndarray) -> Candidate:
     fit = fit_joint(samples, start, model, **COMPARE)
-    folds = min(N_FOLDS, samples.n_groups)
-    return Candidate(fit, held_out_cost(samples, fit.selection, model, folds))
+    folds = min(N_FOLDS, samples.n_trajectories)
+    return Candidate(fit, held_out_cost(samples, fit.whitened_selection, model, folds))
 
 
 def _start_degree(samples: Samples) -> int:
@@ -194,7 +193,7 @@ def _chosen(
             continue
         if not _enough(samples, s, model):
             continue
-        candidate = _candidate(samples, model, best.fit.selection)
+        candidate = _candidate(samples, model, best.fit.whitened_selection)
         residuals[model.name] = candidate.held_out / _null_energy(samples, candidate.fit)
         if candidate.held_out < WORTH * best.held_out:
             best = candidate
@@ -203,15 +202,15 @@ def _chosen(
 
 def _from_random_starts(samples: Samples, chosen: JointFit, rng: np.random.Generator) -> JointFit:
     """The chosen fit on all samples, and a look from random starts whether there is a better one."""
-    best = fit_joint(samples, chosen.selection, chosen.model)
-    s, r = best.selection.shape
+    best = fit_joint(samples, chosen.whitened_selection, chosen.model)
+    s, r = best.whitened_selection.shape
     if s == r or best.cost <= ROUNDING * best.energy:
         return best
     few = _few(samples)
-    reference = fit_joint(few, best.selection, chosen.model, **COMPARE).cost
+    reference = fit_joint(few, best.whitened_selection, chosen.model, **COMPARE).cost
     for _ in range(RANDOM_STARTS):
         start: Float[np.ndarray, "s r"] = rng.standard_normal((s, r))
         other = fit_joint(few, start, chosen.model, **COMPARE)
         if other.cost < 0.9 * reference:
-            best, reference = fit_joint(samples, other.selection, chosen.model), other.cost
+            best, reference = fit_joint(samples, other.whitened_selection, chosen.model), other.cost
     return best

@@ -9,10 +9,12 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.learning.estimators.estimate import Estimate, gaps_of_levels
 from manip_learn.learning.samples import Block, Samples
-from manip_learn.linalg import batch_row_spaces, complement_rows, orthonormal_rows
+from manip_learn.linalg import batch_row_spaces, complement_rows, inverse_triangles, orthonormal_rows
 
 MAX_ITERATIONS = 50
+MAX_FOLDS = 10
 # a velocity to be explained, block by block: u itself, or the null-space part that a separation found
 Velocity = Callable[[Block], np.ndarray]
 
@@ -23,7 +25,7 @@ class NullSpaceFit:
     """Result of the null-space estimator.
 
     Attributes:
-        selection: Lambda in whitened coordinates, orthonormal rows, shape (s, p').
+        whitened_selection: Lambda in whitened coordinates, orthonormal rows, shape (s, p').
         cost: Mean of w^T A^+ A w, equation (10).
         energy: Mean of |w|^2; cost / energy is the share of the motion that breaks the constraint.
         iterations: Gauss-Newton steps.
@@ -31,7 +33,7 @@ class NullSpaceFit:
         curvatures: shape (groups, m, m), Gauss-Newton Hessian of each trajectory, m = s (p'-s).
     """
 
-    selection: Float[np.ndarray, "s r"]
+    whitened_selection: Float[np.ndarray, "s r"]
     cost: float
     energy: float
     iterations: int
@@ -55,12 +57,12 @@ def levels(samples: Samples) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray,
     return np.sqrt(np.maximum(eigenvalues, 0.0) * scale), vectors.T
 
 
-def group_moments(samples: Samples) -> Float[np.ndarray, "g r r"]:
+def trajectory_moments(samples: Samples) -> Float[np.ndarray, "g r r"]:
     """sum Phi u u^T Phi^T of each trajectory: enough for the closed-form start on any choice of trajectories."""
-    moments = np.zeros((samples.n_groups, samples.n_rows, samples.n_rows))
+    moments = np.zeros((samples.n_trajectories, samples.n_rows, samples.n_rows))
     for block in samples.blocks():
         r = np.einsum("npv,nv->np", block.Phi, block.u, optimize=True)
-        np.add.at(moments, block.group, r[:, :, None] * r[:, None, :])
+        np.add.at(moments, block.trajectory, r[:, :, None] * r[:, None, :])
     return moments
 
 
@@ -112,8 +114,8 @@ def fit_null_space(
 def _moments(samples: Samples, Lambda: np.ndarray, velocity: Velocity | None) -> NullSpaceFit:
     s, r = Lambda.shape
     perp, k = complement_rows(Lambda), r - s
-    scores = np.zeros((samples.n_groups, s, k))
-    curvatures = np.zeros((samples.n_groups, s * k, s * k))
+    scores = np.zeros((samples.n_trajectories, s, k))
+    curvatures = np.zeros((samples.n_trajectories, s * k, s * k))
     cost = energy = 0.0
     for block in samples.blocks():
         w = block.u if velocity is None else velocity(block)
@@ -128,18 +130,60 @@ def _moments(samples: Samples, Lambda: np.ndarray, velocity: Velocity | None) ->
         R_inverse = inverse_triangles(R)
         a = np.einsum("nij,nj->ni", R_inverse, along, optimize=True)  # A^{+T} w
         g = np.einsum("kr,nrv,nv->nk", perp, block.Phi, null, optimize=True)
-        np.add.at(scores, block.group, a[:, :, None] * g[:, None, :])
+        np.add.at(scores, block.trajectory, a[:, :, None] * g[:, None, :])
         inverse_gram = R_inverse @ R_inverse.transpose(0, 2, 1)  # (A A^T)^-1
         H = np.einsum("nij,nk,nl->nikjl", inverse_gram, g, g, optimize=True)
-        np.add.at(curvatures, block.group, H.reshape(len(w), s * k, s * k))
+        np.add.at(curvatures, block.trajectory, H.reshape(len(w), s * k, s * k))
     n = len(samples)
     return NullSpaceFit(Lambda, cost / n, energy / n, 0, scores, curvatures)
 
 
-def inverse_triangles(R: Float[np.ndarray, "n s s"]) -> Float[np.ndarray, "n s s"]:
-    """Inverses of stacked upper triangles; zero where a sample's constraint loses rank, so that it has no say."""
-    s = R.shape[1]
-    diagonal = np.abs(np.einsum("nii->ni", R))
-    usable = np.min(diagonal, axis=1) > 1e-9 * np.max(diagonal, axis=1)
-    safe = np.where(usable[:, None, None], R, np.eye(s))
-    return np.where(usable[:, None, None], np.linalg.inv(safe), 0.0)
+def estimate_null_space(samples: Samples, n_constraints: int | None = None) -> Estimate:
+    """Closed-form start, number of rows from the gap of the levels, Gauss-Newton, leave-trajectories-out residual.
+
+    Args:
+        samples: What was recorded.
+        n_constraints: Number of rows; found from the data by default.
+    """
+    sizes, directions = levels(samples)
+    table = gaps_of_levels(sizes, samples.nv)
+    s = n_constraints or table.best
+    fit = fit_null_space(samples, directions[:s])
+    m = s * (samples.n_rows - s)
+    return Estimate(
+        "null-space",
+        fit.whitened_selection,
+        table,
+        energy_share(fit),
+        held_out_share(samples, s),
+        fit.scores.reshape(samples.n_trajectories, m),
+        fit.curvatures,
+        levels=sizes,
+    )
+
+
+def energy_share(fit: NullSpaceFit) -> float:
+    """Share of the energy that breaks A u = 0."""
+    return fit.cost / fit.energy if fit.energy > 0.0 else 0.0
+
+
+def held_out_share(samples: Samples, s: int) -> float:
+    """Share of the energy that breaks a constraint learnt, in closed form, from the other trajectories."""
+    moments = trajectory_moments(samples)
+    n_folds = min(MAX_FOLDS, samples.n_trajectories)
+    if n_folds < 2:
+        return float("nan")
+    fold_of_trajectory = np.arange(samples.n_trajectories) % n_folds
+    total = moments.sum(axis=0)
+    selections = []
+    for fold in range(n_folds):
+        _, vectors = np.linalg.eigh(total - moments[fold_of_trajectory == fold].sum(axis=0))
+        selections.append(vectors[:, :s].T)
+    broken = energy = 0.0
+    stacked = np.array(selections)
+    for block in samples.blocks():
+        Lambda = stacked[fold_of_trajectory[block.trajectory]]
+        Q, _ = batch_row_spaces(Lambda @ block.Phi)
+        broken += float(np.sum(np.einsum("nvs,nv->ns", Q[:, :, :s], block.u, optimize=True) ** 2))
+        energy += float(np.sum(block.u**2))
+    return broken / energy if energy > 0.0 else float("nan")

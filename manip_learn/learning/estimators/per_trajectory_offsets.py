@@ -13,9 +13,8 @@ from jaxtyping import Float
 
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.estimators.conditional_pca import conditional_pca
-from manip_learn.learning.estimators.estimate import Estimate
-from manip_learn.learning.estimators.policy_model import OwnOffsetModel, PolynomialModel
-from manip_learn.learning.estimators.rank import gaps_of_residuals
+from manip_learn.learning.estimators.estimate import Estimate, gaps_of_residuals
+from manip_learn.learning.estimators.policy_model import PolynomialModel, TrajectoryOffsetModel
 from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, held_out_cost, scores
 from manip_learn.learning.samples import Samples
 
@@ -31,7 +30,7 @@ N_FOLDS = 5
 HELPFUL, BEYOND_DOUBT, EXACT = 0.3, 30.0, 1e-3
 
 
-def estimate_own_offsets(samples: Samples, n_constraints: int | None, rng: np.random.Generator) -> Estimate:
+def estimate_with_offsets(samples: Samples, n_constraints: int | None, rng: np.random.Generator) -> Estimate:
     """Lambda with an affine policy that has a constant of its own for each trajectory.
 
     Args:
@@ -45,22 +44,22 @@ def estimate_own_offsets(samples: Samples, n_constraints: int | None, rng: np.ra
     few = _few(samples)
     if len(few) < 2 * samples.nv * _model(few).n_terms:
         raise NotIdentifiableError(
-            f"{len(samples)} samples of {samples.n_groups} trajectories are too few for a policy with a constant of "
-            f"each trajectory's own: about {2 * samples.nv * (1 + samples.nv)} samples a trajectory are needed",
+            f"{len(samples)} samples of {samples.n_trajectories} trajectories are too few for a policy with an "
+            f"offset for each trajectory: about {2 * samples.nv * (1 + samples.nv)} samples per trajectory are needed",
             code="too-few-samples",
         )
     counts = range(min(samples.n_rows, samples.nv - 1) + 1)
     fits = {s: _best_of_starts(few, s, rng) for s in counts}
-    held_out = {s: held_out_cost(few, f.selection, f.model, N_FOLDS, by_sample=True) for s, f in fits.items()}
+    held_out = {s: held_out_cost(few, f.whitened_selection, f.model, N_FOLDS, by_sample=True) for s, f in fits.items()}
     residuals = {s: float(np.sqrt(c / (samples.nv - s))) for s, c in held_out.items()}
     table = gaps_of_residuals(residuals, 1e-15 * float(np.sqrt(samples.energy)), len(few))
     s = n_constraints or table.best
-    fit = fit_joint(samples, fits[s].selection, _model(samples))
+    fit = fit_joint(samples, fits[s].whitened_selection, _model(samples))
     gradients, hessians = scores(samples, fit)
     share = held_out[s] / fits[s].energy
     return Estimate(
         "joint",
-        fit.selection,
+        fit.whitened_selection,
         table,
         fit.cost / fit.energy,
         share,
@@ -72,8 +71,8 @@ def estimate_own_offsets(samples: Samples, n_constraints: int | None, rng: np.ra
     )
 
 
-def own_offsets_if_clear(
-    samples: Samples, n_constraints: int | None, rng: np.random.Generator, selection: Float[np.ndarray, "s r"]
+def offsets_if_clear(
+    samples: Samples, n_constraints: int | None, rng: np.random.Generator, whitened_selection: Float[np.ndarray, "s r"]
 ) -> Estimate | None:
     """The same where it is worth a try and its answer beyond doubt; else None.
 
@@ -81,29 +80,29 @@ def own_offsets_if_clear(
         samples: What was recorded.
         n_constraints: Number of rows, or None.
         rng: For the starts.
-        selection: What was learnt without offsets: if they do not help there, they are not tried.
+        whitened_selection: What was learnt without offsets: if they do not help there, they are not tried.
     """
     few = _few(samples)
     shared = PolynomialModel(1, samples.q.shape[1])
     if len(few) < 2 * samples.nv * _model(few).n_terms:
         return None
     without, offsets = (
-        held_out_cost(few, selection, model, N_FOLDS, by_sample=True) for model in (shared, _model(few))
+        held_out_cost(few, whitened_selection, model, N_FOLDS, by_sample=True) for model in (shared, _model(few))
     )
     if offsets > HELPFUL * without:
         return None
-    estimate = estimate_own_offsets(samples, n_constraints, rng)
-    s = estimate.selection.shape[0]
+    estimate = estimate_with_offsets(samples, n_constraints, rng)
+    s = estimate.whitened_selection.shape[0]
     return estimate if estimate.table.gap(s) >= BEYOND_DOUBT and estimate.held_out < EXACT else None
 
 
 def _few(samples: Samples) -> Samples:
-    every = -(-int(np.count_nonzero(samples.group < FEW)) // FEW_SAMPLES)
-    return samples.subset((samples.group < FEW) & (np.arange(len(samples)) % every == 0))
+    every = -(-int(np.count_nonzero(samples.trajectory < FEW)) // FEW_SAMPLES)
+    return samples.subset((samples.trajectory < FEW) & (np.arange(len(samples)) % every == 0))
 
 
-def _model(samples: Samples) -> OwnOffsetModel:
-    return OwnOffsetModel(PolynomialModel(1, samples.q.shape[1]), samples.n_groups)
+def _model(samples: Samples) -> TrajectoryOffsetModel:
+    return TrajectoryOffsetModel(PolynomialModel(1, samples.q.shape[1]), samples.n_trajectories)
 
 
 def _best_of_starts(samples: Samples, s: int, rng: np.random.Generator) -> JointFit:
@@ -115,7 +114,7 @@ def _best_of_starts(samples: Samples, s: int, rng: np.random.Generator) -> Joint
     idle, starts = 0, [first]
     while idle < IDLE_ROUNDS:
         starts += [rng.standard_normal((s, r)) for _ in range(STARTS - len(starts))]
-        trial = _polished([fit_joint(samples, start, model, **LOOK) for start in starts], samples)
+        trial = _refine_best([fit_joint(samples, start, model, **LOOK) for start in starts], samples)
         idle = 0 if best is None or trial.cost < 0.9 * best.cost else idle + 1
         best = trial if best is None or trial.cost < best.cost else best
         if best.cost <= ROUNDING * best.energy:
@@ -124,11 +123,11 @@ def _best_of_starts(samples: Samples, s: int, rng: np.random.Generator) -> Joint
     return best if best is not None else fit_joint(samples, first, model)
 
 
-def _polished(fits: list[JointFit], samples: Samples) -> JointFit:
+def _refine_best(fits: list[JointFit], samples: Samples) -> JointFit:
     fits = sorted(fits, key=lambda fit: fit.cost)
     best = fits[0]
     for fit in fits[:POLISHED]:
-        best = min(best, fit_joint(samples, fit.selection, fit.model), key=lambda f: f.cost)
+        best = min(best, fit_joint(samples, fit.whitened_selection, fit.model), key=lambda f: f.cost)
         if best.cost <= ROUNDING * best.energy:
             break
     return best

@@ -24,9 +24,9 @@ class PolicyModel(ABC):
 
     @abstractmethod
     def __call__(
-        self, x: Float[np.ndarray, "n m"], group: Int[np.ndarray, " n"] | None = None
+        self, x: Float[np.ndarray, "n m"], trajectory: Int[np.ndarray, " n"] | None = None
     ) -> Float[np.ndarray, "n k"]:
-        """beta(x), one row a posture; `group` is the trajectory that it belongs to."""
+        """beta(x), one row per posture; `trajectory` is the one that each belongs to."""
 
 
 @final
@@ -42,7 +42,7 @@ class PolynomialModel(PolicyModel):
         self.n_terms = 1 + len(self._terms)
 
     def __call__(
-        self, x: Float[np.ndarray, "n m"], group: Int[np.ndarray, " n"] | None = None
+        self, x: Float[np.ndarray, "n m"], trajectory: Int[np.ndarray, " n"] | None = None
     ) -> Float[np.ndarray, "n k"]:
         """1, x_i, x_i x_j, ..."""
         out = np.empty((x.shape[0], self.n_terms))
@@ -74,7 +74,7 @@ class RadialModel(PolicyModel):
         self.n_terms = int(self.centres.shape[0])
 
     def __call__(
-        self, x: Float[np.ndarray, "n m"], group: Int[np.ndarray, " n"] | None = None
+        self, x: Float[np.ndarray, "n m"], trajectory: Int[np.ndarray, " n"] | None = None
     ) -> Float[np.ndarray, "n k"]:
         """Shares of the centres, each row summing to 1."""
         d2 = np.sum((x[:, None, :] - self.centres[None]) ** 2, axis=2) / (2.0 * self.width**2)
@@ -84,28 +84,28 @@ class RadialModel(PolicyModel):
 
 
 @final
-class OwnOffsetModel(PolicyModel):
-    """Another model, with a constant of its own for each trajectory: demonstrators who rest in different postures.
+class TrajectoryOffsetModel(PolicyModel):
+    """Another model plus an offset per trajectory: demonstrators who rest in different postures.
 
     Args:
         shared: What all trajectories have in common.
-        n_groups: Number of trajectories.
+        n_trajectories: Number of trajectories.
     """
 
-    def __init__(self, shared: PolicyModel, n_groups: int):
+    def __init__(self, shared: PolicyModel, n_trajectories: int):
         self.shared = shared
-        self.n_groups = n_groups
-        self.name = f"{shared.name}-own"
-        self.n_terms = shared.n_terms + n_groups
+        self.n_trajectories = n_trajectories
+        self.name = f"{shared.name}-offset"
+        self.n_terms = shared.n_terms + n_trajectories
 
     def __call__(
-        self, x: Float[np.ndarray, "n m"], group: Int[np.ndarray, " n"] | None = None
+        self, x: Float[np.ndarray, "n m"], trajectory: Int[np.ndarray, " n"] | None = None
     ) -> Float[np.ndarray, "n k"]:
-        """The shared regressors, then one indicator a trajectory; without `group` the offsets are left out.
+        """The shared regressors, then one indicator per trajectory; without `trajectory` the offsets are left out.
 
         The shared constant and the indicators are dependent; least squares by rank-revealing QR takes care of that.
         """
-        own = np.zeros((len(x), self.n_groups))
-        if group is not None:
-            own[np.arange(len(x)), group] = 1.0
-        return np.concatenate([self.shared(x, group), own], axis=1)
+        offsets = np.zeros((len(x), self.n_trajectories))
+        if trajectory is not None:
+            offsets[np.arange(len(x)), trajectory] = 1.0
+        return np.concatenate([self.shared(x, trajectory), offsets], axis=1)

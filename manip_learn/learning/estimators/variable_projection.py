@@ -17,16 +17,17 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import qr, solve_triangular
 
-from manip_learn.learning.estimators.null_space import inverse_triangles
+from manip_learn.learning.bootstrap import TrajectoryBlocks
 from manip_learn.learning.estimators.policy_model import PolicyModel
 from manip_learn.learning.samples import Block, Samples
-from manip_learn.linalg import batch_row_spaces, complement_rows, orthonormal_rows
+from manip_learn.linalg import batch_row_spaces, complement_rows, inverse_triangles, orthonormal_rows
 
 MAX_ITERATIONS = 30
 RANK_TOLERANCE = 1e-13
 # directions of the policy that the data determine well enough to matter for the uncertainty
 BASIS_TOLERANCE = 1e-10
-MAX_SETS = 100
+# trajectories beyond so many are taken in blocks: a Hessian of each, for Theta too, is kept
+MAX_BLOCKS = 100
 
 
 @final
@@ -35,7 +36,7 @@ class JointFit:
     """Result of the joint estimator.
 
     Attributes:
-        selection: Lambda in whitened coordinates, orthonormal rows, shape (s, p').
+        whitened_selection: Lambda in whitened coordinates, orthonormal rows, shape (s, p').
         theta: Parameters of the policy model, shape (k, nv).
         cost: Mean of |Z^T (u - pi)|^2.
         energy: Mean of |Z^T u|^2.
@@ -43,7 +44,7 @@ class JointFit:
         model: The policy model.
     """
 
-    selection: Float[np.ndarray, "s r"]
+    whitened_selection: Float[np.ndarray, "s r"]
     theta: Float[np.ndarray, "k nv"]
     cost: float
     energy: float
@@ -95,30 +96,32 @@ def fit_joint(
 
 
 def scores(samples: Samples, fit: JointFit) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
-    """Gradient and Gauss-Newton Hessian of each set of trajectories at the optimum; d = k' + m, m = s (p'-s).
+    """Gradient and Gauss-Newton Hessian of each block of trajectories at the optimum; d = k' + m, m = s (p'-s).
 
     The last m unknowns are those of Lambda, the first k' those of the policy, in an orthonormal basis of what the data
-    determine: whoever leaves a trajectory out must let the policy move too. Beyond MAX_SETS trajectories several of
-    them make a set.
+    determine: whoever leaves a trajectory out must let the policy move too. Beyond MAX_BLOCKS trajectories several
+    consecutive ones make a block.
     """
-    s, r = fit.selection.shape
+    s, r = fit.whitened_selection.shape
     m, z = s * (r - s), samples.nv - s
-    R = _triangle(_joint_rows(samples, fit.selection, fit.theta, fit.model))
+    R = _triangle(_joint_rows(samples, fit.whitened_selection, fit.theta, fit.model))
     width = R.shape[1] - m - 1
     projection = _solve(R[:, :width], R[:, width : width + m])
     _, T, pivots = qr(R[:, :width], mode="economic", pivoting=True, check_finite=False)
     diagonal = np.abs(np.diag(T))
     k = int(np.count_nonzero(diagonal > BASIS_TOLERANCE * diagonal[0])) if diagonal.size else 0
-    n_sets = min(samples.n_groups, MAX_SETS)
-    gradients, hessians = np.zeros((n_sets, k + m)), np.zeros((n_sets, k + m, k + m))
-    for block, rows in zip(samples.blocks(), _joint_rows(samples, fit.selection, fit.theta, fit.model), strict=True):
+    blocks = TrajectoryBlocks(samples.n_trajectories, MAX_BLOCKS)
+    gradients = np.zeros((blocks.n_blocks, k + m))
+    hessians = np.zeros((blocks.n_blocks, k + m, k + m))
+    for block, rows in zip(
+        samples.blocks(), _joint_rows(samples, fit.whitened_selection, fit.theta, fit.model), strict=True
+    ):
         K = solve_triangular(T[:k, :k], rows[:, pivots[:k]].T, trans="T", check_finite=False).T
         J = np.concatenate([K, rows[:, width : width + m] - rows[:, :width] @ projection], axis=1)
-        set_of_row = np.repeat(block.group % n_sets, z)
-        for i in np.unique(set_of_row):
-            part = J[set_of_row == i]
-            gradients[i] += part.T @ rows[set_of_row == i, -1]
-            hessians[i] += part.T @ part
+        for i, part in blocks.runs(block.trajectory):
+            own = slice(part.start * z, part.stop * z)
+            gradients[i] += J[own].T @ rows[own, -1]
+            hessians[i] += J[own].T @ J[own]
     return gradients, hessians
 
 
@@ -134,8 +137,8 @@ def held_out_cost(
     for block in samples.blocks():
         Z, _, _ = _bases(block, Lambda)
         target = np.einsum("nvz,nv->nz", Z, block.u, optimize=True)
-        rows = np.concatenate([_policy_columns(Z, model(block.x, block.group)), target.reshape(-1, 1)], axis=1)
-        folds = np.arange(len(block.u)) if by_sample else block.group
+        rows = np.concatenate([_policy_columns(Z, model(block.x, block.trajectory)), target.reshape(-1, 1)], axis=1)
+        folds = np.arange(len(block.u)) if by_sample else block.trajectory
         fold_of_row = np.repeat(folds % n_folds, Z.shape[2])
         for fold in np.unique(fold_of_row):
             before = triangles[fold]
@@ -169,7 +172,7 @@ def _policy(samples: Samples, Lambda: np.ndarray, model: PolicyModel) -> tuple[n
             Z, _, _ = _bases(block, Lambda)
             target = np.einsum("nvz,nv->nz", Z, block.u, optimize=True)
             energy += float(np.sum(target**2))
-            yield np.concatenate([_policy_columns(Z, model(block.x, block.group)), target.reshape(-1, 1)], axis=1)
+            yield np.concatenate([_policy_columns(Z, model(block.x, block.trajectory)), target.reshape(-1, 1)], axis=1)
 
     R = _triangle(rows())
     nv = samples.nv
@@ -191,7 +194,7 @@ def _joint_rows(samples: Samples, Lambda: np.ndarray, theta: np.ndarray, model: 
     perp = complement_rows(Lambda)
     for block in samples.blocks():
         Z, Q1, R = _bases(block, Lambda)
-        beta = model(block.x, block.group)
+        beta = model(block.x, block.trajectory)
         y = block.u - beta @ theta
         n, _, z = Z.shape
         a = np.einsum("nij,nvj,nv->ni", inverse_triangles(R), Q1, y, optimize=True)  # A^{+T} y

@@ -1,4 +1,4 @@
-"""Passes over the samples by the workers of a dask client, with the same answer for any number of them."""
+"""Executor over the samples by the workers of a dask client, with the same answer for any number of them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from typing import Any, final
 
 from manip_learn.errors import ManipLearnError, MissingExtraError
-from manip_learn.learning.streaming.accumulator import Chunk, Tally, both
-from manip_learn.learning.streaming.executor import Passes, Progress, tallied_part
-from manip_learn.learning.streaming.sample_stream import Reading
+from manip_learn.learning.streaming.accumulator import Accumulator, Chunk, Executor, accumulate_part, merge_optional
+from manip_learn.learning.streaming.sample_stream import SampleStream
+from manip_learn.recordings.trajectory_source import Progress
 
 try:
     import dask
@@ -60,38 +60,38 @@ def dask_client(address: str, n_workers: int | None = None) -> Iterator[Client]:
 
 
 @contextmanager
-def dask_passes(client: Client, reading: Reading, progress: Progress | None) -> Iterator[DaskPasses]:
-    """Passes for one fit; what the workers hold for them is released at the end."""
-    passes = DaskPasses(client, reading, progress)
+def connected_executor(client: Client, stream: SampleStream, progress: Progress | None) -> Iterator[DaskExecutor]:
+    """Executor for one fit; what the workers hold for them is released at the end."""
+    executor = DaskExecutor(client, stream, progress)
     try:
-        yield passes
+        yield executor
     finally:
-        passes.release()
+        executor.release()
 
 
 @final
-class DaskPasses(Passes):
+class DaskExecutor(Executor):
     """Each part is read once, and kept by the worker that read it; a pass is a task a part and a tree of sums.
 
     All tasks are pure functions of what the source says, so that a lost worker's share is done again by another.
 
     Args:
         client: Whose workers.
-        reading: What to read.
+        stream: The samples.
         progress: Told how far a pass is.
     """
 
-    def __init__(self, client: Client, reading: Reading, progress: Progress | None = None):
+    def __init__(self, client: Client, stream: SampleStream, progress: Progress | None = None):
         self._client = client
         self._progress = progress
         self._prefix = f"manip-learn-{client.id}-{next(_CALLS)}"
         self._passes = itertools.count()
         self._parts = [
-            client.submit(_read, reading.alone(i), i, key=f"{self._prefix}-read-{i}", pure=False)
-            for i in range(reading.source.n_parts)
+            client.submit(_read, stream.alone(i), i, key=f"{self._prefix}-read-{i}", pure=False)
+            for i in range(stream.source.n_parts)
         ]
 
-    def total(self, tally: Tally, first_groups: dict[int, int], title: str) -> Any:
+    def total(self, accumulator: Accumulator, first_trajectories: dict[int, int], title: str) -> Any:
         """One pass.
 
         Raises:
@@ -99,7 +99,9 @@ class DaskPasses(Passes):
         """
         name = f"{self._prefix}-pass-{next(self._passes)}"
         level: list[Future] = [
-            self._client.submit(_tallied, tally, part, first_groups.get(i, 0), key=f"{name}-part-{i}", pure=False)
+            self._client.submit(
+                _accumulated, accumulator, part, first_trajectories.get(i, 0), key=f"{name}-part-{i}", pure=False
+            )
             for i, part in enumerate(self._parts)
         ]
         leaves, depth = level, 0
@@ -107,7 +109,7 @@ class DaskPasses(Passes):
             depth += 1
             pairs = [level[i : i + 2] for i in range(0, len(level), 2)]
             level = [
-                self._client.submit(both, tally, *pair, key=f"{name}-sum-{depth}-{i}", pure=False)
+                self._client.submit(merge_optional, accumulator, *pair, key=f"{name}-sum-{depth}-{i}", pure=False)
                 if len(pair) == 2
                 else pair[0]
                 for i, pair in enumerate(pairs)
@@ -129,11 +131,11 @@ class DaskPasses(Passes):
         self._parts = []
 
 
-def _read(reading: Reading, number: int) -> tuple[list[Chunk], list[str]]:
+def _read(stream: SampleStream, number: int) -> tuple[list[Chunk], list[str]]:
     notes: list[str] = []
-    return list(reading.chunks(0, notes, number)), notes
+    return list(stream.chunks(0, notes, number)), notes
 
 
-def _tallied(tally: Tally, held: tuple[list[Chunk], list[str]], first_group: int) -> Any:
+def _accumulated(accumulator: Accumulator, held: tuple[list[Chunk], list[str]], first_trajectory: int) -> Any:
     samples, notes = held
-    return tallied_part(tally, samples, first_group, notes)
+    return accumulate_part(accumulator, samples, first_trajectory, notes)

@@ -1,66 +1,54 @@
-"""Who makes the passes over the samples: this process, or (`distributed`) many."""
+"""Passes over all samples of a source, made by this process or by the workers of a dask client."""
 
 from __future__ import annotations
 
-import dataclasses
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, final
 
-import numpy as np
-
-from manip_learn.learning.streaming.accumulator import Chunk, Tally, tallied, tree_total
-from manip_learn.learning.streaming.sample_stream import Reading
-
-# (what is being done, share of it that is done)
-Progress = Callable[[str, float], None]
-
-
-class Passes(ABC):
-    """Makes passes over all samples of a source."""
-
-    @abstractmethod
-    def total(self, tally: Tally, first_groups: dict[int, int], title: str) -> Any:
-        """What a pass gathers over all parts, joined in an order that depends on the number of parts only.
-
-        Args:
-            tally: The pass.
-            first_groups: Part -> number of trajectories before it; a part that is not named starts at 0.
-            title: For the progress.
-        """
+from manip_learn.learning.streaming.accumulator import Accumulator, Executor, accumulate_part, merge_tree
+from manip_learn.learning.streaming.sample_stream import SampleStream
+from manip_learn.recordings.trajectory_source import Progress
 
 
 @final
-class LocalPasses(Passes):
+class LocalExecutor(Executor):
     """Part after part in this process, each read anew in each pass: memory does not grow with the samples.
 
     Args:
-        reading: What to read.
+        stream: The samples.
         progress: Told how far a pass is.
     """
 
-    def __init__(self, reading: Reading, progress: Progress | None = None):
-        self._reading = reading
+    def __init__(self, stream: SampleStream, progress: Progress | None = None):
+        self._stream = stream
         self._progress = progress
 
-    def total(self, tally: Tally, first_groups: dict[int, int], title: str) -> Any:
+    def total(self, accumulator: Accumulator, first_trajectories: dict[int, int], title: str) -> Any:
         """One pass."""
-        return tree_total(tally, self._parts(tally, first_groups, title))
+        return merge_tree(accumulator, self._parts(accumulator, first_trajectories, title))
 
-    def _parts(self, tally: Tally, first_groups: dict[int, int], title: str) -> Iterator[Any]:
-        n = self._reading.source.n_parts
+    def _parts(self, accumulator: Accumulator, first_trajectories: dict[int, int], title: str) -> Iterator[Any]:
+        n = self._stream.source.n_parts
         for part in range(n):
             notes: list[str] = []
-            read = self._reading.chunks(part, notes)
-            yield tallied_part(tally, read, first_groups.get(part, 0), notes)
+            read = self._stream.chunks(part, notes)
+            yield accumulate_part(accumulator, read, first_trajectories.get(part, 0), notes)
             if self._progress is not None:
                 self._progress(title, (part + 1) / n)
 
 
-def tallied_part(tally: Tally, samples: Iterator[Chunk] | list[Chunk], first_group: int, notes: list[str]) -> Any:
-    """Total of a part whose trajectories are counted on from `first_group`."""
-    return tallied(tally, (_counted_on(chunk, first_group) for chunk in samples), notes)
+@contextmanager
+def open_executor(client: Any, stream: SampleStream, progress: Progress | None = None) -> Iterator[Executor]:
+    """The executor for one fit: the workers of a dask client, or this process without one.
 
+    Raises:
+        MissingExtraError: A client is given, and dask is not installed.
+    """
+    if client is None:
+        yield LocalExecutor(stream, progress)
+        return
+    from manip_learn.learning.streaming.dask_executor import connected_executor
 
-def _counted_on(chunk: Chunk, first_group: int) -> Chunk:
-    return dataclasses.replace(chunk, group=chunk.group + np.int64(first_group)) if first_group else chunk
+    with connected_executor(client, stream, progress) as executor:
+        yield executor

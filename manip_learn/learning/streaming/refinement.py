@@ -1,4 +1,4 @@
-"""An answer from a few samples, improved on all of them: Gauss-Newton, one pass over the samples a step."""
+"""An estimate from a choice of the samples, refined on all of them: Gauss-Newton, one pass per step."""
 
 from __future__ import annotations
 
@@ -11,16 +11,21 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.learning.estimators.estimate import Estimate
+from manip_learn.learning.bootstrap import TrajectoryBlocks
+from manip_learn.learning.candidate import Candidate
+from manip_learn.learning.data_summary import DataSummary
 from manip_learn.learning.estimators.policy_model import PolicyModel
-from manip_learn.learning.estimators.variable_projection import JointFit
+from manip_learn.learning.estimators.variable_projection import MAX_BLOCKS, JointFit
 from manip_learn.learning.samples import Samples
-from manip_learn.learning.streaming.accumulator import Tally
-from manip_learn.learning.streaming.executor import Passes
-from manip_learn.learning.streaming.joint_normal_equations import Evidence, JointTally, Regressors
-from manip_learn.learning.streaming.null_space_normal_equations import NullSpaceTally
-from manip_learn.learning.streaming.summary_pass import Extent
-from manip_learn.learning.streaming.trajectory_pools import Pools
+from manip_learn.learning.streaming.accumulator import Accumulator
+from manip_learn.learning.streaming.executor import Executor
+from manip_learn.learning.streaming.normal_equations import (
+    Evidence,
+    JointAccumulator,
+    NullSpaceAccumulator,
+    Regressors,
+)
+from manip_learn.learning.streaming.summary_pass import PassSummary
 from manip_learn.linalg import complement_rows, orthonormal_rows
 
 MAX_PASSES = 20
@@ -31,19 +36,19 @@ WITHIN_ROUNDING = 1e-9  # shorter steps are not judged by the cost
 UNDETERMINED = 1e-12
 # combinations of regressors that vary less than this are left out
 FLAT = 1e-9
-# sets of trajectories for the bootstrap; a set of the joint estimator has a Hessian for Theta, too
-HELD_POOLS, JOINT_POOLS = 512, 100
+# blocks of trajectories for the bootstrap of the null-space estimator; those of the joint one hold more each
+NULL_SPACE_BLOCKS = 512
 TITLE = "all samples, pass {}"
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Look:
-    """What a pass has seen.
+class NormalEquations:
+    """What a pass has gathered.
 
     Attributes:
         cost, energy: Sums of the squares of what is left, and of what there was.
-        gradients, hessians: For all unknowns, of each pool of trajectories; the last unknowns are B, with
+        gradients, hessians: For all unknowns, of each block of trajectories; the last unknowns are B, with
             dLambda = B Lambda_perp.
     """
 
@@ -53,185 +58,203 @@ class Look:
     hessians: Float[np.ndarray, "g w w"]
 
 
-class Point(ABC):
-    """A place on the way: Lambda in whitened coordinates, and what else is unknown."""
+class Iterate(ABC):
+    """A point of the descent: Lambda in whitened coordinates, and what else is unknown."""
 
-    selection: Float[np.ndarray, "s r"]
-
-    @abstractmethod
-    def look(self, total: Any) -> Look:
-        """What a pass from here has gathered."""
+    whitened_selection: Float[np.ndarray, "s r"]
 
     @abstractmethod
-    def tally(self, features: FeatureMap, whitening: Float[np.ndarray, "r p"], n_groups: int) -> Tally:
-        """The pass to make from here."""
+    def accumulator(
+        self, features: FeatureMap, whitening: Float[np.ndarray, "r p"], n_trajectories: int
+    ) -> Accumulator:
+        """The pass that gathers the normal equations at this point."""
 
     @abstractmethod
-    def moved(self, step: Float[np.ndarray, " w"]) -> Point:
-        """The place after a step from here."""
+    def normal_equations(self, total: Any) -> NormalEquations:
+        """What that pass has gathered."""
+
+    @abstractmethod
+    def stepped(self, step: Float[np.ndarray, " w"]) -> Iterate:
+        """The point after a step."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class HeldPoint(Point):
-    """On the way to the least sum u^T A^+ A u."""
+class NullSpaceIterate(Iterate):
+    """On the way to the least sum u^T A^+ A u, equation (10)."""
 
-    selection: Float[np.ndarray, "s r"]
+    whitened_selection: Float[np.ndarray, "s r"]
 
-    def look(self, total: Any) -> Look:
-        """The sums of a `NullSpaceTally`."""
+    def accumulator(
+        self, features: FeatureMap, whitening: Float[np.ndarray, "r p"], n_trajectories: int
+    ) -> NullSpaceAccumulator:
+        """Equation (10) and its derivatives."""
+        blocks = TrajectoryBlocks(n_trajectories, NULL_SPACE_BLOCKS)
+        mixing = _mixing(self.whitened_selection, whitening)
+        return NullSpaceAccumulator(features, mixing, len(self.whitened_selection), blocks)
+
+    def normal_equations(self, total: Any) -> NormalEquations:
+        """From the sums of a `NullSpaceAccumulator`."""
         cost, energy, gradients, hessians = total
-        return Look(float(cost), float(energy), gradients, hessians)
+        return NormalEquations(float(cost), float(energy), gradients, hessians)
 
-    def tally(self, features: FeatureMap, whitening: Float[np.ndarray, "r p"], n_groups: int) -> NullSpaceTally:
-        """A `NullSpaceTally`."""
-        pools = Pools(n_groups, HELD_POOLS)
-        return NullSpaceTally(features, _mixing(self.selection, whitening), len(self.selection), pools)
-
-    def moved(self, step: Float[np.ndarray, " w"]) -> HeldPoint:
+    def stepped(self, step: Float[np.ndarray, " w"]) -> NullSpaceIterate:
         """Lambda after a step."""
-        return HeldPoint(_turned(self.selection, step))
+        return NullSpaceIterate(_retract(self.whitened_selection, step))
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class JointPoint(Point):
+class JointIterate(Iterate):
     """On the way to the least sum |N (u - Theta^T beta)|^2.
 
     Attributes:
-        selection: Lambda.
+        whitened_selection: Lambda in whitened coordinates.
         theta: shape (k', nv).
         regressors: beta'.
     """
 
-    selection: Float[np.ndarray, "s r"]
+    whitened_selection: Float[np.ndarray, "s r"]
     theta: Float[np.ndarray, "j nv"]
     regressors: Regressors
 
-    def look(self, total: Evidence) -> Look:
-        """The sums of a `JointTally`."""
+    def accumulator(
+        self, features: FeatureMap, whitening: Float[np.ndarray, "r p"], n_trajectories: int
+    ) -> JointAccumulator:
+        """Variable projection with Theta among the unknowns."""
+        mixing = _mixing(self.whitened_selection, whitening)
+        blocks = TrajectoryBlocks(n_trajectories, MAX_BLOCKS)
+        return JointAccumulator(features, mixing, len(self.whitened_selection), self.regressors, self.theta, blocks)
+
+    def normal_equations(self, total: Evidence) -> NormalEquations:
+        """From the sums of a `JointAccumulator`."""
         cost, energy, parts = total
-        pools = sorted(parts)
-        gradients, hessians = (np.array([parts[pool][i] for pool in pools]) for i in (0, 1))
-        return Look(cost, energy, gradients, hessians)
+        blocks = sorted(parts)
+        gradients, hessians = (np.array([parts[block][i] for block in blocks]) for i in (0, 1))
+        return NormalEquations(cost, energy, gradients, hessians)
 
-    def tally(self, features: FeatureMap, whitening: Float[np.ndarray, "r p"], n_groups: int) -> JointTally:
-        """A `JointTally`."""
-        mixing = _mixing(self.selection, whitening)
-        pools = Pools(n_groups, JOINT_POOLS)
-        return JointTally(features, mixing, len(self.selection), self.regressors, self.theta, pools)
-
-    def moved(self, step: Float[np.ndarray, " w"]) -> JointPoint:
+    def stepped(self, step: Float[np.ndarray, " w"]) -> JointIterate:
         """Lambda and Theta after a step."""
         width = self.theta.size
         theta = self.theta + step[:width].reshape(self.theta.shape)
-        return JointPoint(_turned(self.selection, step[width:]), theta, self.regressors)
+        return JointIterate(_retract(self.whitened_selection, step[width:]), theta, self.regressors)
 
 
-def polished(estimate: Estimate, samples: Samples, extent: Extent, passes: Passes) -> tuple[Estimate, str]:
-    """The estimate from a few samples, carried on to the optimum over all of them; and a note where that is not done.
+def refine(candidate: Candidate, summary: PassSummary, executor: Executor) -> tuple[Candidate, DataSummary]:
+    """The estimate from a choice of the samples, refined to the optimum over all of them.
 
     Args:
-        estimate: From `samples`.
-        samples: The few; or all, and nothing is to be done.
-        extent: Of all samples.
-        passes: Over all samples.
+        candidate: Learnt from the choice; or from all samples, and nothing is to be done.
+        summary: Of all samples.
+        executor: Makes the passes over all samples.
+
+    Returns:
+        The refined candidate, and the summary, with a note where an estimate cannot be refined.
     """
-    if len(samples) == extent.n_samples:
-        return estimate, ""
+    estimate, samples, data = candidate.estimate, candidate.samples, summary.data
+    if len(samples) == data.n_samples:
+        return candidate, data
     if estimate.joint is not None:
-        start: Point = _joint_start(estimate.joint, samples)
+        start: Iterate = _joint_start(estimate.joint, samples)
     elif estimate.name == "null-space":
-        start = HeldPoint(estimate.selection)
+        start = NullSpaceIterate(estimate.whitened_selection)
     else:
-        return estimate, f"learnt from {len(samples)} samples, chosen evenly out of {extent.n_samples}"
-    point, seen = _descended(start, samples, extent, passes)
-    gradients, hessians = _in_own_basis(seen, len(point.selection) * (samples.n_rows - len(point.selection)))
-    better = dataclasses.replace(
+        note = f"learnt from {len(samples)} samples, chosen evenly out of {data.n_samples}"
+        return candidate, dataclasses.replace(data, notes=(*data.notes, note))
+    end, equations = _descend(start, samples, summary, executor)
+    s = len(end.whitened_selection)
+    gradients, hessians = _in_own_basis(equations, s * (samples.n_rows - s))
+    refined = dataclasses.replace(
         estimate,
-        selection=point.selection,
-        unexplained=seen.cost / seen.energy if seen.energy > 0.0 else 0.0,
+        whitened_selection=end.whitened_selection,
+        unexplained=equations.cost / equations.energy if equations.energy > 0.0 else 0.0,
         gradients=gradients,
         hessians=hessians,
         joint=None,
     )
-    return better, ""
+    return dataclasses.replace(candidate, estimate=refined), data
 
 
-def _descended(point: Point, samples: Samples, extent: Extent, passes: Passes) -> tuple[Point, Look]:
-    """Steps until the next one would be shorter than `SETTLED`, as judged by how fast they have become shorter."""
-    m = len(point.selection) * (samples.n_rows - len(point.selection))
+def _descend(
+    here: Iterate, samples: Samples, summary: PassSummary, executor: Executor
+) -> tuple[Iterate, NormalEquations]:
+    """Gauss-Newton steps until the next would be shorter than `SETTLED`, extrapolated from the last two lengths."""
+    m = len(here.whitened_selection) * (samples.n_rows - len(here.whitened_selection))
 
-    def looked(here: Point, number: int) -> Look:
-        tally = here.tally(samples.features, samples.whitening, extent.n_groups)
-        return here.look(passes.total(tally, extent.first_groups, TITLE.format(number)))
+    def gather(at: Iterate, number: int) -> NormalEquations:
+        accumulator = at.accumulator(samples.features, samples.whitening, summary.data.n_trajectories)
+        total = executor.total(accumulator, summary.first_trajectories, TITLE.format(number))
+        return at.normal_equations(total)
 
-    seen, before, damping = looked(point, 1), np.inf, 0.0
+    equations, before, damping = gather(here, 1), np.inf, 0.0
     for number in range(2, MAX_PASSES + 1):
-        step = -_solved(seen.hessians.sum(axis=0), seen.gradients.sum(axis=0)[:, None], damping)[:, 0]
+        step = -_solve(equations.hessians.sum(axis=0), equations.gradients.sum(axis=0)[:, None], damping)[:, 0]
         length = float(np.linalg.norm(step[len(step) - m :]))
-        trial = point.moved(step)
+        trial = here.stepped(step)
         if length < ROUNDING or (number > 2 and length * min(length / before, 1.0) < SETTLED):
-            return trial, seen  # what a further pass would change is below rounding
-        found = looked(trial, number)
-        if found.cost <= seen.cost * (1.0 + 1e-9) or length < WITHIN_ROUNDING:
-            point, seen, before, damping = trial, found, length, 0.0
+            return trial, equations  # what a further pass would change is below rounding
+        found = gather(trial, number)
+        if found.cost <= equations.cost * (1.0 + 1e-9) or length < WITHIN_ROUNDING:
+            here, equations, before, damping = trial, found, length, 0.0
         else:
             damping = max(1e-3, 10.0 * damping)
-    return point, seen
+    return here, equations
 
 
-def _in_own_basis(seen: Look, m: int) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
-    """The pools' gradients and Hessians, with those combinations of Theta only that the samples determine.
+def _in_own_basis(equations: NormalEquations, m: int) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
+    """The blocks' gradients and Hessians, with those combinations of Theta only that the samples determine.
 
-    These are orthonormal and what B would move Theta along is taken off, for the bootstrap leaves pools out.
+    These are orthonormal and what B would move Theta along is taken off, for the bootstrap leaves blocks out.
     """
-    width = seen.gradients.shape[1] - m
+    width = equations.gradients.shape[1] - m
     if width == 0:
-        return seen.gradients, seen.hessians
-    H = seen.hessians.sum(axis=0)
-    scale, V, eigenvalues = _determined(H[:width, :width])
+        return equations.gradients, equations.hessians
+    H = equations.hessians.sum(axis=0)
+    scale, V, eigenvalues = _determined_directions(H[:width, :width])
     basis = scale[:, None] * V / np.sqrt(eigenvalues)
     turn = np.zeros((width + m, basis.shape[1] + m))
     turn[:width, : basis.shape[1]] = basis
     turn[:width, basis.shape[1] :] = -basis @ (basis.T @ H[:width, width:])
     turn[width:, basis.shape[1] :] = np.eye(m)
-    return seen.gradients @ turn, turn.T @ seen.hessians @ turn
+    return equations.gradients @ turn, turn.T @ equations.hessians @ turn
 
 
-def _joint_start(fit: JointFit, samples: Samples) -> JointPoint:
+def _joint_start(fit: JointFit, samples: Samples) -> JointIterate:
     mixing, back = _orthonormal_regressors(fit.model, samples)
-    return JointPoint(fit.selection, back @ fit.theta, Regressors(fit.model, samples.centre, samples.spread, mixing))
+    return JointIterate(
+        fit.whitened_selection, back @ fit.theta, Regressors(fit.model, samples.centre, samples.spread, mixing)
+    )
 
 
 def _orthonormal_regressors(
     model: PolicyModel, samples: Samples
 ) -> tuple[Float[np.ndarray, "j k"], Float[np.ndarray, "j k"]]:
     """T with T beta orthonormal over the samples, and T^{+T}, which takes Theta along."""
-    beta = np.concatenate([model(block.x, block.group) for block in samples.blocks()])
+    beta = np.concatenate([model(block.x, block.trajectory) for block in samples.blocks()])
     _, sigma, Vt = np.linalg.svd(beta / np.sqrt(len(beta)), full_matrices=False)
     kept = sigma > FLAT * sigma[0]
     return Vt[kept] / sigma[kept, None], Vt[kept] * sigma[kept, None]
 
 
-def _mixing(selection: np.ndarray, whitening: np.ndarray) -> Float[np.ndarray, "r p"]:
-    return np.concatenate([selection, complement_rows(selection)]) @ whitening
+def _mixing(whitened_selection: np.ndarray, whitening: np.ndarray) -> Float[np.ndarray, "r p"]:
+    return np.concatenate([whitened_selection, complement_rows(whitened_selection)]) @ whitening
 
 
-def _turned(selection: np.ndarray, turn: np.ndarray) -> Float[np.ndarray, "s r"]:
-    s, r = selection.shape
-    return orthonormal_rows(selection + turn.reshape(s, r - s) @ complement_rows(selection))
+def _retract(whitened_selection: np.ndarray, step: np.ndarray) -> Float[np.ndarray, "s r"]:
+    """The row space after dLambda = B Lambda_perp."""
+    s, r = whitened_selection.shape
+    return orthonormal_rows(whitened_selection + step.reshape(s, r - s) @ complement_rows(whitened_selection))
 
 
-def _solved(H: np.ndarray, y: np.ndarray, damping: float = 0.0) -> Float[np.ndarray, "w c"]:
+def _solve(H: np.ndarray, y: np.ndarray, damping: float = 0.0) -> Float[np.ndarray, "w c"]:
     """H^+ y; directions that the samples do not determine stay as they are."""
     if y.size == 0:
         return np.zeros_like(y)
-    scale, V, eigenvalues = _determined(H)
+    scale, V, eigenvalues = _determined_directions(H)
     return scale[:, None] * (V @ ((V.T @ (scale[:, None] * y)) / (eigenvalues[:, None] + damping)))
 
 
-def _determined(H: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _determined_directions(H: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Scale of each unknown, and eigenvectors and eigenvalues of the scaled H that are not rounding."""
     size = np.sqrt(np.maximum(np.diag(H), 0.0))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)

@@ -1,4 +1,4 @@
-"""Trajectories of a source as the learner wants them: the features' joints, with velocities."""
+"""The trajectories of a source as samples: with the features' joints and with velocities."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import final
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import RecordingError
+from manip_learn.learning.data_summary import check_joints
 from manip_learn.learning.streaming.accumulator import Chunk, chunks
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource
@@ -20,7 +21,7 @@ DERIVED = "velocities were derived from the positions"
 
 @final
 @dataclass(frozen=True)
-class Reading:
+class SampleStream:
     """How a source is read; picklable.
 
     Attributes:
@@ -35,7 +36,7 @@ class Reading:
     robot: Robot | None
     velocities: VelocityMethod
 
-    def alone(self, part: int) -> Reading:
+    def alone(self, part: int) -> SampleStream:
         """How one part is read, without the others: what a worker is sent."""
         return dataclasses.replace(self, source=self.source.alone(part))
 
@@ -75,8 +76,8 @@ class Reading:
             notes.append(DERIVED)
 
 
-def reading(source: TrajectorySource, features: list[FeatureMap], velocities: VelocityMethod) -> Reading:
-    """How to read a source for some features.
+def open_stream(source: TrajectorySource, features: list[FeatureMap], velocities: VelocityMethod) -> SampleStream:
+    """The samples of a source, for some features.
 
     Raises:
         RecordingError: The source is empty or belongs to another robot.
@@ -90,21 +91,15 @@ def reading(source: TrajectorySource, features: list[FeatureMap], velocities: Ve
                     f"{first.name} has {len(names)} joint velocities, the features act on {features[0].nv}",
                     code="shape",
                 )
-            return Reading(source, names, robot, velocities)
+            return SampleStream(source, names, robot, velocities)
     raise RecordingError("there are no demonstrations: give at least one trajectory", code="empty")
 
 
 def _check_joints(trajectory: Trajectory, names: tuple[str, ...], robot: Robot | None) -> None:
-    if trajectory.joint_names == names:
-        return
-    if robot is None:
+    check_joints(trajectory.joint_names, robot)
+    if trajectory.joint_names != names:
         raise RecordingError(
             f"{trajectory.name} has the joints {trajectory.joint_names}, others have {names}: all trajectories must "
             "name the same joints in the same order",
             code="joint-names",
         )
-    raise RecordingError(
-        f"the demonstrations have the joints {', '.join(trajectory.joint_names)}; robot {robot.name!r} has "
-        f"{', '.join(robot.joint_names)}: load them with load_demonstrations(files, robot), which sorts by name",
-        code="joint-names",
-    )

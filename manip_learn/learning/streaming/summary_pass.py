@@ -1,4 +1,4 @@
-"""The first pass: how many samples, how far they reach, and an even choice of few of them."""
+"""The first pass over all samples: their number and range, and an even choice of few of them."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from jaxtyping import Float, Int, UInt
+from jaxtyping import UInt
 
-from manip_learn.learning.streaming.accumulator import Chunk, Tally
+from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary
+from manip_learn.learning.streaming.accumulator import Accumulator, Chunk
 
-# up to this many samples are learnt from directly; of more, this many are, and all of them improve on that
-FEW = 16_384
 # multiples of the golden ratio (Fibonacci hashing): the smallest of any number of them are spread evenly over the
 # samples, and no rhythm of the recording is met, which every k-th sample might
 GOLDEN = np.uint64(11_400_714_819_323_198_485)
@@ -20,116 +19,103 @@ GOLDEN = np.uint64(11_400_714_819_323_198_485)
 
 @final
 @dataclass(frozen=True, eq=False)
-class Extent:
-    """What the samples of a part, or of all, are like.
+class PassSummary:
+    """Summary of the samples of a part, or of all.
 
     Attributes:
-        groups: Part -> number of its trajectories.
-        n_samples: Number of samples.
-        low, high: Smallest and largest posture, entry by entry, shape (m,).
-        squares: sum u^2 of each joint, shape (nv,).
-        fastest: The velocity with the largest norm, shape (nv,).
-        fastest_at: Sample and trajectory of it, counted from 0.
-        q, u, group: The chosen samples, in order, and their trajectories, counted from 0.
-        order: Their multiples of the golden ratio, shape (k,).
-        notes: What the reader noticed.
+        counts: Part -> number of its trajectories.
+        data: Numbers of the samples, and those chosen.
+        order: Multiple of the golden ratio of each chosen sample, shape (k,).
     """
 
-    groups: dict[int, int]
-    n_samples: int
-    low: Float[np.ndarray, " m"]
-    high: Float[np.ndarray, " m"]
-    squares: Float[np.ndarray, " nv"]
-    fastest: Float[np.ndarray, " nv"]
-    fastest_at: tuple[int, int]
-    q: Float[np.ndarray, "k m"]
-    u: Float[np.ndarray, "k nv"]
-    group: Int[np.ndarray, " k"]
+    counts: dict[int, int]
+    data: DataSummary
     order: UInt[np.ndarray, " k"]
-    notes: tuple[str, ...] = ()
 
     @property
-    def n_groups(self) -> int:
-        """Number of trajectories."""
-        return sum(self.groups.values())
-
-    @property
-    def first_groups(self) -> dict[int, int]:
+    def first_trajectories(self) -> dict[int, int]:
         """Part -> number of trajectories in the parts before it."""
         first, count = {}, 0
-        for part in sorted(self.groups):
+        for part in sorted(self.counts):
             first[part] = count
-            count += self.groups[part]
+            count += self.counts[part]
         return first
 
 
 @final
 @dataclass(frozen=True)
-class Survey(Tally):
-    """Gathers the extent of the samples.
+class SummaryAccumulator(Accumulator):
+    """Accumulates the summary of the samples.
 
     Attributes:
-        few: Number of samples to choose.
+        n_chosen: Number of samples to choose.
     """
 
-    few: int = FEW
+    n_chosen: int = IN_MEMORY_SAMPLES
 
-    def of(self, chunk: Chunk) -> Extent:
-        """The extent of a chunk; its samples and trajectories are counted in the part."""
+    def of(self, chunk: Chunk) -> PassSummary:
+        """The summary of a chunk; its samples and trajectories are counted from the start of the part."""
         speed2 = np.einsum("nv,nv->n", chunk.u, chunk.u)
-        i = int(np.argmax(speed2))
-        return Extent(
-            {chunk.part: int(chunk.group[-1]) + 1},
+        i, n_trajectories = int(np.argmax(speed2)), int(chunk.trajectory[-1]) + 1
+        data = DataSummary(
             len(chunk),
+            n_trajectories,
             chunk.q.min(axis=0),
             chunk.q.max(axis=0),
             np.einsum("nv,nv->v", chunk.u, chunk.u),
             chunk.u[i],
-            (chunk.first + i, int(chunk.group[i])),
+            (chunk.first + i, int(chunk.trajectory[i])),
             chunk.q,
             chunk.u,
-            chunk.group,
-            np.arange(chunk.first, chunk.first + len(chunk), dtype=np.uint64) * GOLDEN,
+            chunk.trajectory,
         )
+        order = np.arange(chunk.first, chunk.first + len(chunk), dtype=np.uint64) * GOLDEN
+        return PassSummary({chunk.part: n_trajectories}, data, order)
 
-    def joined(self, before: Extent, after: Extent) -> Extent:
-        """Two runs of the same part."""
-        return self._both(before, after, {**before.groups, **after.groups}, 0, 0)
+    def merge(self, before: PassSummary, after: PassSummary) -> PassSummary:
+        """Two consecutive runs of samples of the same part, which are counted in the part already."""
+        return self._merge(before, after, 0, 0)
 
-    def joined_parts(self, before: Extent, after: Extent) -> Extent:
-        """Runs of different parts: those of the later one are counted on."""
-        groups = {**before.groups, **after.groups}
-        return self._both(before, after, groups, before.n_samples, before.n_groups)
+    def merge_parts(self, before: PassSummary, after: PassSummary) -> PassSummary:
+        """Runs of different parts: samples and trajectories of the later one are counted on."""
+        return self._merge(before, after, before.data.n_samples, before.data.n_trajectories)
 
-    def finished(self, total: Extent, notes: tuple[str, ...]) -> Extent:
-        """The total with what the reader noticed."""
-        return dataclasses.replace(total, notes=notes)
+    def finish(self, total: PassSummary, notes: tuple[str, ...]) -> PassSummary:
+        """The total with the notes of the reader."""
+        return dataclasses.replace(total, data=dataclasses.replace(total.data, notes=notes))
 
-    def _both(self, a: Extent, b: Extent, groups: dict[int, int], samples: int, shift: int) -> Extent:
+    def _merge(self, before: PassSummary, after: PassSummary, samples: int, trajectories: int) -> PassSummary:
+        a, b = before.data, after.data
+        counts = {**before.counts, **after.counts}
         faster = float(b.fastest @ b.fastest) > float(a.fastest @ a.fastest)
-        sample, group = b.fastest_at
-        q, u, chosen_group, order = self._chosen(a, b, shift)
-        return Extent(
-            groups,
+        sample, trajectory = b.fastest_at
+        q, u, chosen_trajectory, order = self._choose(before, after, trajectories)
+        data = DataSummary(
             a.n_samples + b.n_samples,
+            sum(counts.values()),
             np.minimum(a.low, b.low),
             np.maximum(a.high, b.high),
             a.squares + b.squares,
             b.fastest if faster else a.fastest,
-            (sample + samples, group + shift) if faster else a.fastest_at,
+            (sample + samples, trajectory + trajectories) if faster else a.fastest_at,
             q,
             u,
-            chosen_group,
-            order,
+            chosen_trajectory,
             (*a.notes, *b.notes),
         )
+        return PassSummary(counts, data, order)
 
-    def _chosen(self, a: Extent, b: Extent, shift: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        # once enough are chosen, few of a new chunk come into question
-        new = b.order < a.order.max() if len(a.order) == self.few else np.ones(len(b.order), dtype=bool)
+    def _choose(
+        self, before: PassSummary, after: PassSummary, shift: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        a, b = before.data, after.data
+        # once enough are chosen, few of a new chunk can be among the smallest
+        full = len(before.order) == self.n_chosen
+        new = after.order < before.order.max() if full else np.ones(len(after.order), dtype=bool)
         q, u = np.concatenate([a.q, b.q[new]]), np.concatenate([a.u, b.u[new]])
-        group, order = np.concatenate([a.group, b.group[new] + shift]), np.concatenate([a.order, b.order[new]])
-        if len(order) > self.few:
-            kept = np.sort(np.argsort(order, kind="stable")[: self.few])
-            q, u, group, order = q[kept], u[kept], group[kept], order[kept]
-        return q, u, group, order
+        trajectory = np.concatenate([a.trajectory, b.trajectory[new] + shift])
+        order = np.concatenate([before.order, after.order[new]])
+        if len(order) > self.n_chosen:
+            kept = np.sort(np.argsort(order, kind="stable")[: self.n_chosen])
+            q, u, trajectory, order = q[kept], u[kept], trajectory[kept], order[kept]
+        return q, u, trajectory, order

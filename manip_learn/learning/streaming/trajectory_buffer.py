@@ -1,4 +1,4 @@
-"""Trajectories that came one after the other, kept for the next fit: in memory, beyond a limit in a temporary file."""
+"""Trajectories kept from one `partial_fit` to the next: in memory, beyond a limit in a temporary file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import RecordingError
-from manip_learn.learning.streaming.sample_stream import reading
+from manip_learn.learning.streaming.sample_stream import open_stream
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource, part_starts
 from manip_learn.recordings.velocities import VelocityMethod
@@ -22,7 +22,7 @@ IN_MEMORY = 256_000_000  # bytes
 
 @final
 @dataclass(frozen=True)
-class Spilled:
+class FilePlace:
     """Where a trajectory lies in the file: time, q, u, one after the other."""
 
     offset: int
@@ -33,7 +33,7 @@ class Spilled:
 
 
 @final
-class KeptTrajectories(TrajectorySource):
+class TrajectoryBuffer(TrajectorySource):
     """Grows by `add`; read like any other source, in the same parts as a list of the same trajectories.
 
     Args:
@@ -43,7 +43,7 @@ class KeptTrajectories(TrajectorySource):
 
     def __init__(self, in_memory: int = IN_MEMORY):
         self._in_memory = in_memory
-        self._held: list[Trajectory | Spilled] = []
+        self._held: list[Trajectory | FilePlace] = []
         self._lengths: list[int] = []
         self._notes: list[str] = []
         self._bytes = 0
@@ -65,11 +65,11 @@ class KeptTrajectories(TrajectorySource):
         Raises:
             RecordingError: One of them cannot be used.
         """
-        read = reading(source, features, velocities)
+        stream = open_stream(source, features, velocities)
         before, notes = (len(self._held), self._bytes), []
         try:
             for part in range(source.n_parts):
-                for trajectory in read.trajectories(part, notes):
+                for trajectory in stream.trajectories(part, notes):
                     self._keep(trajectory)
         except RecordingError:
             del self._held[before[0] :], self._lengths[before[0] :]
@@ -99,10 +99,10 @@ class KeptTrajectories(TrajectorySource):
         offset = self._file.seek(0, 2)
         for array in arrays:
             self._file.write(array.tobytes())  # type: ignore[union-attr]
-        place = Spilled(offset, len(trajectory), trajectory.q.shape[1], trajectory.joint_names, trajectory.name)
+        place = FilePlace(offset, len(trajectory), trajectory.q.shape[1], trajectory.joint_names, trajectory.name)
         self._held.append(place)
 
-    def _loaded(self, place: Spilled) -> Trajectory:
+    def _loaded(self, place: FilePlace) -> Trajectory:
         columns = 1 + place.m + len(place.joint_names)
         self._file.seek(place.offset)  # type: ignore[union-attr]
         values = np.frombuffer(self._file.read(8 * place.n * columns), dtype=np.float64)  # type: ignore[union-attr]

@@ -8,10 +8,10 @@ from typing import Any, Literal, NoReturn, Protocol, final
 
 import numpy as np
 
+from estimator_checks.motions import Motion, MotionKind, planar_motion
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.errors import LearnerContractError, ManipLearnError
-from manip_learn.learning.contract_motions import Motion, MotionKind, planar_motion
+from manip_learn.errors import ManipLearnError
 from manip_learn.learning.report import LearningReport
 from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.trajectory import Trajectory
@@ -33,6 +33,10 @@ class Learner(Protocol):
 
 MakeLearner = Callable[[FeatureMap | Sequence[FeatureMap], int | None], Learner]
 Check = Callable[["Subject"], None]
+
+
+class EstimatorCheckError(Exception):
+    """An estimator does not do what every estimator must."""
 
 
 @final
@@ -76,7 +80,7 @@ class Subject:
         """A learner fitted to demonstrations that it must answer.
 
         Raises:
-            LearnerContractError: It does not.
+            EstimatorCheckError: It does not.
         """
         outcome = self.outcome(features, lambda: demonstrations, n_constraints)
         if outcome.learner is None:
@@ -89,7 +93,7 @@ class Subject:
         """What comes of a fit; the demonstrations are made inside, as making them may be refused already.
 
         Raises:
-            LearnerContractError: Something other than an error of this library came up.
+            EstimatorCheckError: Something other than an error of this library came up.
         """
         try:
             learner = self.make(features, n_constraints)
@@ -107,7 +111,7 @@ class Subject:
         """Only a refusal will do.
 
         Raises:
-            LearnerContractError: It answered.
+            EstimatorCheckError: It answered.
         """
         outcome = self.outcome(features, demonstrations, n_constraints)
         if outcome.verdict != "refused":
@@ -125,7 +129,7 @@ class Subject:
         """A refusal or a warning; or the right answer, where there is one.
 
         Raises:
-            LearnerContractError: A wrong answer without a warning.
+            EstimatorCheckError: A wrong answer without a warning.
         """
         outcome = self.outcome(features, demonstrations, n_constraints)
         if outcome.verdict != "accepted" or outcome.learner is None:
@@ -138,7 +142,7 @@ class Subject:
         """The row space learnt is the one expected.
 
         Raises:
-            LearnerContractError: It is not.
+            EstimatorCheckError: It is not.
         """
         allowed = self.accuracy_deg if accuracy_deg is None else accuracy_deg
         angle = self.angle_deg(learner.constraint_.selection, selection)
@@ -154,6 +158,6 @@ class Subject:
         """The check has failed.
 
         Raises:
-            LearnerContractError: Always.
+            EstimatorCheckError: Always.
         """
-        raise LearnerContractError(what) from cause
+        raise EstimatorCheckError(what) from cause

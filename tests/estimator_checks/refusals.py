@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from manip_learn.constraint.features.custom_features import CustomFeatures
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.errors import ManipLearnError
-from manip_learn.learning.contract_motions import (
+from estimator_checks.motions import (
     ONE_ROW,
     TWO_ROWS,
     changed,
@@ -16,7 +13,10 @@ from manip_learn.learning.contract_motions import (
     planar_motion,
     velocities,
 )
-from manip_learn.learning.contract_subject import Subject
+from estimator_checks.subject import Subject
+from manip_learn.constraint.features.custom_features import CustomFeatures
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.errors import ManipLearnError
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.loading import load_robot

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from manip_learn.errors import LearnerContractError
-from manip_learn.learning import contract_answers, contract_invariance, contract_refusals
-from manip_learn.learning.contract_motions import MotionKind
-from manip_learn.learning.contract_subject import Check, MakeLearner, Subject
+from estimator_checks import answers, invariance, refusals
+from estimator_checks.motions import MotionKind
+from estimator_checks.subject import Check, EstimatorCheckError, MakeLearner, Subject
 
 
 def checks() -> dict[str, Check]:
     """Name -> check, all there are."""
-    parts = (contract_answers, contract_invariance, contract_refusals)
+    parts = (answers, invariance, refusals)
     return {check.__name__: check for part in parts for check in part.CHECKS}
 
 
@@ -36,19 +35,19 @@ def check_learner(
         The names of the checks that were run; every one holds.
 
     Raises:
-        LearnerContractError: Names every check that does not hold, and why.
+        EstimatorCheckError: Names every check that does not hold, and why.
     """
     subject, known = Subject(make, kind, accuracy_deg), checks()
     names = tuple(known) if only is None else tuple(only)
     unknown = [name for name in names if name not in known]
     if unknown:
-        raise LearnerContractError(f"unknown check {unknown[0]!r}: there are {', '.join(known)}")
+        raise EstimatorCheckError(f"unknown check {unknown[0]!r}: there are {', '.join(known)}")
     failures = []
     for name in names:
         try:
             known[name](subject)
-        except LearnerContractError as error:
+        except EstimatorCheckError as error:
             failures.append(f"{name}: {error}")
     if failures:
-        raise LearnerContractError(f"{len(failures)} of {len(names)} checks do not hold:\n" + "\n".join(failures))
+        raise EstimatorCheckError(f"{len(failures)} of {len(names)} checks do not hold:\n" + "\n".join(failures))
     return names

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from estimator_checks.motions import ONE_ROW, ROUNDING_DEG, planar_motion
+from estimator_checks.subject import Learner, Subject
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.custom_features import CustomFeatures
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.learning.contract_motions import ONE_ROW, ROUNDING_DEG, planar_motion
-from manip_learn.learning.contract_subject import Learner, Subject
 from manip_learn.recordings.demonstrations import Demonstrations
 
 

@@ -2,7 +2,7 @@
 
 Each new row is the unit vector, orthogonal to the rows before, that lowers equation (10) of the rows so far most; its
 spherical angles are found by Levenberg-Marquardt from several starts. It is here for comparison with
-`null_space.fit_null_space`, which moves all rows at once.
+`learning.estimators.null_space.fit_null_space`, which moves all rows at once.
 """
 
 from __future__ import annotations

@@ -1,0 +1,228 @@
+"""One answer to the demonstrations: the estimate for one feature map, checked, and the choice among several."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, final
+
+import numpy as np
+
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.errors import NotIdentifiableError
+from manip_learn.learning.data_summary import DataSummary
+from manip_learn.learning.estimators.estimate import CLEAR_GAP, Estimate
+from manip_learn.learning.estimators.joint_estimator import estimate_joint
+from manip_learn.learning.estimators.null_space import estimate_null_space
+from manip_learn.learning.excitation import check_fastest, check_samples
+from manip_learn.learning.samples import Samples
+
+EstimatorName = Literal["auto", "joint", "null-space", "separate"]
+
+# share of the motion's energy that breaks A u = 0, above which the constraint is called soft: a tenth of the velocity
+SOFT_ENERGY = 1e-2
+# and below which the rows are held beyond doubt, so that no other explanation is tried: a hundredth of the velocity
+HELD_ENERGY = 1e-4
+# a policy model explains the motion if it leaves no more than this share of the energy of left-out trajectories; the
+# mean alone, a model without any posture in it, leaves all of it
+EXPLAINED = 0.3
+# how far above the noise that the joint estimator sees a held direction may lie (root mean square): the ratio of the
+# energies, 1.69, is three standard deviations sqrt(2 / n) of a variance that is estimated from n = 38 samples
+NOISE_MARGIN = 1.3
+# how much larger the gap of a later feature map must be: of equally good ones, the first is taken
+CHANCE = 1.1
+# one of so many of the chosen samples is enough for a joint estimate that all samples refine afterwards
+START_SHARE = 4
+
+
+@final
+@dataclass(frozen=True)
+class LearnerSettings:
+    """What the user asked for.
+
+    Attributes:
+        n_constraints: Number of rows s; None: from the data.
+        estimator: One of `EstimatorName`.
+        policy_model: Of the joint estimator.
+        seed: Of everything random.
+    """
+
+    n_constraints: int | None
+    estimator: EstimatorName
+    policy_model: str
+    seed: int
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """What was learnt with one feature map.
+
+    Attributes:
+        samples: What it was learnt from: all samples, or a choice of them.
+        estimate: Lambda with the evidence.
+        warnings: Doubts so far.
+        rng: For the steps that follow.
+    """
+
+    samples: Samples
+    estimate: Estimate
+    warnings: tuple[str, ...]
+    rng: np.random.Generator
+
+    @property
+    def n_constraints(self) -> int:
+        """Number of rows s."""
+        return int(self.estimate.whitened_selection.shape[0])
+
+    @property
+    def gap(self) -> float:
+        """Gap that supports the number of rows."""
+        return float(self.estimate.table.gap(self.n_constraints))
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the motion obeys A u = 0 beyond doubt."""
+        return _is_held(self.estimate)
+
+
+def learn_best(
+    feature_maps: Sequence[FeatureMap], data: DataSummary, joint_names: tuple[str, ...], settings: LearnerSettings
+) -> Candidate:
+    """The candidate of the first feature map, unless a later one has a larger gap by more than chance.
+
+    Raises:
+        NotIdentifiableError: The data determine no constraint for any of them; the reason for the first.
+        RecordingError: Outliers.
+    """
+    best: Candidate | None = None
+    refusals: list[NotIdentifiableError] = []
+    for features in feature_maps:
+        try:
+            candidate = learn_candidate(
+                features, data, joint_names, settings, rival_is_held=best is not None and best.is_held
+            )
+        except NotIdentifiableError as error:
+            refusals.append(error)
+            continue
+        if best is None or candidate.gap > CHANCE * best.gap:
+            best = candidate
+    if best is None:
+        raise refusals[0]
+    return best
+
+
+def learn_candidate(
+    features: FeatureMap,
+    data: DataSummary,
+    joint_names: tuple[str, ...],
+    settings: LearnerSettings,
+    *,
+    rival_is_held: bool,
+) -> Candidate:
+    """Samples -> estimate -> number of rows, with one feature map.
+
+    Args:
+        features: Phi.
+        data: The samples to learn from.
+        joint_names: One per velocity, for messages.
+        settings: What the user asked for.
+        rival_is_held: Whether the rows of another feature map are held beyond doubt: the same motion is not
+            self-imposed in these, then.
+
+    Raises:
+        NotIdentifiableError: The data determine no constraint; says why.
+        RecordingError: Outliers.
+    """
+    samples = Samples.of(features, data)
+    check_fastest(samples, data, joint_names)
+    warnings = check_samples(samples, joint_names, settings.n_constraints)
+    rng = np.random.default_rng(settings.seed)
+    # what all samples refine afterwards need not be as good as these can make it
+    share = START_SHARE if len(samples) < data.n_samples else 1
+    start = samples.subset(np.arange(len(samples)) % share == 0) if share > 1 else samples
+    estimate = _estimate(samples, start, settings, rng, rival_is_held)
+    warnings += [*estimate.warnings, *_check_number_of_rows(estimate, samples.nv, settings.n_constraints)]
+    return Candidate(samples, estimate, (*warnings, *_check_fit(estimate)), rng)
+
+
+def _estimate(
+    samples: Samples, start: Samples, settings: LearnerSettings, rng: np.random.Generator, rival_is_held: bool
+) -> Estimate:
+    if settings.estimator == "null-space":
+        return estimate_null_space(samples, settings.n_constraints)
+    if settings.estimator == "joint":
+        return estimate_joint(start, settings.n_constraints, rng, settings.policy_model)
+    if settings.estimator == "separate":
+        from manip_learn.learning.estimators.separation import estimate_separate
+
+        return estimate_separate(samples, settings.n_constraints, rng)
+    return _select_estimator(samples, start, settings, rng, rival_is_held)
+
+
+def _select_estimator(
+    samples: Samples, start: Samples, settings: LearnerSettings, rng: np.random.Generator, rival_is_held: bool
+) -> Estimate:
+    """The null-space estimate if the world holds the rows (b = 0), the joint one if the demonstrator moves them."""
+    null_space = estimate_null_space(samples, settings.n_constraints)
+    if _is_held(null_space) or rival_is_held or samples.n_trajectories < 2:
+        return null_space
+    s = null_space.whitened_selection.shape[0]
+    try:
+        joint = estimate_joint(start, settings.n_constraints, rng, settings.policy_model, EXPLAINED)
+    except NotIdentifiableError:
+        return null_space  # no policy model predicts this motion: the evidence is how little some directions are used
+    # both explain the motion: it is held if the held directions show no more than the noise
+    is_noise = null_space.unexplained * samples.energy / s <= NOISE_MARGIN**2 * joint.noise
+    return null_space if is_noise else joint
+
+
+def _is_held(estimate: Estimate) -> bool:
+    gap = estimate.table.gap(estimate.whitened_selection.shape[0])
+    return estimate.name == "null-space" and gap >= CLEAR_GAP and estimate.unexplained < HELD_ENERGY
+
+
+def _check_number_of_rows(estimate: Estimate, nv: int, n_constraints: int | None) -> list[str]:
+    """Warnings about the number of rows.
+
+    Raises:
+        NotIdentifiableError: It was to be found and the data support none, or no joint motion is left free.
+    """
+    warnings = []
+    s, table = estimate.whitened_selection.shape[0], estimate.table
+    verdict, gap = table.verdict(s), table.gap(s)
+    if verdict == "none" and n_constraints is None:
+        raise NotIdentifiableError(
+            f"the demonstrations do not show a constraint: the largest gap, {gap:.2g} for {s} row(s), is below "
+            f"{table.weak_from:g}; record more varied motions, other axes or the other reference, or give "
+            "n_constraints if you know it",
+            code="weak-gap",
+        )
+    if s >= nv:
+        raise NotIdentifiableError(f"{s} constraints leave no null space for {nv} joints", code="no-freedom")
+    if verdict != "clear":
+        warnings.append(
+            f"weak gap: {gap:.2g} for {s} row(s), {CLEAR_GAP:g} and above would be clear; the constraint may be "
+            "soft, or the recordings noisy"
+        )
+    if n_constraints is not None and table.best != s and table.verdict(table.best) != "none":
+        warnings.append(
+            f"you asked for {s} row(s); the data support {table.best} (gap {table.gap(table.best):.3g} against "
+            f"{gap:.3g})"
+        )
+    return warnings
+
+
+def _check_fit(estimate: Estimate) -> list[str]:
+    """Warnings about what the estimate leaves unexplained."""
+    if estimate.name == "null-space" and estimate.unexplained > SOFT_ENERGY:
+        return [
+            f"{100 * estimate.unexplained:.2g} % of the motion's energy breaks the constraint: it is soft, or the "
+            "demonstrator moves the constrained directions on purpose (then use estimator='joint')"
+        ]
+    if estimate.name == "joint" and estimate.held_out > EXPLAINED:
+        return [
+            f"the policy model predicts only {100 * (1 - estimate.held_out):.0f} % of left-out trajectories: the "
+            "null-space motion is not a function of the posture"
+        ]
+    return []

@@ -1,0 +1,1 @@
+"""What every estimator of a constraint must do with good, bad and odd demonstrations."""
