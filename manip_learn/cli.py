@@ -47,7 +47,7 @@ def demo(
 
 @app.command()
 def inspect(robot: RobotName, lock: Lock = None, package_dir: Packages = None, as_json: Json = False) -> None:
-    """Show joints, frames, limits, and what is doubtful about a robot."""
+    """Show joints, frames, limits and warnings of a robot."""
     from manip_learn.commands.inspect import inspect as run
     from manip_learn.commands.inspect import summary_dict
 
@@ -62,7 +62,7 @@ def learn(
     frame: Annotated[str | None, typer.Option(help="The frame that was guided, e.g. the tool's tip.")] = None,
     axes: Annotated[str, typer.Option(help="xyz, pose, planar, rotation, or any of 'x y z rx ry rz'.")] = "xyz",
     reference: Annotated[str, typer.Option(help="world, local, or auto (the larger gap).")] = "auto",
-    constraints: Annotated[int | None, typer.Option(help="Number of constraints; found if not given.")] = None,
+    constraints: Annotated[int | None, typer.Option(help="Number of constraints; default: from the data.")] = None,
     estimator: Annotated[str, typer.Option(help="auto, null-space, joint or separate.")] = "auto",
     out: Annotated[Path | None, typer.Option(help="Constraint file to write (JSON).")] = None,
     lock: Lock = None,
@@ -70,18 +70,18 @@ def learn(
     degrees: Annotated[bool, typer.Option("--degrees", help="The recordings are in degrees.")] = False,
     units: Annotated[str | None, typer.Option(help="Of the recorded angles: radians, degrees or normalised.")] = None,
     time_unit: Annotated[str | None, typer.Option(help="Of the time stamps: s, ms, us or ns.")] = None,
-    ignore_column: Annotated[list[str] | None, typer.Option(help="Column that is not to be read.")] = None,
+    ignore_column: Annotated[list[str] | None, typer.Option(help="Column to ignore; repeatable.")] = None,
     rename: Annotated[list[str] | None, typer.Option(help="NAME_IN_FILE=NAME_IN_ROBOT of a joint.")] = None,
-    joint_names: Annotated[str | None, typer.Option(help="Column names, in order, for files without.")] = None,
+    joint_names: Annotated[str | None, typer.Option(help="Column names, in order, for files without names.")] = None,
     topic: Annotated[list[str] | None, typer.Option(help="Topic of a bag; default: all that hold joints.")] = None,
-    rate: Annotated[float | None, typer.Option(help="Samples a second, for files without time stamps.")] = None,
-    outside_limits: Annotated[str | None, typer.Option(help="Far outside the limits: refuse or note.")] = None,
-    points: Annotated[int | None, typer.Option(help="Use at most this many samples a trajectory.")] = None,
+    rate: Annotated[float | None, typer.Option(help="Samples per second, for files without time stamps.")] = None,
+    outside_limits: Annotated[str | None, typer.Option(help="Samples far outside the limits: refuse or note.")] = None,
+    points: Annotated[int | None, typer.Option(help="Use at most this many samples of each trajectory.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap and of random starts.")] = 0,
     dask: Annotated[str | None, typer.Option(help="Scheduler address, or local: learn on a dask cluster.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Learn a constraint from recordings, and say what was learnt."""
+    """Learn a constraint from recordings and report it."""
     from manip_learn.commands.learn import learn as run
     from manip_learn.commands.learn import read_options
 
@@ -125,21 +125,21 @@ def control(
         str | None, typer.Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the rest posture.")
     ] = None,
     target: Annotated[
-        str | None, typer.Option(help="Where the frame shall go, one number an axis; default: hold.")
+        str | None, typer.Option(help="Target position, one value per axis (default: hold still).")
     ] = None,
     policy: Annotated[str, typer.Option(help="manipulability, zero or attractor.")] = "manipulability",
     rest: Annotated[str | None, typer.Option(help="Rest posture of the attractor [rad].")] = None,
     gain: Annotated[float, typer.Option(help="Gain of the policy.")] = 1.0,
     task_gain: Annotated[float, typer.Option(help="Gain of the task [1/s].")] = 1.0,
-    duration: Annotated[float, typer.Option(help="[s]")] = 5.0,
-    dt: Annotated[float, typer.Option(help="[s]")] = 0.01,
+    duration: Annotated[float, typer.Option(help="Duration [s].")] = 5.0,
+    dt: Annotated[float, typer.Option(help="Time step [s].")] = 0.01,
     inverse: Annotated[str, typer.Option(help="damped, exact or truncated.")] = "damped",
     tolerance: Annotated[float, typer.Option(help="Final error that counts as reached [m or rad].")] = 0.01,
     out: Annotated[Path | None, typer.Option(help="Rollout file to write (NPZ).")] = None,
     package_dir: Packages = None,
     as_json: Json = False,
 ) -> None:
-    """Simulate a controller that does the task and climbs its manipulability."""
+    """Simulate a controller that performs the task and increases its manipulability."""
     from manip_learn.commands.control import control as run
 
     with progress(as_json) as report:
@@ -195,13 +195,13 @@ def reproduce(
         str, typer.Argument(help="table, rmse, singular-start, near-singular-start, sawyer, beyond or all.")
     ],
     trials: Annotated[int, typer.Option(help="Repetitions; 50 in the paper.")] = 50,
-    seed: Annotated[int, typer.Option(help="Same seed, same numbers.")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed; the same seed gives the same numbers.")] = 0,
     out: Annotated[Path | None, typer.Option(help="Folder for numbers, figures and replays.")] = None,
     workers: Annotated[int | None, typer.Option(help="Processes; default: all cores.")] = None,
     backend: Annotated[str, typer.Option(help="loky, threading or dask.")] = "loky",
     as_json: Json = False,
 ) -> None:
-    """Run the experiments of "Learning Singularity Avoidance", the printed numbers beside ours."""
+    """Run the experiments of "Learning Singularity Avoidance", and compare with the printed numbers."""
     from manip_learn.commands.reproduce import reproduce as run
 
     with progress(as_json) as report:
@@ -213,10 +213,10 @@ def reproduce(
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns 0, 2 for bad input, 1 for our own failure, 130 for Ctrl-C. No traceback."""
+    """Run the command line; returns 0, 2 for bad input, 1 for an internal error, 130 for Ctrl-C. No traceback."""
     from typer.main import get_command
 
-    # before NumPy is loaded: threads on matrices this small cost more than they bring
+    # before NumPy is loaded: threads on matrices this small cost more than they gain
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = joined_vectors(list(sys.argv[1:] if argv is None else argv))
@@ -229,7 +229,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(command: Callable[[], Any]) -> int:
-    # typer brings a click of its own or uses the public one, by version: either way this is click's UsageError
+    # depending on its version, typer bundles click or uses the public one: either way this is click's UsageError
     usage_error: Any = typer.BadParameter.__mro__[1]
     try:
         outcome = command()
@@ -244,7 +244,7 @@ def _run(command: Callable[[], Any]) -> int:
         return 130
     except BrokenPipeError:
         return 1
-    except Exception as error:  # the last line of defence: a sentence, not a traceback
+    except Exception as error:  # last resort: a sentence, not a traceback
         print(f"manip-learn: internal error ({type(error).__name__}: {error}); please report it", file=sys.stderr)
         return 1
     return outcome if isinstance(outcome, int) else 0

@@ -175,6 +175,15 @@ def test_bad_input_gives_one_sentence(run, learnt, arguments):
     assert {p.name for p in Path().iterdir()} <= {"text.urdf"}
 
 
+@pytest.mark.parametrize("bad", ["--constraints 4", "--constraints 0", "--estimator best", "--reference tool"])
+def test_errors_name_the_option(run, bad):
+    """The sentence names what was typed, not an argument in Python."""
+    option, value = bad.split()
+    code, _, err = run("learn", "sawyer", DRAWER[0], *FRAME, option, value)
+    assert code == 2
+    assert f"{option} must be" in err and value in err and "n_constraints" not in err
+
+
 CSV = "time,joint1,joint2,joint3\n"
 GOOD = [f"{0.02 * i:.2f},{0.01 * i:.4f},{1.5 + 0.013 * i * i:.4f},{0.2 - 0.02 * i:.4f}" for i in range(20)]
 BAD_RECORDINGS = {

@@ -86,8 +86,8 @@ def test_a_difference_is_found(rng):
 
 
 def test_without_a_description(rng):
-    """A robot built from a model has no second reader."""
-    with pytest.raises(RobotError, match="no second reader"):
+    """A robot built from a model has nothing to compare with."""
+    with pytest.raises(RobotError, match="nothing to compare with"):
         cross_check(Robot(load_robot("ur5").pinocchio_model), rng)
 
 

@@ -63,7 +63,7 @@ def test_summary_of_a_real_robot():
 
 
 def test_summary_says_what_is_wrong(tmp_path):
-    """Warnings of the gate, missing meshes, and the kind of each coordinate of a moving base."""
+    """Warnings of validation, missing meshes, and the kind of each coordinate of a moving base."""
     path = tmp_path / "arm.urdf"
     mesh = '<visual><geometry><mesh filename="gone.stl"/></geometry></visual>'
     path.write_text(

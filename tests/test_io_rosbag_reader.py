@@ -198,7 +198,7 @@ def test_stamps_that_are_not_set_late_or_doubled(planar3: Robot, tmp_path: Path)
     doubled[50] = (*doubled[50][:2], (doubled[51][2][0], *doubled[50][2][1:]))
     demos = load_demonstrations(write_bag(tmp_path / "doubled", "mcap", doubled), planar3)
     np.testing.assert_array_equal(demos[0].q, np.delete(Q, 50, axis=0))
-    assert "comes again" in " ".join(demos.notes)
+    assert "repeated stamp" in " ".join(demos.notes)
 
 
 def test_a_clock_that_was_reset_is_refused(planar3: Robot, tmp_path: Path) -> None:

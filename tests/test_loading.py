@@ -85,7 +85,7 @@ def test_missing_file_and_folder(tmp_path, arm):
     assert caught.value.code == "missing"
     with pytest.raises(RobotError, match="write the path out"):
         load_robot("~nobody-of-this-name/arm.urdf")
-    with pytest.raises(RobotError, match="no usable path"):
+    with pytest.raises(RobotError, match="not a usable path"):
         load_robot("a\0b.urdf")
     with pytest.raises(RobotError, match=r"arm\.urdf") as caught:
         load_robot(f"{tmp_path}/")

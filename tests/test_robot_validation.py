@@ -1,4 +1,4 @@
-"""What the gate says, beside the verdicts of the corpus."""
+"""What validation of a robot description says, next to the verdicts of the corpus."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def test_mutants_are_refused_or_work(first):
     assert not report["faults"], "\n".join(report["faults"][:20])
     assert report["megabytes"] <= 512.0
     loaded = report["seen"].get("accept", 0) + report["seen"].get("warn", 0)
-    assert loaded > 0.05 * (len(lines) - 1), "the mutants have become too wild to test what lies behind the gate"
+    assert loaded > 0.05 * (len(lines) - 1), "the mutants have become too wild to test what comes after validation"
     if IS_LONG:
         assert len(lines) - 1 == MUTANTS
 

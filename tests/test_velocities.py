@@ -149,7 +149,7 @@ def test_refusals():
     """Too few samples, an unknown method, a window that does not fit, and no robot: refused with the numbers."""
     _, noisy, _ = recorded(7, 1e-4, n_points=30, n_trajectories=1)
     t = noisy[0]
-    with pytest.raises(RecordingError, match="2 sample"):
+    with pytest.raises(RecordingError, match="got 2"):
         derive_velocities(t.part(slice(0, 2)), ROBOT)
     with pytest.raises(RecordingError, match="'forward'"):
         derive_velocities(t, ROBOT, "forward")  # type: ignore[arg-type]

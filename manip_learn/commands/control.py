@@ -38,7 +38,7 @@ class Controlled:
 
     @property
     def reached(self) -> bool:
-        """Whether that is within the tolerance."""
+        """Whether the final error is within the tolerance."""
         return self.final_error <= self.tolerance
 
     def to_dict(self) -> dict[str, Any]:
@@ -87,7 +87,7 @@ def control(
     _check_start(robot, q0)
     task: Task = Hold() if target is None else PointAttractor(target, task_gain)
     if isinstance(task, PointAttractor):
-        task.displacement(constraint, q0)  # a wrong size is said now
+        task.displacement(constraint, q0)  # a wrong size is refused before the simulation
     controller = ResolvedRateController(
         constraint,
         task,

@@ -81,7 +81,7 @@ SCENES = {
 @final
 @dataclass(frozen=True)
 class Demo:
-    """Everything that the demo made."""
+    """All results of the demo."""
 
     learnt: Learnt
     rollouts: dict[str, Controlled]

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def finite(value: object) -> object:
-    """JSON has no NaN: null stands for what could not be measured."""
+    """A value for JSON, which has no NaN: null in its place."""
     if isinstance(value, dict):
         return {str(k): finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -32,7 +32,7 @@ def console(stderr: bool = False) -> Console:
 
 @contextmanager
 def progress(quiet: bool) -> Iterator[Callable[[str, float], None]]:
-    """A progress bar on standard error; nothing where nobody looks."""
+    """A progress bar on standard error; silent when it is not a terminal."""
     if quiet or not sys.stderr.isatty():
         yield lambda _step, _share: None
         return
@@ -51,7 +51,7 @@ def progress(quiet: bool) -> Iterator[Callable[[str, float], None]]:
 
 @contextmanager
 def waiting(quiet: bool, what: str) -> Iterator[None]:
-    """A spinner on standard error; nothing where nobody looks."""
+    """A spinner on standard error; silent when it is not a terminal."""
     if quiet or not sys.stderr.isatty():
         yield
         return

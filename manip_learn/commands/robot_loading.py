@@ -1,4 +1,4 @@
-"""The robot that some files belong to: joints that they do not speak of are locked, if nothing depends on them."""
+"""The robot for given files: joints that are not in the files are locked if the task does not depend on them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def choose_frame(robot: Robot, frame: str | None) -> str:
     if len(tips) == 1:
         return tips[0]
     raise ManipLearnError(
-        f"which frame of {robot.name!r} does the task hold? Name it with --frame; likely ones: "
+        f"which frame of {robot.name!r} was guided? Name it with --frame; likely ones: "
         f"{', '.join(tips) or 'none'} (`manip-learn inspect {robot.name}` lists all)"
     )
 
@@ -44,7 +44,7 @@ def load_for_recordings(
 ) -> tuple[Robot, Demonstrations, str, list[str]]:
     """Robot, demonstrations, frame, and notes on joints that were locked because nothing is recorded for them.
 
-    A joint is locked on our own account only if it does not move the frame: then it cannot matter to the constraint
+    A joint is locked automatically only if it does not move the frame: then it cannot matter to the constraint
     (the fingers of a gripper, the other arm).
 
     Raises:
@@ -78,7 +78,7 @@ def source_for_recordings(
 def _locking(
     name: str, frame: str | None, locked: Sequence[str], package_dirs: Sequence[str], read: Callable[[Robot], Read]
 ) -> tuple[Robot, Read, str, list[str]]:
-    """Robot, what was read for it, frame and notes, with those joints locked that it turns out nothing is known of."""
+    """Robot, what was read for it, frame and notes, with the joints locked for which nothing is recorded."""
     held = list(locked)
     robot = load_robot(name, package_dirs, held)
     chosen = choose_frame(robot, frame)

@@ -1,4 +1,4 @@
-"""What the commands print for people."""
+"""Tables and sentences printed by the commands."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:  # so that printing one command's answer does not load the oth
     from manip_learn.commands.reproduce import Reproduction
     from manip_learn.robot.robot_summary import RobotSummary
 
-UNDER_WAY = 0.1  # a nearly singular start is no fault of the policy: look from here on [s]
+UNDER_WAY = 0.1  # the nearly singular start is not due to the policy: evaluated from here on [s]
 
 
 def print_learnt(console: Console, learnt: Learnt) -> None:
-    """The sentence, the evidence, the doubts."""
+    """The sentence, the evidence, the warnings."""
     report = learnt.report
     console.print(f"[bold]{escape(report.sentence)}[/bold]", highlight=False)
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
@@ -86,7 +86,7 @@ def print_demo(console: Console, demo: Demo) -> None:
 
 
 def print_robot(console: Console, summary: RobotSummary) -> None:
-    """Joints, frames, and everything doubtful."""
+    """Joints, frames and warnings."""
     console.print(f"[bold]{escape(summary.name)}[/bold]: nq {summary.nq}, nv {summary.nv}", highlight=False)
     if summary.source is not None:
         console.print(f"[dim]{escape(str(summary.source))}[/dim]", highlight=False, soft_wrap=True)
@@ -130,7 +130,7 @@ def print_controlled(console: Console, controlled: Controlled) -> None:
 
 
 def print_reproduction(console: Console, reproduction: Reproduction) -> None:
-    """Each part's own page: our numbers beside the paper's."""
+    """Each part's own page: our numbers next to those of the paper."""
     for part, page in reproduction.pages.items():
         console.rule(part)
         console.print(Markdown(page))

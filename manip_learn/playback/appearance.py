@@ -80,7 +80,7 @@ def _plain_shapes(v: Visual) -> list[Shape]:
 
 
 def _fault_notes(faults: Iterable[Visual]) -> list[str]:
-    """One sentence a reason, with the links that it concerns."""
+    """One sentence per reason, with the links that it concerns."""
     links: dict[str, list[str]] = {}
     for v in faults:
         names = links.setdefault(v.stand_in, [])

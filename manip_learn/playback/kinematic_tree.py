@@ -1,4 +1,4 @@
-"""What the browser needs for forward kinematics: which joint hangs on which, and how each one moves."""
+"""What the browser needs for forward kinematics: the parent of each joint, and how it moves."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class TreeJoint:
 
     Attributes:
         name: Name in the URDF.
-        parent: Index of the joint it hangs on; the world is 0.
+        parent: Index of the parent joint; the world is 0.
         placement: shape (4, 4), from the joint at rest to its parent [m].
         motion: `"revolute"` and `"prismatic"` move along `axis` by one number; `"free"` is given as a whole pose; only
             the world is `"fixed"`.
@@ -36,7 +36,7 @@ class TreeJoint:
 
     @property
     def width(self) -> int:
-        """Numbers a key frame: 1 along the axis, 7 for a free pose (x, y, z, quaternion x, y, z, w)."""
+        """Numbers per key frame: 1 along the axis, 7 for a free pose (x, y, z, quaternion x, y, z, w)."""
         return {"fixed": 0, "free": 7}.get(self.motion, 1)
 
 

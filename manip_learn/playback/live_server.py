@@ -16,14 +16,14 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 HOST = "127.0.0.1"
-SOCKET_SECONDS = 5.0  # a browser that reads nothing for so long is dropped
+SOCKET_SECONDS = 5.0  # a browser that reads nothing for this long is dropped
 HEARTBEAT_SECONDS = 2.0
 PARENT_CHECK_SECONDS = 1.0
 MAX_CONNECTIONS = 24
 
 
 class Newest:
-    """The newest pose; whoever is slow misses the ones between."""
+    """The newest pose; slow readers skip the ones in between."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -72,7 +72,7 @@ class LiveServer(ThreadingHTTPServer):
             self._room.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Browsers come and go; that is no news."""
+        """Disconnecting browsers are not an error."""
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -127,7 +127,7 @@ class Handler(BaseHTTPRequestHandler):
             seen = number
 
     def log_message(self, format: str, *args: object) -> None:
-        """No log: the terminal belongs to the program that shows its robot."""
+        """No log: the terminal belongs to the calling program."""
 
 
 def end_with_parent(parent: int) -> None:

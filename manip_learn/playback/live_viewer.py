@@ -42,7 +42,7 @@ POSTURES_FOR_CAMERA = 119
 class LiveProcess:
     """A server process and the thread that writes to it.
 
-    Whoever puts a message never waits: the thread takes the newest one, at most 60 times a second, and only the thread
+    `put` never waits: the thread takes the newest one, at most 60 times per second, and only the thread
     waits if the server is slow.
 
     Args:
@@ -80,12 +80,12 @@ class LiveProcess:
         self._wake.set()
 
     def close(self) -> None:
-        """End the server and the thread; twice does no harm."""
+        """End the server and the thread; calling it twice is allowed."""
         self._closed.set()
         self._wake.set()
         if self._thread is not threading.current_thread():
             self._thread.join(STOP_SECONDS)
-        if self._thread.is_alive():  # it waits in a write that nobody reads
+        if self._thread.is_alive():  # it is blocked in a write
             self._process.kill()
             self._thread.join(STOP_SECONDS)
         for pipe in (self._process.stdin, self._process.stdout):
@@ -155,8 +155,8 @@ class LiveViewer:
                 viewer.show(q, manipulability=command.manipulability)
 
     The page is served by a process of its own, on this machine only (127.0.0.1) and under an address that cannot be
-    guessed. `show` never waits for it; if the process dies, the program goes on without a picture. The process ends
-    when the viewer is closed, and when the program ends in whatever way.
+    guessed. `show` never waits for it; if the process dies, the program continues without it. The process ends
+    when the viewer is closed, and when the program ends for any reason.
 
     Args:
         robot: The robot.
@@ -213,7 +213,7 @@ class LiveViewer:
         self._process.put(message)
 
     def close(self) -> None:
-        """End the server; twice does no harm. The browser keeps the last picture."""
+        """End the server; calling it twice is allowed. The browser keeps the last picture."""
         self._finalizer()
 
     def __enter__(self) -> LiveViewer:

@@ -27,7 +27,7 @@ def page(data: dict[str, Any], *, robot: str, subtitle: str, mode: Literal["repl
         data: What the program reads; finite numbers and text.
         robot: Headline.
         subtitle: Beside it.
-        mode: A live page may listen to the server that it came from, a replay to nobody.
+        mode: A live page may listen to the server that it came from, a replay to none.
 
     Raises:
         OutputError: Meshcat's viewer is missing.

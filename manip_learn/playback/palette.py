@@ -1,4 +1,4 @@
-"""Colours that colour-blind people can tell apart (after Okabe and Ito), dark enough for lines on white."""
+"""Colours distinguishable with colour blindness (after Okabe and Ito), dark enough for lines on white."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A rollout or a demonstration as what the page plays: key frames, the tip's way, curve and status."""
+"""A rollout or a demonstration as what the page plays: key frames, tip path, curve and status."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class RecordedMotion:
 def recorded_motion(
     robot: Robot, tree: tuple[TreeJoint, ...], tip: Frame, name: str, recording: Rollout | Trajectory
 ) -> RecordedMotion:
-    """Check a recording and thin it out for playback.
+    """Check a recording and subsample it for playback.
 
     Raises:
         RecordingError: No samples, shapes that do not fit, time that does not increase, NaN, joints of another robot.
@@ -130,7 +130,7 @@ def _columns_of(robot: Robot, name: str, recording: Rollout | Trajectory, T: int
 
 
 def key_frames(time: Float[np.ndarray, " T"]) -> np.ndarray:
-    """Indices of the samples that are key frames: at most 60 a second, fewer in long motions, first and last kept."""
+    """Indices of the samples that are key frames: at most 60 per second, fewer in long motions, first and last kept."""
     span = float(time[-1] - time[0])
     gap = max(1.0 / KEY_FRAMES_PER_SECOND, span / (MAX_KEY_FRAMES - 1))
     slots = np.floor((time - time[0]) / gap * (1.0 + 1e-12)).astype(np.int64)
@@ -139,7 +139,7 @@ def key_frames(time: Float[np.ndarray, " T"]) -> np.ndarray:
 
 
 def _curve(name: str, time: np.ndarray, values: object) -> tuple[np.ndarray, np.ndarray]:
-    """The manipulability, thinned out so that every dip and every peak stays."""
+    """The manipulability, subsampled so that every minimum and maximum is kept."""
     if values is None:
         return np.zeros(0), np.zeros(0)
     curve = _finite(name, "manipulability", values, 1)

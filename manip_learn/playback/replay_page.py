@@ -57,14 +57,14 @@ def replay(
     """Write one HTML file that plays rollouts of a robot, without a server and without a network.
 
     The first rollout is drawn solid, the others as ghosts; all start at time zero, and the shorter ones hold their last
-    posture. The page has the manipulability curves with a cursor, the controller's status, and the tip's way.
+    posture. The page has the manipulability curves with a cursor, the controller's status, and the path of the tip.
 
     Args:
         robot: The robot that the rollouts were made with.
         rollouts: Name -> rollout or demonstration (which has no manipulability curve); or a single one.
         html: File to write; None for a temporary file.
         tip: Frame whose path is drawn; None for the frame that the rollouts were made with, else `default_tip`.
-        title: Stands beside the robot's name.
+        title: Shown next to the name of the robot.
         colours: Rollout name -> a name in `palette.COLOURS`, for those whose colour matters.
         open_browser: Show the page now; None: only if it is a temporary file.
 
@@ -119,7 +119,7 @@ def _crowd_note(n: int) -> tuple[str, ...]:
     if n <= MAX_GHOSTS:
         return ()
     return (
-        f"Of {n} rollouts the first {MAX_GHOSTS} are drawn as robots, the others by their tip's way and their curve; "
+        f"Of {n} rollouts the first {MAX_GHOSTS} are drawn as robots, the others as tip path and curve; "
         "click a name to draw that one.",
     )
 

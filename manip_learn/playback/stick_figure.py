@@ -24,7 +24,7 @@ def stick_figure(
     Args:
         tree: The joints.
         ends: Points that the last links reach to, in the frame of the joint that carries them [m].
-        only: Joints whose shapes are wanted; None for all.
+        only: Joints whose shapes are made; None for all.
     """
     radius = _radii(tree, ends)
     shapes: list[Shape] = []
@@ -77,7 +77,7 @@ def _depths(tree: tuple[TreeJoint, ...]) -> np.ndarray:
 
 
 def _distance(tree: tuple[TreeJoint, ...], i: int) -> float:
-    """Length of the way from the base to a joint [m]."""
+    """Length of the path from the base to a joint [m]."""
     length = 0.0
     while i > 0:
         length += float(np.linalg.norm(tree[i].placement[:3, 3]))

@@ -29,12 +29,12 @@ class Demonstrations(Sequence[Trajectory]):
     def __init__(self, trajectories: Iterable[Trajectory], notes: Iterable[str] = ()):
         if not isinstance(trajectories, Iterable):
             raise RecordingError(
-                f"demonstrations must be several Trajectory objects, got {type(trajectories).__name__}", code="type"
+                f"demonstrations must be Trajectory objects, got {type(trajectories).__name__}", code="type"
             )
         object.__setattr__(self, "trajectories", tuple(trajectories))
         object.__setattr__(self, "notes", tuple(notes))
         if not self.trajectories:
-            raise RecordingError("there are no demonstrations: give at least one trajectory", code="empty")
+            raise RecordingError("no demonstrations: give at least one trajectory", code="empty")
         for t in self.trajectories:
             if not isinstance(t, Trajectory):
                 raise RecordingError(f"demonstrations must be Trajectory objects, got {type(t).__name__}", code="type")

@@ -25,11 +25,11 @@ class ReadOptions(TypedDict, total=False):
         units: Unit of angles in the files: `"radians"`, `"degrees"` or `"normalised"` (-100 .. 100 between the joint
             limits). Not given: radians; what looks like degrees is refused. Prismatic joints are metres in any case.
         time_unit: `"s"`, `"ms"`, `"us"` or `"ns"`. Not given: seconds; what looks like another unit is refused.
-        ignore_columns: Columns that are not to be read.
+        ignore_columns: Columns that are not read.
         rename: Name in the file -> `"time"` or the robot's name of the joint.
         joint_names: Names of the columns, in order, for files that have none (robomimic, some LeRobot data).
         topics: Topics of a bag; not given: all JointState topics that carry joints of the robot.
-        rate: Samples a second, for files that have no time stamps [Hz].
+        rate: Samples per second, for files that have no time stamps [Hz].
         outside_limits: `"refuse"` (the default) or `"note"` positions far outside the joint limits.
     """
 
@@ -48,11 +48,11 @@ def load_demonstrations(paths: Paths, robot: Robot, **options: Unpack[ReadOption
     """All demonstrations in some files, in the robot's joints, in rad (or m) and s.
 
     The format is recognised by content: CSV, NPZ, ROS 1 and ROS 2 bags, LeRobot, robomimic. Columns are matched to
-    joints by name. Nothing is repaired in silence: `.notes` of the answer tells what was left out, split or converted.
+    joints by name. Nothing is changed silently: `.notes` of the result reports what was left out, split or converted.
 
     Args:
         paths: A file, a folder of recordings of one format, or several of them.
-        robot: Whose joints are wanted; joints that the recordings lack must be locked in it.
+        robot: The robot whose joints are read; joints that the recordings lack must be locked in it.
         **options: See `ReadOptions`.
 
     Raises:
@@ -85,10 +85,10 @@ def iter_demonstrations(
     found = False
     for file in files:
         for recording in file.format.reader()(file.path, request):
-            examined = validate(recording, request)
-            for note in examined.notes:
+            validated = validate(recording, request)
+            for note in validated.notes:
                 by_text.setdefault(note, []).append(recording.name)
-            for trajectory in examined.trajectories:
+            for trajectory in validated.trajectories:
                 found = True
                 yield trajectory
     if not found:
@@ -98,7 +98,7 @@ def iter_demonstrations(
 
 
 def _sentences(by_text: dict[str, list[str]]) -> list[str]:
-    """One sentence a finding: what is the same in fifty files is said once."""
+    """One sentence per finding: the same finding in fifty files is reported once."""
     sentences = []
     for text, names in by_text.items():
         others = f" and {len(names) - 1} more" if len(names) > 1 else ""

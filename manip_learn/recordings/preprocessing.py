@@ -1,4 +1,4 @@
-"""Demonstrations made ready to learn from: trimmed, resampled, thinned. Each returns new ones."""
+"""Preprocessing of demonstrations: trimming, resampling, subsampling. Each function returns new ones."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def subsample(trajectory: Trajectory, n_samples: int) -> Trajectory:
 
 
 def prepared(demonstrations: Demonstrations, *, trim: bool = True, samples: int | None = None) -> Demonstrations:
-    """All trajectories trimmed and thinned; what was left out is said in the notes."""
+    """All trajectories trimmed and subsampled; the notes report what was left out."""
     out, notes = [], list(demonstrations.notes)
     for trajectory in demonstrations:
         kept = trim_standstill(trajectory) if trim else trajectory

@@ -56,7 +56,7 @@ class RecordingSource(TrajectorySource):
 
 
 def _pieces(file: RecordingFile) -> list[Path]:
-    """Files that can be read one by one: a LeRobot data set of version 2 has one an episode."""
+    """Files that can be read one by one: a LeRobot data set of version 2 has one per episode."""
     if file.format is not LEROBOT or not file.path.is_dir():
         return [file.path]
     described = read_json(file.path / "meta" / "info.json")

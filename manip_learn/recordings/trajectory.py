@@ -18,10 +18,10 @@ class Trajectory:
 
     Attributes:
         time: shape (T,), strictly increasing [s].
-        q: shape (T, n), postures: joint positions, one column a name [rad or m]; or configurations (nq columns) of a
+        q: shape (T, n), postures: joint positions, one column per name [rad or m]; or configurations (nq columns) of a
             robot whose nq differs from nv.
         u: shape (T, nv), joint velocities [rad/s or m/s]; None if they were not recorded.
-        joint_names: One name a velocity column, the robot's own names.
+        joint_names: One name per velocity column, the robot's own names.
         name: Where it came from, for messages.
 
     Raises:
@@ -51,7 +51,7 @@ class Trajectory:
 
     def _array(self, what: str, values: object, ndim: int) -> np.ndarray:
         try:
-            array = np.array(values, dtype=np.float64, order="C")  # a copy: nobody can change it from outside
+            array = np.array(values, dtype=np.float64, order="C")  # a copy: the caller cannot change it
         except (TypeError, ValueError) as error:
             raise RecordingError(f"{self.name}: {what} must be numbers: {error}", code="not-a-number") from error
         if array.ndim != ndim:

@@ -37,7 +37,7 @@ def derive_velocities(
     half_width: int | None = None,
     degree: int | None = None,
 ) -> Trajectory:
-    """The same motion with velocities, at the postures where they are known best.
+    """The same motion with velocities, at the configurations where they are best determined.
 
     Forward differences are not offered: on smooth motion at 50 Hz they put the learnt manipulability off by its own
     size, because they belong to a posture half a step later.
@@ -46,7 +46,7 @@ def derive_velocities(
         trajectory: Positions at increasing times; recorded velocities are not used.
         robot: The robot; its continuous joints may wrap.
         method: `"midpoint"`: ((q_t + q_t+1) / 2, dq / dt); `"smooth"`: a polynomial fitted to the samples of a window
-            by least squares (Savitzky and Golay, 1964, here with true time stamps), value and slope at its middle;
+            by least squares (Savitzky and Golay, 1964, here with true time stamps), value and slope at its centre;
             `"auto"`: smooth, but midpoint for very short trajectories and for short ones that are clean.
         half_width: Half width of the window [samples]; found from the data by default, together with the degree: those
             whose estimated variance plus squared bias (against a polynomial of two degrees more) is smallest.
@@ -60,7 +60,7 @@ def derive_velocities(
     """
     if len(trajectory) < 3:
         raise RecordingError(
-            f"{trajectory.name}: {len(trajectory)} sample(s) are too few to derive velocities from, 3 are the least",
+            f"{trajectory.name}: at least 3 samples are needed to estimate velocities, got {len(trajectory)}",
             code="too-short",
         )
     if method not in ("auto", "midpoint", "smooth"):
@@ -124,7 +124,7 @@ def _note(before: Sequence[Trajectory], after: Sequence[Trajectory]) -> str:
     total, n = sum(len(t) for t in before), sum(t.u is None for t in before)
     return (
         f"velocities of {n} trajectory(ies) were derived from the positions; {lost} of {total} samples at the ends, "
-        "where they are not well known, were left out"
+        "where they are poorly determined, were left out"
     )
 
 
@@ -146,7 +146,7 @@ def positions_along(trajectory: Trajectory, robot: Robot) -> Float[np.ndarray, "
 def local_fit(
     time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"], half_width: int, degree: int
 ) -> tuple[Float[np.ndarray, "N nv"], Float[np.ndarray, "N nv"]]:
-    """Value and slope at the middle of each window of 2 half_width + 1 samples, by least squares."""
+    """Value and slope at the centre of each window of 2 half_width + 1 samples, by least squares."""
     weights = _local_weights(time, half_width, degree)
     windows = np.lib.stride_tricks.sliding_window_view(x, 2 * half_width + 1, axis=0)  # (N, nv, W)
     value, slope = np.einsum("ndw,njw->dnj", weights[:, :2], windows, optimize=True)
@@ -159,7 +159,7 @@ def _local_weights(time: np.ndarray, half_width: int, degree: int, stride: int =
     scale = np.max(np.abs(offset), axis=1, keepdims=True)
     n = len(offset)
     if np.max(np.abs(offset - offset[0])) <= EVEN * np.min(scale):
-        offset, scale = offset[:1], scale[:1]  # evenly sampled: one window stands for all
+        offset, scale = offset[:1], scale[:1]  # evenly sampled: one window serves for all
     powers = (offset / scale)[:, None, :] ** np.arange(degree + 1)[None, :, None]
     weights = np.linalg.solve(powers @ powers.transpose(0, 2, 1), powers)
     weights[:, 1] /= scale

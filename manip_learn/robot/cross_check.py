@@ -1,4 +1,4 @@
-"""A second opinion on forward kinematics, from yourdfpy."""
+"""Independent check of forward kinematics with yourdfpy."""
 
 from __future__ import annotations
 
@@ -55,13 +55,11 @@ def cross_check(robot: Robot, rng: np.random.Generator, n: int = 10) -> CrossChe
         MissingExtraError: yourdfpy is not installed.
     """
     if robot.description is None:
-        raise RobotError(
-            f"robot {robot.name!r} did not come from a URDF: there is no second reader", code="cross-check"
-        )
+        raise RobotError(f"robot {robot.name!r} did not come from a URDF: nothing to compare with", code="cross-check")
     try:
         import yourdfpy
     except ImportError as error:
-        raise MissingExtraError("the second opinion on forward kinematics", "all") from error
+        raise MissingExtraError("the independent check of forward kinematics", "all") from error
     try:
         with _silent("yourdfpy.urdf"):
             other = _other_robot(yourdfpy, robot)
@@ -88,7 +86,7 @@ def _other_robot(yourdfpy, robot: Robot) -> yourdfpy.URDF:
             j.mimic.multiplier *= leader.mimic.multiplier
             j.mimic.joint = leader.mimic.joint
     for j in parsed.joints:
-        if j.mimic is not None and j.mimic.joint not in joints:  # else the gate had refused: it is locked
+        if j.mimic is not None and j.mimic.joint not in joints:  # else validation would have failed: it is locked
             j.mimic = None
     return yourdfpy.URDF(robot=parsed, **(bare | {"build_scene_graph": True}))
 
@@ -130,7 +128,7 @@ def _poses(other: yourdfpy.URDF) -> dict[str, Float[np.ndarray, "4 4"]]:
 
 @contextmanager
 def _silent(name: str) -> Iterator[None]:
-    """Its complaints concern meshes and mimics, which the gate has dealt with."""
+    """Its warnings concern meshes and mimics, which validation has handled."""
     logger = logging.getLogger(name)
     before, logger.disabled = logger.disabled, True
     try:

@@ -46,7 +46,7 @@ class JointBlock:
 
     @property
     def coordinate_names(self) -> tuple[str, ...]:
-        """One name a tangent coordinate: the joint's own, or `base.x`, `base.y`, ... for a floating or planar base."""
+        """One name per tangent coordinate: the joint's, or `base.x`, `base.y`, ... for a floating or planar base."""
         width = self.v.stop - self.v.start
         if width == 1:
             return (self.name,)
@@ -72,7 +72,7 @@ def joint_kind(short_name: str) -> JointKind:
 @final
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """One entry a degree of freedom.
+    """One entry per degree of freedom.
 
     Attributes:
         lower: shape (nv,) [rad or m], -inf where there is no limit.
@@ -125,7 +125,7 @@ def _bind(
             return []
         return [f"joint {m.leader!r} turns without end, so the limits of its follower {m.joint!r} are not enforced"]
     low, high = sorted((float(end) - m.offset) / m.multiplier for end in ends)
-    # files round: a follower's limit may cut a hair off its leader's
+    # limits in files are rounded: a follower's may be slightly tighter than its leader's
     room = 1e-6 + 1e-4 * (high - low) if math.isfinite(high - low) else 0.0
     if low <= lower[k] + room and high >= upper[k] - room:
         return []

@@ -68,7 +68,7 @@ def reordered(H: np.ndarray, nv: int) -> Float[np.ndarray, "6 nv nv"]:
 
 
 def pinocchio_order_is_known(model: pin.Model) -> bool:
-    """True if `reordered` gives the closed form on this model: checked once a robot, in every reference frame."""
+    """True if `reordered` gives the closed form on this model: checked once per robot, in every reference frame."""
     if model.nv == 0:
         return False
     data = model.createData()

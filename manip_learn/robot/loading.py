@@ -95,7 +95,7 @@ def _path(name: str | os.PathLike[str]) -> Path:
 def _expanded(name: str | os.PathLike[str]) -> Path:
     try:
         return Path(name).expanduser()
-    except RuntimeError as error:  # ~somebody who has no home here
+    except RuntimeError as error:  # ~user without a home directory here
         raise RobotError(f"{os.fspath(name)}: {error}; write the path out", code="missing", path=Path(name)) from error
 
 

@@ -84,7 +84,7 @@ def _checked_lengths(lengths: Sequence[float]) -> list[float]:
             f"link lengths of a planar arm must be a list of numbers [m], got {lengths!r}", code="lengths"
         ) from error
     if not sizes:
-        raise RobotError("a planar arm needs at least one link: give one length [m] a link", code="lengths")
+        raise RobotError("a planar arm needs at least one link: give one length [m] per link", code="lengths")
     for i, size in enumerate(sizes):
         if not (math.isfinite(size) and size > 0.0):
             raise RobotError(f"link {i + 1} has length {size} m, a positive number is needed", code="lengths")

@@ -34,10 +34,10 @@ class Robot:
     """Kinematics of one robot.
 
     Two vectors describe a posture, and every method takes either: the *configuration* q (nq), in which a continuous
-    joint is (cos, sin) and a floating base has a quaternion; and the *joint positions* (nv), one number a joint [rad
+    joint is (cos, sin) and a floating base has a quaternion; and the *joint positions* (nv), one number per joint [rad
     or m] as recordings hold them. They are the same thing for arms with limited joints only. Velocities are tangent
-    vectors (nv) [rad/s or m/s]. Everything that moves is counted: mimic joints follow their leaders and are no
-    degrees of freedom.
+    vectors (nv) [rad/s or m/s]. Everything that moves is counted: mimic joints are driven by their leaders and do not
+    count as degrees of freedom.
 
     One robot can be used from many threads: each has its own Pinocchio data.
 
@@ -45,7 +45,7 @@ class Robot:
         name: Name of the robot.
         nq: Size of a configuration.
         nv: Number of degrees of freedom.
-        joint_names: One name a degree of freedom, in Pinocchio's order (depth first, siblings by name).
+        joint_names: One name per degree of freedom, in Pinocchio's order (depth first, siblings by name).
         frame_names: Names that `FrameJacobian` accepts.
         position_lower: shape (nv,) [rad or m], -inf where there is no limit.
         position_upper: shape (nv,) [rad or m].
@@ -53,8 +53,8 @@ class Robot:
         mimics: Mimic joints, resolved.
         source: File that the robot was read from, or None.
         package_dirs: Folders in which `package://` meshes are looked up.
-        fingerprint: SHA-256 of what was read, with the locked joints: tells two robots apart.
-        warnings: What was repaired or ignored while loading, in sentences.
+        fingerprint: SHA-256 of what was read, with the locked joints: identifies the robot.
+        warnings: What was repaired or ignored while loading, one sentence each.
         description: Text of the URDF as it was read, xacro expanded; None if there was none.
         locked: Joints that are held still, and where [rad or m].
     """
@@ -274,7 +274,7 @@ class Robot:
         return self.configuration(positions)
 
     def random_configuration(self, rng: np.random.Generator) -> Float[np.ndarray, " nq"]:
-        """A posture drawn evenly between the limits; unlimited joints within half a turn or 1 m."""
+        """A configuration sampled uniformly within the limits; unlimited joints within half a turn or 1 m."""
         lower = np.where(np.isfinite(self.position_lower), self.position_lower, -np.pi)
         upper = np.where(np.isfinite(self.position_upper), self.position_upper, np.pi)
         positions = rng.uniform(lower, upper)
@@ -306,7 +306,7 @@ class Robot:
         return np.concatenate([full[b.pin_q] for b in self.blocks]) if self.blocks else full[:0]
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Float[np.ndarray, " nv"]:
-        """Tangent vector (nv) that leads from q0 to q1 along the shortest way.
+        """Tangent vector (nv) that leads from q0 to q1 along the shortest path.
 
         Raises:
             ConfigurationError: Wrong size or not finite.
@@ -405,8 +405,8 @@ class Robot:
         return pin.updateFramePlacement(self._model, data, index).translation.copy()
 
     def jacobian(self, q: ArrayLike, frame: FrameLike, reference: Reference = "world") -> Float[np.ndarray, "6 nv"]:
-        """Frame Jacobian, linear rows first: velocity of the frame's origin [m/s] and angular velocity [rad/s] a
-        joint velocity, along the base axes (`"world"`) or along the frame's own axes (`"local"`).
+        """Frame Jacobian, linear rows first: velocity of the frame's origin [m/s] and angular velocity [rad/s] per
+        unit joint velocity, along the base axes (`"world"`) or along the frame's own axes (`"local"`).
 
         Raises:
             ConfigurationError: Wrong size or not finite.
@@ -483,7 +483,9 @@ class Robot:
     def centre_of_mass_jacobian_and_derivative(
         self, q: ArrayLike
     ) -> tuple[Float[np.ndarray, "3 nv"], Float[np.ndarray, "3 nv nv"]]:
-        """Jacobian of the centre of mass [m/s a joint velocity] and its exact derivative along tangent coordinates."""
+        """Jacobian of the centre of mass [m/s per unit joint velocity] and its exact derivative along tangent
+        coordinates.
+        """
         model, data = self._model, self._data
         Jc = np.array(pin.jacobianCenterOfMass(model, data, self.pinocchio_configuration(q))).reshape(3, model.nv)
         w = np.array(data.J).reshape(6, model.nv)[3:].T

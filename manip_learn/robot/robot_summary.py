@@ -1,4 +1,4 @@
-"""Everything worth knowing about a loaded robot, as plain data for printing."""
+"""Summary of a loaded robot, as plain data for printing."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class JointSummary:
         unit: `"rad"` or `"m"`.
         lower: Lower limit in that unit, -inf without one.
         upper: Upper limit, inf without one.
-        velocity: Velocity limit in that unit a second, inf without one.
+        velocity: Velocity limit in that unit per second, inf without one.
     """
 
     name: str
@@ -51,13 +51,13 @@ class RobotSummary:
         source: File it was read from, or None.
         nq: Size of a configuration.
         nv: Degrees of freedom.
-        joints: One entry a degree of freedom.
+        joints: One entry per degree of freedom.
         frames: Names of frames.
         mimics: Joints that follow others.
         locked: Joints held still -> position [rad or m].
-        tips: Likely tip frames, best first; more than one is a question.
+        tips: Likely tip frames, best first; with more than one, the user must choose.
         warnings: What was ignored or repaired, and meshes that cannot be used.
-        cross_check: Second opinion on forward kinematics; None if there is none, and a warning says why.
+        cross_check: Independent check of forward kinematics; None if there is none, and a warning says why.
         meshes_found: Address in the URDF -> file.
         meshes_missing: Address in the URDF -> reason.
         fingerprint: Hash of the kinematics.
@@ -80,13 +80,13 @@ class RobotSummary:
 
 
 def inspect_robot(robot: Robot, seed: int = 0, postures: int = 10) -> RobotSummary:
-    """Summary of a robot, with a second opinion on its forward kinematics at random postures."""
+    """Summary of a robot, with an independent check of its forward kinematics at random postures."""
     warnings = list(robot.warnings)
     check = None
     try:
         check = cross_check(robot, np.random.default_rng(seed), postures)
     except (RobotError, MissingExtraError) as error:
-        warnings.append(f"no second opinion on forward kinematics: {error}")
+        warnings.append(f"no independent check of forward kinematics: {error}")
     if check is not None and not check.agrees:
         warnings.append(
             f"yourdfpy puts link {check.link!r} elsewhere (by {check.largest_difference:.2g}): do not trust this file"

@@ -1,4 +1,4 @@
-"""Rotation matrices and rotation vectors of single poses, in plain numbers: a few microseconds, many times a second.
+"""Rotation matrices and rotation vectors of single poses, in plain numbers: a few microseconds, many times per second.
 
 (SciPy's Rotation takes ten times as long for one; Pinocchio's logarithm loses digits close to half a turn.)
 """

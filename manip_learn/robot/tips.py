@@ -8,7 +8,7 @@ import pinocchio as pin
 
 from manip_learn.robot.robot import Robot
 
-# In order of conviction: the first kind that occurs at the end of a chain is the answer.
+# By priority: the first kind that occurs at the end of a chain decides.
 KINDS = (
     re.compile(r"(^|_|-)(tcp|tool_?cent(er|re)_?point|pinch(_site)?|grasp(ing)?(_?(frame|link|point|target))?)($|_|-)"),
     re.compile(
@@ -23,17 +23,17 @@ NOT_A_TIP = re.compile(
 
 
 def likely_tips(robot: Robot) -> tuple[str, ...]:
-    """Links that may be the tip, the most likely first; more than one is a question to the user, not an answer.
+    """Links that may be the tip, the most likely first; with more than one, the user must choose.
 
-    Looked at are links that move, named like a tool centre point, else like a tool, else like a hand; without such
+    Candidates are links that move, named like a tool centre point, else like a tool, else like a hand; without such
     names, the ends of the chains that count the most joints. A link above another one of them, or moved by some of its
-    joints only, is no candidate.
+    joints only, is not a candidate.
     """
     movers = _joints_above(robot)
     moving = [n for n, joints in movers.items() if joints and not NOT_A_TIP.search(n.lower())]
     candidates: list[str] = []
     for kind in KINDS:
-        # between two finger tips is better than on one of them
+        # a frame between two finger tips is better than one of them
         candidates = candidates or [n for n in moving if kind.search(n.lower()) and "finger" not in n.lower()]
     if not candidates:
         candidates = _lowest(robot, moving)
@@ -45,7 +45,7 @@ def likely_tips(robot: Robot) -> tuple[str, ...]:
 
 
 def default_tip(robot: Robot) -> str:
-    """The frame taken for the tip where nobody is asked: the first of `likely_tips`.
+    """The frame taken for the tip if none is named: the first of `likely_tips`.
 
     That is the only one where there is only one, as in `manip-learn learn` without --frame; of several, the one moved
     by the most joints, by name among equals. Without any: the last link of those with the most joints above them; an
@@ -70,7 +70,7 @@ def _joints_above(robot: Robot) -> dict[str, frozenset[int]]:
 
 
 def _lowest(robot: Robot, names: list[str]) -> list[str]:
-    """Those of the names below which no other of the names hangs."""
+    """The names that have none of the other names below them in the tree."""
     frames = robot.pinocchio_model.frames
     above: set[str] = set()
     for name in names:

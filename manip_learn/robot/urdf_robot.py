@@ -45,7 +45,7 @@ def robot_from_urdf(
         root_joint: Joint between the world and the root link; None if it is fixed.
 
     Raises:
-        RobotError: The gate refuses the description, or Pinocchio does.
+        RobotError: The description is invalid, or Pinocchio refuses it.
         UnknownNameError: A locked joint that does not exist.
     """
     validated = validate_urdf(content, path, names_of(locked))
@@ -63,7 +63,7 @@ def robot_from_validated(
     locked: Locked = (),
     root_joint: pin.JointModel | None = None,
 ) -> Robot:
-    """Robot from what passed the gate; `content` is kept as its description. See `robot_from_urdf`.
+    """Robot from a validated description; `content` is kept as its description. See `robot_from_urdf`.
 
     Raises:
         RobotError: Pinocchio refuses it, or a joint cannot be locked.
@@ -163,7 +163,7 @@ def captured_c_stderr() -> Iterator[list[str]]:
             sys.stderr.flush()
         try:
             saved = os.dup(2)
-        except OSError:  # no stderr, as in a service: nothing is lost that anybody could have seen
+        except OSError:  # no stderr, as in a service: nothing visible is lost
             yield lines
             return
         with tempfile.TemporaryFile() as sink:

@@ -75,7 +75,7 @@ def sniff_dialect(path: Path) -> CsvDialect:
         if len(names) != len(fields) or all(NUMBER.fullmatch(n) for n in names):
             raise RecordingError(
                 f"{path.name}:{number}: the first line holds numbers ({line.strip()[:60]!r}), a header is needed: "
-                "'time' and one joint name a column, for the columns are matched by name",
+                "'time' and one joint name per column, since columns are matched by name",
                 code="no-header",
                 path=path,
                 line=number,
@@ -117,7 +117,7 @@ def _split_comment(comment: str) -> list[str]:
 def line_too_long(path: Path, line: int) -> RecordingError:
     """The refusal of a line beyond a million characters."""
     return RecordingError(
-        f"{path.name}:{line}: this line has more than {LONGEST_LINE:,} characters; a text table with one sample a line "
+        f"{path.name}:{line}: this line has more than {LONGEST_LINE:,} characters; a table with one sample per line "
         "is needed",
         code="line-too-long",
         path=path,

@@ -1,4 +1,4 @@
-"""Text tables: `time` [s], one column a joint, and where recorded `<joint>_velocity`. Strict: nothing is guessed."""
+"""Text tables: `time` [s], one column per joint, and where recorded `<joint>_velocity`. Strict: nothing is guessed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, reason
 
 VELOCITY_SUFFIX = "_velocity"
-# columns that a joint explains, but that nobody needs here
+# columns that belong to a joint but are not needed here
 SURPLUS_SUFFIXES = ("_effort", "_torque", "_acceleration")
 
 
@@ -33,7 +33,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """The one recording of a text table.
 
     Raises:
-        RecordingError: Names file, line and column, the value seen and the value wanted.
+        RecordingError: Names file, line and column, the value seen and the value expected.
     """
     dialect = sniff_dialect(path)
     names = _column_names(path, dialect, request)
@@ -70,8 +70,8 @@ def _base_name(name: str, suffixes: tuple[str, ...], own_names: tuple[str, ...])
 
 
 def _column_names(path: Path, dialect: CsvDialect, request: ReadRequest) -> list[str | None]:
-    """Wanted name of every column; None where it is to be ignored."""
-    names: list[str | None] = [request.wanted_name(n) for n in dialect.columns]
+    """Name of every column after renaming; None where it is ignored."""
+    names: list[str | None] = [request.renamed(n) for n in dialect.columns]
     if "time" not in names:
         near = closest_names("time", [n for n in names if n]) or [n for n in ("t", "stamp", "secs") if n in names]
         hint = f"; if {near[0]!r} is meant, pass rename={{{near[0]!r}: 'time'}} or rename it" if near else ""

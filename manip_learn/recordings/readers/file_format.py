@@ -26,7 +26,7 @@ class FileFormat:
 
     Attributes:
         name: Short name.
-        title: What people call it.
+        title: Common name.
         module: Module with `read(path, request) -> Iterator[Recording]`; imported when it is first needed.
     """
 
@@ -179,7 +179,7 @@ def folder_format(path: Path) -> FileFormat | None:
 
 
 def looks_like_table(path: Path) -> bool:
-    """True if a text file in a folder of recordings is a table that somebody meant: a `.csv`, or one with `time`."""
+    """True if a text file in a folder of recordings is a recording: a `.csv`, or one with `time`."""
     if path.suffix.lower() in (".csv", ".tsv"):
         return True
     try:
@@ -198,7 +198,7 @@ def read_json(path: Path, most_bytes: int = 10_000_000) -> object:
     check_regular(path)
     if path.stat().st_size > most_bytes:
         raise RecordingError(
-            f"{path}: larger than {most_bytes:,} bytes, which no such file is", code="too-large", path=path
+            f"{path}: larger than {most_bytes:,} bytes, which no such file should be", code="too-large", path=path
         )
     try:
         return json.loads(path.read_text(encoding="utf-8"))

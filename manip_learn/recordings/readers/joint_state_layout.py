@@ -38,7 +38,7 @@ class JointStateLayout:
     template: UInt8[np.ndarray, " k"]
 
     def matches(self, messages: UInt8[np.ndarray, "N size"]) -> Bool[np.ndarray, " N"]:
-        """Messages (one a row) that have this layout."""
+        """Messages (one per row) that have this layout."""
         return np.all(messages[:, self.fixed] == self.template, axis=1)
 
     def stamps(self, messages: UInt8[np.ndarray, "N size"]) -> Int[np.ndarray, " N"]:

@@ -1,4 +1,4 @@
-"""Joint-state messages of a bag -> arrays, one stream a topic and set of joints."""
+"""Joint-state messages of a bag -> arrays, one stream per topic and set of joints."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MOST_LAYOUTS = 200
 @final
 @dataclass(frozen=True, eq=False)
 class JointStateStream:
-    """What one publisher said about one list of joints.
+    """The messages of one publisher about one list of joints.
 
     Attributes:
         topic: Topic.

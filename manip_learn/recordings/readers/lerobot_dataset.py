@@ -23,8 +23,8 @@ class LeRobotDataset:
     Attributes:
         root: Folder of the data set, or the file.
         files: Parquet files with the samples, in order.
-        names: Names of the entries of `observation.state`, or None if the data set does not tell.
-        fps: Samples a second, or None.
+        names: Names of the entries of `observation.state`, or None if the data set has none.
+        fps: Samples per second, or None.
     """
 
     root: Path

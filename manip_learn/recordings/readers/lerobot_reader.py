@@ -1,4 +1,4 @@
-"""LeRobot data sets v2 and v3: the joint positions in `observation.state`, one recording an episode.
+"""LeRobot data sets v2 and v3: the joint positions in `observation.state`, one recording per episode.
 
 LeRobot does not store units, so the caller must state them.
 """
@@ -42,7 +42,7 @@ class Episode:
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
-    """One recording an episode; one episode in memory at a time.
+    """One recording per episode; one episode in memory at a time.
 
     Raises:
         RecordingError: Units or names not known, damaged, values missing.
@@ -86,10 +86,10 @@ def _recording(dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, 
 
 
 def _joint_name(name: str, request: ReadRequest) -> str:
-    wanted = request.wanted_name(name)
+    wanted = request.renamed(name)
     if wanted in request.robot.joint_names:
         return wanted
-    return request.wanted_name(wanted.removesuffix(".pos").removesuffix(".vel"))
+    return request.renamed(wanted.removesuffix(".pos").removesuffix(".vel"))
 
 
 def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ReadRequest) -> tuple[np.ndarray, list[str]]:
@@ -214,7 +214,9 @@ def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest)
     rate = request.rate or dataset.fps
     if rate is None or "frame_index" not in batch.schema.names:
         raise _refusal(
-            file, "no-time", "there is neither 'timestamp' nor 'frame_index' with a rate: pass rate=<samples a second>"
+            file,
+            "no-time",
+            "there is neither 'timestamp' nor 'frame_index' with a rate: pass rate=<samples per second>",
         )
     return _vector(file, batch, "frame_index") / rate
 

@@ -68,9 +68,9 @@ def _read_arrays(path: Path, archive: zipfile.ZipFile, request: ReadRequest) -> 
     members: dict[str, zipfile.ZipInfo] = {}
     ignored: list[str] = []
     for info in archive.infolist():
-        key = request.wanted_name(info.filename.removesuffix(".npy"))
+        key = request.renamed(info.filename.removesuffix(".npy"))
         if key in members:
-            raise _refusal(path, "duplicate-column", f"the array {key!r} is there twice: keep one")
+            raise _refusal(path, "duplicate-column", f"the array {key!r} occurs twice: keep one")
         if key in WANTED and key not in request.ignore_columns:
             members[key] = info
         else:
@@ -146,7 +146,7 @@ def _check_sizes(path: Path, headers: dict[str, ArrayHeader], members: dict[str,
         raise _refusal(path, "shape", f"time must have shape (T,) and q (T, n); they have {time} and {q}")
     u = headers["u"].shape if "u" in headers else q
     if len(u) != 2 or u[0] != time[0]:
-        raise _refusal(path, "shape", f"u must have shape ({time[0]}, n), it has {u}: one row a time stamp")
+        raise _refusal(path, "shape", f"u must have shape ({time[0]}, n), it has {u}: one row per time stamp")
 
 
 def _array(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo, header: ArrayHeader) -> np.ndarray:
@@ -176,10 +176,10 @@ def _joint_names(path: Path, arrays: dict[str, np.ndarray], request: ReadRequest
         if raw.ndim != 1 or raw.dtype.itemsize > 4 * LONGEST_NAME:
             raise _refusal(path, "shape", f"joint_names must be a list of names, it has shape {raw.shape}")
         names = tuple(n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in raw.tolist())
-        names = tuple(request.wanted_name(n) for n in names)
+        names = tuple(request.renamed(n) for n in names)
     if len(names) != width:
         raise _refusal(
-            path, "shape", f"there are {len(names)} joint names for {width} columns: one name a column is needed"
+            path, "shape", f"there are {len(names)} joint names for {width} columns: one name per column is needed"
         )
     return names
 
@@ -192,7 +192,7 @@ def _positions(path: Path, q: np.ndarray, names: tuple[str, ...], request: ReadR
     if names == robot.joint_names and q.shape[1] == robot.nq and np.all(np.isfinite(q)):
         return np.array([robot.positions(row) for row in q]).reshape(q.shape[0], robot.nv)
     raise _refusal(
-        path, "shape", f"q has {q.shape[1]} columns for {len(names)} joint names: one column a joint is needed"
+        path, "shape", f"q has {q.shape[1]} columns for {len(names)} joint names: one column per joint is needed"
     )
 
 

@@ -22,15 +22,15 @@ class ReadRequest:
     """Options of `load_demonstrations`, checked once; every reader gets the same object.
 
     Attributes:
-        robot: The robot whose joints are wanted.
-        units: Unit of angles in the files; None: radians, and doubts are refused. `"normalised"` is -100 .. 100 between
-            the joint limits.
-        time_unit: Unit of the time column; None: seconds, and doubts are refused.
-        ignore_columns: Names of columns that shall not be read.
-        rename: Name in the file -> name wanted (`time`, or a joint).
+        robot: The robot whose joints are read.
+        units: Unit of angles in the files; None: radians, and values that look like another unit are
+            refused. `"normalised"` is -100 .. 100 between the joint limits.
+        time_unit: Unit of the time column; None: seconds, and values that look like another unit are refused.
+        ignore_columns: Names of columns that are not read.
+        rename: Name in the file -> `"time"` or the name of a joint.
         joint_names: Names of the columns, in order, for files that have none.
         topics: Topics of a bag to read; None: all that carry the robot's joints.
-        rate: Samples a second, for files without time stamps [Hz].
+        rate: Samples per second, for files without time stamps [Hz].
         outside_limits: What to do with positions far outside the joint limits.
 
     Raises:
@@ -55,16 +55,16 @@ class ReadRequest:
             object.__setattr__(self, option, _names(option, getattr(self, option)))
         if not isinstance(self.rename, Mapping):
             raise RecordingError(
-                f"rename must be a mapping {{name in the file: name wanted}}, got {self.rename!r}", code="option"
+                f"rename must be a mapping {{name in the file: name in the robot}}, got {self.rename!r}", code="option"
             )
         is_number = isinstance(self.rate, int | float)
         if self.rate is not None and not (is_number and math.isfinite(self.rate) and self.rate > 0):
             raise RecordingError(
-                f"rate must be a positive number of samples a second [Hz], got {self.rate!r}", code="option"
+                f"rate must be a positive number of samples per second [Hz], got {self.rate!r}", code="option"
             )
 
-    def wanted_name(self, name: str) -> str:
-        """The name that stands for `name` of the file."""
+    def renamed(self, name: str) -> str:
+        """The name after renaming."""
         return self.rename.get(name, name)
 
 

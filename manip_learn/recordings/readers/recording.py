@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
@@ -22,15 +22,16 @@ class Recording:
 
     Attributes:
         path: File.
-        name: How messages call it, e.g. `demo_01.csv` or `demo.hdf5 demo_3`.
+        name: Name used in messages, e.g. `demo_01.csv` or `demo.hdf5 demo_3`.
         time: shape (T,), stamps as in the file.
-        position_names: One name a column of `positions`.
+        position_names: One name per column of `positions`.
         positions: shape (T, m).
-        velocity_names: One joint name a column of `velocities`.
+        velocity_names: One joint name per column of `velocities`.
         velocities: shape (T, k), or None.
-        strict_columns: True where people wrote the names (a surplus name is a mistake), False where a machine did.
+        strict_columns: True where names are written by hand (a surplus name is a mistake), False where a program writes
+            them.
         in_seconds: True if the format itself says that `time` is in seconds.
-        trusted: True for our own rollouts: limits and slopes are not used to doubt their units.
+        trusted: True for our own rollouts: their units are not questioned.
         line_of: Sample -> line in the file, where there are lines.
         notes: What the reader noticed or did.
     """
@@ -47,10 +48,6 @@ class Recording:
     trusted: bool = False
     line_of: Callable[[int], int] | None = None
     notes: tuple[str, ...] = ()
-
-    def with_notes(self, *notes: str) -> Recording:
-        """The same with more notes."""
-        return replace(self, notes=self.notes + notes)
 
     def line(self, sample: int) -> int | None:
         """Line of the sample in the file, counted from 1, or None."""
@@ -79,6 +76,6 @@ def reason(error: BaseException) -> str:
 
 
 def float_array(values: np.ndarray) -> Float[np.ndarray, "..."]:
-    """The values as native float64 in C order; whatever is no number becomes NaN, which the doctor finds."""
+    """The values as native float64 in C order; what is not a number becomes NaN, which validation finds."""
     with np.errstate(invalid="ignore", over="ignore"):  # signalling NaN in damaged files
         return np.ascontiguousarray(values, dtype=np.float64)

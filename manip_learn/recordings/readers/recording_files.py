@@ -35,7 +35,7 @@ def recording_files(
 ) -> tuple[list[RecordingFile], list[str]]:
     """Files and folders to read, in order, and what was noticed.
 
-    A folder that is one recording (a ROS 2 bag, a LeRobot data set) stays whole; another folder stands for the
+    A folder that is one recording (a ROS 2 bag, a LeRobot data set) is read as a whole; another folder means the
     recordings in it, in natural order, if they are all of one format.
 
     Raises:
@@ -120,7 +120,7 @@ def _members(folder: Path) -> tuple[list[RecordingFile], list[str], list[str]]:
             known = recognise(path)
         except RecordingError as error:
             if path.suffix.lower() in (".csv", ".tsv", ".npz", ".bag", ".db3", ".mcap", ".parquet", ".hdf5", ".h5"):
-                raise  # it was meant as a recording: leaving it out in silence would hide a broken one
+                raise  # its suffix is that of a recording: skipping it silently would hide a broken one
             ignored.append(name)
             reasons.append(str(error))
             continue

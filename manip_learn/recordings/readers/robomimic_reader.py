@@ -1,4 +1,4 @@
-"""robomimic HDF5: `data/demo_N/obs/robot0_joint_pos`, one recording a demonstration.
+"""robomimic HDF5: `data/demo_N/obs/robot0_joint_pos`, one recording per demonstration.
 
 Links and data outside of the file are not followed. The file names no joints, so the caller must.
 """
@@ -29,7 +29,7 @@ DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
-    """One recording a demonstration; one in memory at a time.
+    """One recording per demonstration; one in memory at a time.
 
     Raises:
         RecordingError: Another kind of HDF5, links, no joint names, no rate, damaged.
@@ -144,7 +144,7 @@ def _names(path: Path, request: ReadRequest) -> tuple[str, ...]:
 
 def _rate(path: Path, data: Any, request: ReadRequest) -> tuple[float, str]:
     if request.rate is not None:
-        return request.rate, f"no time stamps in the file: {request.rate:g} samples a second, as asked"
+        return request.rate, f"no time stamps in the file: {request.rate:g} samples per second, as asked"
     text = data.attrs.get("env_args")
     try:
         env = json.loads(text) if isinstance(text, str | bytes) else {}
@@ -156,9 +156,9 @@ def _rate(path: Path, data: Any, request: ReadRequest) -> tuple[float, str]:
         raise _refusal(
             path,
             "no-time",
-            "neither time stamps nor a control_freq in env_args are in the file: pass rate=<samples a second>",
+            "neither time stamps nor a control_freq in env_args are in the file: pass rate=<samples per second>",
         )
-    return rate, f"no time stamps in the file: {rate:g} samples a second, from control_freq in env_args"
+    return rate, f"no time stamps in the file: {rate:g} samples per second, from control_freq in env_args"
 
 
 def _refusal(path: Path, code: str, text: str) -> RecordingError:

@@ -51,7 +51,7 @@ class JointGroup:
 
 
 def topics_of_joints(streams: list[JointStateStream], joints: tuple[str, ...]) -> tuple[dict[str, str], list[str]]:
-    """Joint -> the topic to read it from, and what to tell. Joints that nobody publishes are left out.
+    """Joint -> the topic to read it from, and notes. Joints that no topic has are left out.
 
     One topic that has all joints is preferred; of several, `/joint_states`.
 
@@ -144,7 +144,7 @@ def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) 
     keep = np.append(np.diff(stamps[order]) != 0, True)
     if not np.all(keep):
         notes.append(
-            f"{topic}: {np.count_nonzero(~keep)} messages with a stamp that comes again left out, the last one is kept"
+            f"{topic}: {np.count_nonzero(~keep)} messages with a repeated stamp left out, the last one is kept"
         )
     order = order[keep]
     return JointGroup(topic, names, stamps[order], q[order], None if u is None else u[order]), notes
@@ -169,7 +169,7 @@ def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> MergedS
     its gaps.
 
     Raises:
-        MergeError: The publishers have no time in common.
+        MergeError: The publishers do not overlap in time.
     """
     base = max(groups, key=lambda g: (len(g.names), len(g.stamps)))
     inside = np.ones(len(base.stamps), dtype=bool)
@@ -184,7 +184,7 @@ def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> MergedS
         source = f"{group.topic}" if group.topic != base.topic else "other messages of the same topic"
         notes.append(f"{', '.join(group.names)} come from {source}: interpolated at the stamps of {base.topic}")
     if not np.any(inside):
-        raise MergeError("no-overlap", "the publishers of the joints have no time in common: record them together")
+        raise MergeError("no-overlap", "the publishers of the joints do not overlap in time: record them together")
     if not np.all(inside):
         notes.append(f"{np.count_nonzero(~inside)} samples left out, where not all publishers have data")
     without = [g.topic for g in groups if g.u is None]
@@ -222,7 +222,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """The one recording of a bag; time counts from the first sample.
 
     Raises:
-        RecordingError: Damaged, no joint states, topics that contradict each other, joints that nobody publishes.
+        RecordingError: Damaged, no joint states, topics that contradict each other, joints that no topic has.
     """
     with open_bag(path) as bag:
         topics = _topics(bag, request)
@@ -280,7 +280,7 @@ def _topics(bag: BagFile, request: ReadRequest) -> tuple[str, ...]:
 
 
 def _renamed(stream: JointStateStream, request: ReadRequest) -> JointStateStream:
-    names = tuple(request.wanted_name(n) for n in stream.names)
+    names = tuple(request.renamed(n) for n in stream.names)
     return JointStateStream(stream.topic, names, stream.stamps, stream.received, stream.positions, stream.velocities)
 
 

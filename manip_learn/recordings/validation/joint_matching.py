@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import final
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,22 +14,6 @@ from manip_learn.robot import Robot
 
 LOCKED_MOTION = 0.02  # [rad or m], more than encoder noise
 MIMIC_MISMATCH = 0.02  # [rad or m]
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class MatchedRecording:
-    """A recording whose columns are the robot's joints in the robot's order; numbers still those of the file.
-
-    Attributes:
-        recording: Where it came from; its notes tell what was left out.
-        q: shape (T, nv).
-        u: shape (T, nv), or None.
-    """
-
-    recording: Recording
-    q: Float[np.ndarray, "T nv"]
-    u: Float[np.ndarray, "T nv"] | None
 
 
 def angular_coordinates(robot: Robot) -> Bool[np.ndarray, " nv"]:
@@ -51,8 +34,8 @@ def unmoved_joint_names(robot: Robot) -> tuple[str, ...]:
     return tuple(n for n in (*fixed, *(m.joint for m in robot.mimics)) if n not in robot.joint_names)
 
 
-def match_joints(recording: Recording, request: ReadRequest) -> MatchedRecording:
-    """The robot's joints of a recording.
+def match_joints(recording: Recording, request: ReadRequest) -> Recording:
+    """The recording with the robot's joints as columns, in the robot's order; numbers are still those of the file.
 
     Raises:
         RecordingError: A joint without a column, a column without a joint, velocities for some joints only.
@@ -65,14 +48,21 @@ def match_joints(recording: Recording, request: ReadRequest) -> MatchedRecording
         raise _missing(recording, robot, missing)
     notes = _surplus_notes(recording, robot)
     q = recording.positions[:, [names.index(j) for j in robot.joint_names]]
-    return MatchedRecording(recording.with_notes(*notes), q, _velocities(recording, robot))
+    return replace(
+        recording,
+        position_names=robot.joint_names,
+        positions=q,
+        velocity_names=robot.joint_names,
+        velocities=_velocities(recording, robot),
+        notes=(*recording.notes, *notes),
+    )
 
 
 def _refuse_repeated(recording: Recording) -> None:
     for names in (recording.position_names, recording.velocity_names):
         repeated = next((n for n in names if names.count(n) > 1), None)
         if repeated is not None:
-            raise recording.refusal("duplicate-column", f"the joint {repeated!r} is there twice: keep one")
+            raise recording.refusal("duplicate-column", f"the joint {repeated!r} occurs twice: keep one")
 
 
 def _missing(recording: Recording, robot: Robot, missing: list[str]) -> RecordingError:
@@ -96,12 +86,12 @@ def _missing(recording: Recording, robot: Robot, missing: list[str]) -> Recordin
 def _surplus_notes(recording: Recording, robot: Robot) -> list[str]:
     unmoved = unmoved_joint_names(robot)
     known = {*robot.joint_names, *unmoved}
-    strangers = [n for n in (*recording.position_names, *recording.velocity_names) if n not in known]
-    if strangers and recording.strict_columns:
-        raise _unknown(recording, robot, strangers[0])
+    unknown = [n for n in (*recording.position_names, *recording.velocity_names) if n not in known]
+    if unknown and recording.strict_columns:
+        raise _unknown(recording, robot, unknown[0])
     notes = []
-    if strangers:
-        notes.append(f"not joints of {robot.name!r}, not used: {', '.join(dict.fromkeys(strangers))}")
+    if unknown:
+        notes.append(f"not joints of {robot.name!r}, not used: {', '.join(dict.fromkeys(unknown))}")
     for i, name in enumerate(recording.position_names):
         if name in unmoved:
             notes.append(_unmoved_note(recording, robot, name, recording.positions[:, i]))
@@ -113,7 +103,7 @@ def _unknown(recording: Recording, robot: Robot, name: str) -> RecordingError:
     hint = f" (near: {', '.join(map(repr, near))})" if near else f" (it has {', '.join(robot.joint_names)})"
     return recording.refusal(
         "unknown-column",
-        f"no joint of robot {robot.name!r} explains this column{hint}: correct the name, or pass "
+        f"no joint of robot {robot.name!r} matches this column{hint}: correct the name, or pass "
         f"ignore_columns=({name!r},) (--ignore-column {name})",
         column=name,
     )

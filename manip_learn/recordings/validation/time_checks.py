@@ -27,7 +27,7 @@ def time_in_seconds(recording: Recording, request: ReadRequest) -> Float[np.ndar
     time = recording.time
     if time.shape[0] < 2:
         rows = "1 row" if time.shape[0] == 1 else "no row"
-        raise recording.refusal("too-short", f"there is {rows} of numbers, at least 2 are needed to see a motion")
+        raise recording.refusal("too-short", f"there is {rows} of numbers, at least 2 are needed")
     if recording.in_seconds:
         return time
     if request.time_unit is not None:
@@ -45,7 +45,7 @@ def doubt_slow_time(
     """Refuse stamps that look like milliseconds or less; for recordings without velocities.
 
     Raises:
-        RecordingError: Steps of a second and more while all joints creep.
+        RecordingError: Steps of a second and more while all joints move very slowly.
     """
     if recording.in_seconds or request.time_unit is not None:
         return
@@ -78,7 +78,7 @@ def increasing(
     q: Float[np.ndarray, "T nv"],
     u: Float[np.ndarray, "T nv"] | None,
 ) -> tuple[Bool[np.ndarray, " T"], list[str]]:
-    """Samples to keep, so that time increases, and what to tell.
+    """Samples to keep, so that time increases, and notes.
 
     Raises:
         RecordingError: Time goes back, or two different samples have one stamp.
@@ -106,7 +106,7 @@ def increasing(
         i = int(repeated[np.argmin(same)])
         raise recording.refusal(
             "duplicate-time",
-            f"the stamp {recording.time[i + 1]:.9g} is there twice with different positions "
+            f"the stamp {recording.time[i + 1]:.9g} occurs twice with different positions "
             f"({recording.place(i)} and {recording.place(i + 1)}; {np.count_nonzero(~same)} such pairs): keep one",
             sample=i + 1,
             column="time",
@@ -134,5 +134,5 @@ def bunched_note(time: Float[np.ndarray, " T"]) -> list[str]:
         return []
     return [
         f"{np.count_nonzero(bunched)} steps between stamps are under {BUNCHED:.0%} of the usual {usual:.3g} s (the "
-        f"smallest: {np.min(steps):.3g} s): the recorder fell behind, derived velocities will suffer"
+        f"smallest: {np.min(steps):.3g} s): the recorder fell behind, derived velocities will be inaccurate"
     ]

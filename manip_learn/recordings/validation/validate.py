@@ -1,17 +1,15 @@
-"""Examine a recording before anybody learns from it: faults are named and refused, everything done is told."""
+"""Validation of a recording: faults are rejected with a located message, every change is reported in a note."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import final
 
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.validation.joint_matching import MatchedRecording, angular_coordinates, match_joints
+from manip_learn.recordings.validation.joint_matching import angular_coordinates, match_joints
 from manip_learn.recordings.validation.limit_checks import check_limits
 from manip_learn.recordings.validation.time_checks import (
     bunched_note,
@@ -24,30 +22,21 @@ from manip_learn.recordings.validation.velocity_checks import FEWEST, check_velo
 from manip_learn.robot import Robot
 
 SHOWN = 5
-NO_MEASUREMENT = 1e50  # finite for the computer only: squares of it would overflow
+NO_MEASUREMENT = 1e50  # finite, but its square would overflow
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Examined:
-    """What came out of one recording: trajectories in the robot's joints, rad and s, and what was noticed or done."""
-
-    trajectories: tuple[Trajectory, ...]
-    notes: tuple[str, ...]
-
-
-def validate(recording: Recording, request: ReadRequest) -> Examined:
-    """Trajectories of one recording, in the robot's joints and in SI units.
+def validate(recording: Recording, request: ReadRequest) -> Demonstrations:
+    """Trajectories of one recording, in the robot's joints and in SI units; the notes report what was noticed or done.
 
     Raises:
         RecordingError: A fault that would spoil what is learnt; says where and what to do.
     """
-    matched = match_joints(recording, request)
-    recording, q, u = matched.recording, matched.q, matched.u
+    recording = match_joints(recording, request)
+    q, u = recording.positions, recording.velocities
     robot, angular = request.robot, angular_coordinates(request.robot)
     notes = list(recording.notes)
     if recording.time.shape[0] >= 2:
-        _refuse_not_finite(matched, robot.joint_names)
+        _refuse_not_finite(recording)
     time = time_in_seconds(recording, request)
     q, u, said = _in_radians(recording, request, q, u)
     notes += said
@@ -56,7 +45,7 @@ def validate(recording: Recording, request: ReadRequest) -> Examined:
     if not np.all(keep):
         recording, time, q, u = _kept(recording, keep), time[keep], q[keep], None if u is None else u[keep]
         if time.shape[0] < 2:
-            raise recording.refusal("too-short", "all stamps are the same: nothing is left to see a motion")
+            raise recording.refusal("too-short", "all stamps are the same: no motion is left")
     notes += bunched_note(time)
     q, said = _unwrapped(robot, q)
     notes += said
@@ -68,14 +57,13 @@ def validate(recording: Recording, request: ReadRequest) -> Examined:
     return _split(recording, robot, time, q, u, notes)
 
 
-def _refuse_not_finite(matched: MatchedRecording, names: tuple[str, ...]) -> None:
-    recording = matched.recording
+def _refuse_not_finite(recording: Recording) -> None:
     parts: list[tuple[str, np.ndarray, tuple[str, ...]]] = [
         ("", recording.time[:, None], ("time",)),
-        ("", matched.q, names),
+        ("", recording.positions, recording.position_names),
     ]
-    if matched.u is not None:
-        parts.append((" velocity", matched.u, names))
+    if recording.velocities is not None:
+        parts.append((" velocity", recording.velocities, recording.velocity_names))
     bad = np.zeros(recording.time.shape[0], dtype=bool)
     for _, values, _ in parts:
         bad |= ~np.all(np.abs(values) < NO_MEASUREMENT, axis=1)
@@ -160,10 +148,10 @@ def _split(
     q: Float[np.ndarray, "T nv"],
     u: Float[np.ndarray, "T nv"] | None,
     notes: list[str],
-) -> Examined:
+) -> Demonstrations:
     parts, gaps = pieces(time)
     if not gaps.size:
-        return Examined((Trajectory(time, q, u, robot.joint_names, recording.name),), tuple(notes))
+        return Demonstrations((Trajectory(time, q, u, robot.joint_names, recording.name),), notes)
     long_parts = [p for p in parts if p.stop - p.start >= 2]
     shown = ", ".join(f"{time[g + 1] - time[g]:.3g} s after {recording.place(int(g))}" for g in gaps[:SHOWN])
     notes.append(f"split at {gaps.size} gap(s) longer than ten steps ({shown}{', ...' if gaps.size > SHOWN else ''})")
@@ -176,4 +164,4 @@ def _split(
         Trajectory(time[p], q[p], None if u is None else u[p], robot.joint_names, f"{recording.name} part {k} of {n}")
         for k, p in enumerate(long_parts, 1)
     )
-    return Examined(trajectories, tuple(notes))
+    return Demonstrations(trajectories, notes)

@@ -90,7 +90,7 @@ def check_velocities(
 
 
 def _follower(match: VelocityMatch, i: int) -> int | None:
-    """Another joint whose recorded velocity is clearly that of joint i; it must have lost its own as well."""
+    """Another joint whose recorded velocity is clearly that of joint i; it must not match its own joint either."""
     size = np.abs(match.correlation)
     lost = ~(match.moved & (np.diag(size) >= SURE))
     lost[i] = False
@@ -120,7 +120,7 @@ def _refuse_slope(recording: Recording, name: str, angular: bool, slope: float) 
     if angular and _near(size, 1 / DEGREE):
         raise recording.refusal(
             "degrees",
-            f"velocities look like degrees a second: {evidence}; rad/s are needed: convert the velocity columns or "
+            f"velocities look like degrees per second: {evidence}; rad/s are needed: convert the velocity columns or "
             "leave them out",
             column=name,
         )
@@ -135,5 +135,5 @@ def _refuse_slope(recording: Recording, name: str, angular: bool, slope: float) 
     )
 
 
-def _near(value: float, wanted: float) -> bool:
-    return 1 / 1.25 < value / wanted < 1.25
+def _near(value: float, expected: float) -> bool:
+    return 1 / 1.25 < value / expected < 1.25

@@ -53,7 +53,7 @@ _KNOWN: WeakKeyDictionary[Robot, dict[int, BatchKinematics]] = WeakKeyDictionary
 
 
 def batch_kinematics(robot: Robot, frame: Frame) -> BatchKinematics:
-    """The batch kinematics of a frame, made and checked once a robot."""
+    """The batch kinematics of a frame, made and checked once per robot."""
     frames = _KNOWN.setdefault(robot, {})
     if frame.index not in frames:
         frames[frame.index] = BatchKinematics(robot, frame)
@@ -95,10 +95,10 @@ class BatchKinematics:
         *,
         compiled: bool | None = None,
     ) -> Float[np.ndarray, "n p nv"]:
-        """Frame Jacobians, linear rows first [m/s, rad/s a joint velocity].
+        """Frame Jacobians, linear rows first [m/s, rad/s per unit joint velocity].
 
         Args:
-            q: Postures, one a row: configurations (nq) or joint positions (nv).
+            q: Postures, one per row: configurations (nq) or joint positions (nv).
             reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
             rows: Which of x y z rx ry rz, as 0 .. 5.
             compiled: Use the numba kernels (equal to 1e-12); None: where numba is installed and n is large.
@@ -165,7 +165,7 @@ class BatchKinematics:
         The derivative itself is never formed: time and memory grow with the joints, not with their square.
 
         Args:
-            q: Postures, one a row.
+            q: Postures, one per row.
             weigh: (J, which postures) -> weights, both (p, nv, n) with the postures last.
             reference: As in `jacobian`.
             rows: As in `jacobian`.

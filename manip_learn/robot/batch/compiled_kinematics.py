@@ -1,6 +1,6 @@
 """Compiled kernels of batch kinematics (the optional extra `fast`); the same numbers as the NumPy ones to 1e-12.
 
-For where `import numba` works. The machine code is cached on disk, so it is compiled once a machine.
+For where `import numba` works. The machine code is cached on disk, so it is compiled once per machine.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _TWO_OVER_PI = 0.6366197723675814
 _PART_1 = 1.5707963267341256
 _PART_2 = 6.077100506303966e-11
 _PART_3 = 2.0222662487959506e-21
-LANES = 128  # postures a block: slides, sines and cosines of its joints stay in the first-level cache
+LANES = 128  # postures per block: slides, sines and cosines of its joints stay in the first-level cache
 
 
 def chain_table(chain: Chain, public: Int[np.ndarray, " j"], reference: str) -> Float[np.ndarray, "rows 12"]:

@@ -1,4 +1,4 @@
-"""Axes and origins of a chain's joints at many postures, one array a component (structure of arrays).
+"""Axes and origins of a chain's joints at many postures, one array per component (structure of arrays).
 
 Arrays are (3, n) or (3, joints, n) with the postures last, so that every NumPy call runs over contiguous memory that
 fits into the second-level cache.

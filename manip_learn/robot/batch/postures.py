@@ -13,7 +13,7 @@ SHORTEST_UNIT = 1e-6  # a (cos, sin) below this length has no direction
 
 
 def checked_postures(robot: Robot, q: ArrayLike) -> Float[np.ndarray, "n width"]:
-    """Postures, one a row, each a configuration (nq) or joint positions (nv).
+    """Postures, one per row, each a configuration (nq) or joint positions (nv).
 
     Raises:
         ConfigurationError: Not a table of nq or nv columns, or NaN or infinity; names the first bad row and joint.

@@ -50,7 +50,7 @@ def read_description(path: Path) -> bytes:
     except OSError as error:
         raise _explained(error, path) from error
     except ValueError as error:
-        raise RobotError(f"{str(path)!r}: no usable path ({error})", code="unreadable", path=path) from error
+        raise RobotError(f"{str(path)!r}: not a usable path ({error})", code="unreadable", path=path) from error
 
 
 def _explained(error: OSError, path: Path) -> RobotError:

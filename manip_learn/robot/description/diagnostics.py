@@ -36,10 +36,10 @@ class Diagnostics:
         """True when further warnings are only counted."""
         return len(self._warnings) >= MAX_WARNINGS
 
-    def refusal(self, code: str, line: int | None, where: str, seen: str, wanted: str, fix: str) -> RobotError:
-        """The error to raise: `<file>:<line>: <where>: <seen>; wanted: <wanted>; fix: <fix>`."""
+    def refusal(self, code: str, line: int | None, where: str, seen: str, expected: str, fix: str) -> RobotError:
+        """The error to raise: `<file>:<line>: <where>: <seen>; <expected>; <fix>`."""
         place = f"{self.path}:{line}" if line is not None else f"{self.path}"
-        return RobotError(f"{place}: {where}: {seen}; {wanted}; {fix}", code=code, path=self.path, line=line)
+        return RobotError(f"{place}: {where}: {seen}; {expected}; {fix}", code=code, path=self.path, line=line)
 
     def warn(self, line: int | None, sentence: str) -> None:
         """Keep a sentence for `Robot.warnings`."""

@@ -18,7 +18,7 @@ def kinematic_urdf(
     """Plain URDF of links and joints.
 
     Args:
-        urdf: What passed the gate.
+        urdf: A validated description.
         visuals: Link -> `<visual>` elements to put in; Pinocchio gets none.
         with_mimics: Whether to write `<mimic>`; for Pinocchio mimic joints are joints of their own.
     """
@@ -65,7 +65,7 @@ def _limit(joint: UrdfJoint) -> str:
         (None,) * 4 if limit is None else (limit.lower, limit.upper, limit.velocity, limit.effort)
     )
     lower, upper = _bound(lower, -LARGE), _bound(upper, LARGE)
-    if lower >= upper:  # of a locked joint, else the gate would have refused
+    if lower >= upper:  # of a locked joint, else validation would have refused it
         lower, upper = -LARGE, LARGE
     velocity = LARGE if velocity is None or velocity <= 0.0 else min(velocity, LARGE)
     effort = LARGE if effort is None or effort < 0.0 else effort

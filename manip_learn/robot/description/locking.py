@@ -72,7 +72,7 @@ def _position(joint: UrdfJoint, value: float | None) -> float:
         position = float(value)
     except (TypeError, ValueError) as error:
         raise RobotError(
-            f"joint {joint.name!r}: locked at {value!r}, a number is wanted", code="locked-position"
+            f"joint {joint.name!r}: locked at {value!r}, a number is expected", code="locked-position"
         ) from error
     if not lower <= position <= upper:
         raise RobotError(

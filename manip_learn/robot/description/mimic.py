@@ -116,8 +116,8 @@ def _end_of_chain(
                 "mimic-cycle",
                 mimic.line,
                 where,
-                f"joints follow each other in a circle: {path}",
-                "a leader is wanted",
+                f"joints follow each other in a loop: {path}",
+                "a leader is expected",
                 fix,
             )
         seen.append(joint.name)
@@ -136,15 +136,15 @@ def _check_type(joint: UrdfJoint, log: Diagnostics) -> None:
     if joint.type in ("floating", "planar"):
         seen = f"it is {joint.type}, with {joint.nv} degrees of freedom, and takes part in a <mimic>"
         fix = "delete the <mimic>"
-        raise log.refusal("mimic-type", joint.line, f"joint {joint.name!r}", seen, "one degree is wanted", fix)
+        raise log.refusal("mimic-type", joint.line, f"joint {joint.name!r}", seen, "one degree is expected", fix)
 
 
 def _unknown_leader(joint: UrdfJoint, mimic: UrdfMimic, by_name: dict[str, UrdfJoint], log: Diagnostics) -> RobotError:
     near = closest_names(mimic.leader, by_name)
     fix = f"did you mean {quoted(near)}?" if near else "correct the name, or lock the joint"
     seen = f"it follows the joint {mimic.leader!r}, which does not exist"
-    where, wanted = f"joint {joint.name!r}", "a joint of this file is wanted"
-    return log.refusal("mimic-unknown", mimic.line, where, seen, wanted, fix)
+    where, expected = f"joint {joint.name!r}", "a joint of this file is expected"
+    return log.refusal("mimic-unknown", mimic.line, where, seen, expected, fix)
 
 
 def _warn_about_turns(joint: UrdfJoint, leader: UrdfJoint, multiplier: float, log: Diagnostics) -> None:

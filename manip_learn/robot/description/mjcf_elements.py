@@ -41,7 +41,7 @@ class MjcfDefaults:
         if name not in self.classes:
             seen = f"<{node.tag}> has the class {shortened(name)!r}, which no <default> defines"
             raise log.refusal(
-                "mjcf-class", node.line, "the file", seen, "a defined class is wanted", "correct the name"
+                "mjcf-class", node.line, "the file", seen, "a defined class is expected", "correct the name"
             )
         attributes = self.classes[name].get(node.tag, {}) | node.attributes
         return XmlNode(node.tag, attributes, node.line, node.children)
@@ -116,12 +116,12 @@ def pose_of(node: XmlNode, units: MjcfUnits, where: str, log: Diagnostics) -> Ma
     position = vector(node, "pos", 3, where, log) or (0.0, 0.0, 0.0)
     if max(map(abs, position)) > FARTHEST:
         seen = f"its position is {position} m"
-        raise log.refusal("far-away", node.line, where, seen, f"at most {FARTHEST:g} m is wanted", "check the unit")
+        raise log.refusal("far-away", node.line, where, seen, f"at most {FARTHEST:g} m is expected", "check the unit")
     T[:3, 3] = position
     given = [key for key in ORIENTATIONS if key in node.attributes]
     if len(given) > 1:
         seen = f"its orientation is given by {' and '.join(given)}"
-        raise log.refusal("mjcf-orientation", node.line, where, seen, "one way is wanted", "delete the others")
+        raise log.refusal("mjcf-orientation", node.line, where, seen, "one way is expected", "delete the others")
     if given:
         numbers = np.array(vector(node, given[0], ORIENTATIONS[given[0]], where, log))
         T[:3, :3] = _rotation(given[0], numbers, units, node, where, log)
@@ -142,7 +142,7 @@ def _rotation(
         direction = np.cross(numbers[:3], numbers[3:])
     if np.linalg.norm(direction) < 1e-9:
         seen = f"{kind} {numbers.tolist()} gives no direction"
-        raise log.refusal("mjcf-orientation", node.line, where, seen, "a direction is wanted", "correct it")
+        raise log.refusal("mjcf-orientation", node.line, where, seen, "a direction is expected", "correct it")
     if kind == "quat":
         w, x, y, z = numbers / np.linalg.norm(numbers)
         return pin.Quaternion(w, x, y, z).toRotationMatrix()

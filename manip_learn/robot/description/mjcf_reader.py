@@ -85,7 +85,7 @@ def unreadable(root: XmlNode, log: Diagnostics) -> None:
         node = pending.pop()
         if node.tag in UNREADABLE:
             seen, fix = f"<{node.tag}> is not read", "let MuJoCo write the file out: mj_saveLastXML"
-            raise log.refusal("mjcf-element", node.line, "the file", seen, "plain bodies are wanted", fix)
+            raise log.refusal("mjcf-element", node.line, "the file", seen, "plain bodies are expected", fix)
         pending += node.children
 
 
@@ -146,7 +146,7 @@ class _Reader:
         if kind not in TYPES:
             seen = f"its type is {shortened(kind)!r}"
             fix = "replace it by three hinges" if kind == "ball" else "correct the type"
-            raise self.log.refusal("joint-type", node.line, where, seen, "hinge, slide or free is wanted", fix)
+            raise self.log.refusal("joint-type", node.line, where, seen, "hinge, slide or free is expected", fix)
         axis = unit_axis(vector(node, "axis", 3, where, self.log) or (0.0, 0.0, 1.0), node, where, self.log)
         scale = self.units.angle if kind == "hinge" else 1.0
         ref = (number(node, "ref", where, self.log) or 0.0) * scale
@@ -187,7 +187,7 @@ class _Reader:
         mass = number(node, "mass", where, self.log) or 0.0
         if mass < 0.0:
             fix = "write the true mass"
-            raise self.log.refusal("mass", node.line, where, f"its mass is {mass} kg", "0 or more is wanted", fix)
+            raise self.log.refusal("mass", node.line, where, f"its mass is {mass} kg", "0 or more is expected", fix)
         self.parts.has_mass = True
         full = vector(node, "fullinertia", 6, where, self.log)
         if full is not None:
@@ -217,7 +217,7 @@ def couplings(root: XmlNode, parts: MjcfParts, log: Diagnostics) -> dict[str, Ur
         if not second or any(c[2:]) or first in out or first not in parts.ref:
             seen = "its coupling is no straight line" if any(c[2:]) else "it is coupled to nothing, twice, or unknown"
             fix = "make it linear, or remove it and lock the joint"
-            raise log.refusal("mjcf-coupling", node.line, where, seen, "one other joint is wanted", fix)
+            raise log.refusal("mjcf-coupling", node.line, where, seen, "one other joint is expected", fix)
         offset = parts.ref[first] + c[0] - c[1] * parts.ref.get(second, 0.0)
         out[first] = UrdfMimic(node.line, second, c[1], offset)
     return out
@@ -229,7 +229,7 @@ def validate_mjcf(content: bytes, path: Path, locked: Collection[str] = ()) -> t
     Joints coupled by a linear `<equality><joint>` become mimic joints; sites become frames.
 
     Returns:
-        What passed, and the same robot as a URDF with its shapes.
+        The validated description, and the same robot as a URDF with its shapes.
 
     Raises:
         RobotError: As for a URDF, and codes `mjcf-element`, `mjcf-class`, `mjcf-compiler`, `mjcf-orientation`,

@@ -86,16 +86,18 @@ def read_name(node: XmlNode, log: Diagnostics) -> str:
     where = f"<{node.tag}>"
     name = node.attributes.get("name", "")
     if not name.strip():
-        raise log.refusal("name-missing", node.line, where, "it has no name", "a name is wanted", 'add name="..."')
+        raise log.refusal("name-missing", node.line, where, "it has no name", "a name is expected", 'add name="..."')
     if len(name) > MAX_NAME:
         seen = f"its name has {len(name)} characters"
-        raise log.refusal("name-long", node.line, where, seen, f"at most {MAX_NAME} are wanted", "shorten it")
+        raise log.refusal("name-long", node.line, where, seen, f"at most {MAX_NAME} are expected", "shorten it")
     if not name.isprintable():
         seen = f"its name {name!r} holds unprintable characters"
-        raise log.refusal("name-unprintable", node.line, where, seen, "printable ones are wanted", "rename it")
+        raise log.refusal("name-unprintable", node.line, where, seen, "printable ones are expected", "rename it")
     if name in RESERVED:
         seen = f"the name {name!r} is kept for the fixed world"
-        raise log.refusal("name-reserved", node.line, where, seen, "another name is wanted", "rename it, e.g. 'world'")
+        raise log.refusal(
+            "name-reserved", node.line, where, seen, "another name is expected", "rename it, e.g. 'world'"
+        )
     if name != name.strip():
         log.warn(node.line, f"{node.tag} {name!r} has spaces around its name, they count")
     return name
@@ -111,7 +113,7 @@ def _type(node: XmlNode, where: str, log: Diagnostics) -> str:
         node.line,
         where,
         f"its type is {shortened(joint_type)!r}" if joint_type else "it has no type",
-        f"one of {', '.join(DEGREES_OF_FREEDOM)} is wanted",
+        f"one of {', '.join(DEGREES_OF_FREEDOM)} is expected",
         f"did you mean {near[0]!r}?" if near else "correct the type",
     )
 
@@ -121,7 +123,7 @@ def _link_of(node: XmlNode, tag: str, where: str, log: Diagnostics) -> str:
     link = child.attributes.get("link", "") if child is not None else ""
     if not link:
         fix = f'add <{tag} link="..."/>'
-        raise log.refusal("joint-link", node.line, where, f"it names no {tag} link", "one is wanted", fix)
+        raise log.refusal("joint-link", node.line, where, f"it names no {tag} link", "one is expected", fix)
     return link
 
 
@@ -133,7 +135,7 @@ def _pose(node: XmlNode, where: str, log: Diagnostics) -> Pose:
     rpy = vector(origin, "rpy", 3, where, log) or ZERO
     if max(map(abs, xyz)) > FARTHEST:
         seen = f"its origin xyz is {xyz} m"
-        raise log.refusal("far-away", origin.line, where, seen, f"at most {FARTHEST:g} m is wanted", "check the unit")
+        raise log.refusal("far-away", origin.line, where, seen, f"at most {FARTHEST:g} m is expected", "check the unit")
     if max(map(abs, rpy)) > FULL_TURN:
         log.warn(origin.line, f"{where}: origin rpy is {rpy}, more than a full turn: degrees in place of radians?")
     return Pose((xyz[0], xyz[1], xyz[2]), (rpy[0], rpy[1], rpy[2]))
@@ -166,10 +168,10 @@ def unit_axis(xyz: tuple[float, ...], axis: XmlNode, where: str, log: Diagnostic
     norm = math.hypot(*xyz)
     if norm == 0.0:
         fix = 'write the direction, or type="fixed" for a joint that never moves'
-        raise log.refusal("axis-zero", axis.line, where, "its axis is 0 0 0", "a direction is wanted", fix)
+        raise log.refusal("axis-zero", axis.line, where, "its axis is 0 0 0", "a direction is expected", fix)
     if not AXIS_NORMS[0] <= norm <= AXIS_NORMS[1]:
         seen = f"its axis {xyz} has length {norm:.3g}"
-        raise log.refusal("axis-norm", axis.line, where, seen, "length 1 is wanted", "write a unit vector")
+        raise log.refusal("axis-norm", axis.line, where, seen, "length 1 is expected", "write a unit vector")
     if abs(norm - 1.0) > 1e-3:
         log.warn(axis.line, f"{where}: its axis {xyz} has length {norm:.4g}; only the direction is used")
     x, y, z = (c / norm + 0.0 for c in xyz)
@@ -185,7 +187,7 @@ def _mimic(node: XmlNode, where: str, log: Diagnostics) -> UrdfMimic:
     leader = node.attributes.get("joint", "")
     if not leader:
         fix = 'add joint="..." to <mimic>, or delete it'
-        raise log.refusal("mimic-leader", node.line, where, "its <mimic> names no joint", "one is wanted", fix)
+        raise log.refusal("mimic-leader", node.line, where, "its <mimic> names no joint", "one is expected", fix)
     multiplier, offset = number(node, "multiplier", where, log), number(node, "offset", where, log)
     return UrdfMimic(node.line, leader, 1.0 if multiplier is None else multiplier, 0.0 if offset is None else offset)
 
@@ -198,7 +200,7 @@ def _inertial(node: XmlNode, where: str, log: Diagnostics) -> UrdfInertial:
         log.warn(node.line, f"{where}: its <inertial> gives no mass; 0 kg is taken")
     elif mass < 0.0:
         line = node.line if mass_node is None else mass_node.line
-        raise log.refusal("mass", line, where, f"its mass is {mass} kg", "0 or more is wanted", "write the true mass")
+        raise log.refusal("mass", line, where, f"its mass is {mass} kg", "0 or more is expected", "write the true mass")
     entries = [0.0] * 6
     if inertia_node is not None:
         entries = [number(inertia_node, key, where, log) or 0.0 for key in INERTIA]
@@ -228,7 +230,7 @@ def _only(node: XmlNode, tag: str, where: str, log: Diagnostics) -> XmlNode | No
 
 def _twice(node: XmlNode, where: str, log: Diagnostics) -> RobotError:
     seen = f"it has more than one <{node.tag}>"
-    return log.refusal("element-twice", node.line, where, seen, "one is wanted", "delete all but one")
+    return log.refusal("element-twice", node.line, where, seen, "one is expected", "delete all but one")
 
 
 def _warn_unknown_children(node: XmlNode, known: set[str], where: str, log: Diagnostics) -> None:

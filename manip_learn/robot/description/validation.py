@@ -21,13 +21,13 @@ MAX_LINKS = 1_000
 MAX_DEPTH = 500
 MAX_NV = 150
 LARGEST_ANGLE = 4.0 * math.pi  # [rad]
-UNLIMITED = 1_000.0  # [rad or m] what reaches beyond stands for "no limit" in practice
+UNLIMITED = 1_000.0  # [rad or m] larger limits mean "no limit" in practice
 
 
 @final
 @dataclass(frozen=True)
 class ValidatedRobot:
-    """A description that passed the gate.
+    """A robot description that has been validated.
 
     Attributes:
         urdf: Links and joints.
@@ -65,7 +65,7 @@ def validate_parts(
     """Check links and joints, from whatever format, against each other.
 
     Raises:
-        RobotError: They form no tree, follow each other in circles, or have limits that cannot be meant.
+        RobotError: They form no tree, follow each other in a loop, or have limits that cannot be intended.
     """
     urdf = UrdfFile(name, links, joints, root_of_tree(links, joints, log))
     mimics = resolve_mimics(joints, frozenset(locked), log)
@@ -79,7 +79,7 @@ def validate_parts(
 
 
 def check_root(root: XmlNode, log: Diagnostics) -> None:
-    """Refuse what is not plain URDF 1.0; warn about elements nobody reads.
+    """Refuse what is not plain URDF 1.0; warn about elements that are not read.
 
     Raises:
         RobotError: Codes `not-urdf`, `xacro`, `urdf-version`.
@@ -87,7 +87,7 @@ def check_root(root: XmlNode, log: Diagnostics) -> None:
     if root.tag != "robot":
         kinds = {"sdf": "an SDF file", "mujoco": "an MJCF file", "COLLADA": "a mesh", "launch": "a ROS launch file"}
         seen = f"the root element is <{shortened(root.tag)}>" + (f", {kinds[root.tag]}" if root.tag in kinds else "")
-        raise log.refusal("not-urdf", root.line, "the file", seen, "<robot> is wanted", "convert it to URDF")
+        raise log.refusal("not-urdf", root.line, "the file", seen, "<robot> is expected", "convert it to URDF")
     version = root.attributes.get("version", "1.0").strip()
     if version not in ("1", "1.0"):
         seen = f"it says version {shortened(version)!r}"
@@ -97,7 +97,7 @@ def check_root(root: XmlNode, log: Diagnostics) -> None:
         if node.tag.startswith("xacro:") or node.tag in ("macro", "include"):
             seen = f"<{shortened(node.tag)}> is xacro, not URDF"
             fix = "expand it, or name the file *.xacro and load it with xacro=True"
-            raise log.refusal("xacro", node.line, "the robot", seen, "plain URDF is wanted", fix)
+            raise log.refusal("xacro", node.line, "the robot", seen, "plain URDF is expected", fix)
         if node.tag not in KNOWN_CHILDREN:
             ignored.setdefault(node.tag, node.line)
     for tag, line in list(ignored.items())[:20]:
@@ -143,9 +143,9 @@ def root_of_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Di
             "no-root",
             joints[0].line,
             "the joints",
-            "every link is the child of a joint, so they run in a circle",
-            "one link without a parent is wanted",
-            f"remove the joint that closes the circle, e.g. {joints[-1].name!r}",
+            "every link is the child of a joint, so they form a loop",
+            "one link without a parent is expected",
+            f"remove the joint that closes the loop, e.g. {joints[-1].name!r}",
         )
     if len(roots) > 1:
         raise log.refusal(
@@ -153,7 +153,7 @@ def root_of_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Di
             roots[1].line,
             "the links",
             f"{quoted([r.name for r in roots])} have no parent",
-            "one such link is wanted",
+            "one such link is expected",
             f"join {roots[1].name!r} to the rest by a joint, or delete it",
         )
     _check_reach(roots[0], links, joints, log)
@@ -163,7 +163,7 @@ def root_of_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Di
 def _check_counts(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Diagnostics) -> None:
     if not links:
         fix = "is it a xacro file, or cut off?"
-        raise log.refusal("no-links", 1, "the robot", "it has no <link>", "at least one is wanted", fix)
+        raise log.refusal("no-links", 1, "the robot", "it has no <link>", "at least one is expected", fix)
     if len(links) > MAX_LINKS:
         seen = f"it has {len(links)} links"
         fix = "leave out what the arm does not need"
@@ -196,14 +196,14 @@ def _check_ends(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Dia
                 near = closest_names(link, names)
                 fix = f"did you mean {quoted(near)}?" if near else "add the link or correct the name"
                 seen = f"its {role} link {link!r} does not exist"
-                raise log.refusal("unknown-link", j.line, where, seen, "a link of this file is wanted", fix)
+                raise log.refusal("unknown-link", j.line, where, seen, "a link of this file is expected", fix)
         if j.parent == j.child:
             seen = f"its parent and its child are both {j.child!r}"
-            raise log.refusal("self-loop", j.line, where, seen, "two links are wanted", "correct one of them")
+            raise log.refusal("self-loop", j.line, where, seen, "two links are expected", "correct one of them")
         if j.child in parent_joint:
-            seen = f"its child {j.child!r} already hangs on joint {parent_joint[j.child]!r}"
+            seen = f"its child {j.child!r} is already the child of joint {parent_joint[j.child]!r}"
             fix = "closed chains are not supported: remove one of the two joints"
-            raise log.refusal("two-parents", j.line, where, seen, "one parent a link is wanted", fix)
+            raise log.refusal("two-parents", j.line, where, seen, "one parent per link is expected", fix)
         parent_joint[j.child] = j.name
 
 
@@ -222,13 +222,13 @@ def _check_reach(root: UrdfLink, links: Sequence[UrdfLink], joints: Sequence[Urd
             raise log.refusal("too-deep", None, "the tree of links", seen, f"at most {MAX_DEPTH} work", fix)
     lost = [link for link in links if link.name not in reached]
     if lost:
-        seen = f"{quoted([link.name for link in lost])} run in a circle that hangs on nothing"
-        fix = "remove the joint that closes the circle and join it to the rest"
-        raise log.refusal("detached", lost[0].line, "the links", seen, "one tree is wanted", fix)
+        seen = f"{quoted([link.name for link in lost])} form a loop that is not connected to the root"
+        fix = "remove the joint that closes the loop and connect it to the rest"
+        raise log.refusal("detached", lost[0].line, "the links", seen, "one tree is expected", fix)
 
 
 def check_limits(joint: UrdfJoint, log: Diagnostics) -> None:
-    """Refuse limits that cannot be meant, warn about those that say nothing.
+    """Refuse limits that cannot be intended, warn about those without effect.
 
     Raises:
         RobotError: Codes `limit-missing`, `limit-order`, `limit-degrees`, `velocity-limit`.
@@ -251,7 +251,7 @@ def _check_range(joint: UrdfJoint, log: Diagnostics) -> None:
     if limit.lower >= limit.upper:
         seen = f"its limits are {limit.lower:g} ... {limit.upper:g} {unit}"
         fix = f'swap or correct them{otherwise}, or type="fixed", or lock the joint'
-        raise log.refusal("limit-order", limit.line, where, seen, "lower below upper is wanted", fix)
+        raise log.refusal("limit-order", limit.line, where, seen, "lower below upper is expected", fix)
     largest = max(abs(limit.lower), abs(limit.upper))
     if largest == math.inf:  # said by the format, not by a number
         return
@@ -263,7 +263,7 @@ def _check_range(joint: UrdfJoint, log: Diagnostics) -> None:
             limit.line,
             where,
             f"its limits are {limit.lower:g} ... {limit.upper:g} rad, more than two turns: they look like degrees",
-            "radians are wanted",
+            "radians are expected",
             f"write {math.radians(limit.lower):.4f} ... {math.radians(limit.upper):.4f}{otherwise} for many turns",
         )
 
@@ -283,6 +283,6 @@ def _check_velocity(joint: UrdfJoint, log: Diagnostics) -> None:
             limit.line,
             where,
             f"its velocity limit is {limit.velocity:g} {unit}",
-            "a positive number is wanted",
+            "a positive number is expected",
             "write the true limit, or leave velocity out for none, or lock the joint",
         )

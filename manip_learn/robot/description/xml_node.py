@@ -50,7 +50,7 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
         RobotError: Codes `empty`, `not-xml`, `doctype`, `encoding`, `xml-too-deep`, `xml-too-large`.
     """
     if not content.strip():
-        raise RobotError(f"{path}: the file is empty; a robot description is wanted", code="empty", path=path)
+        raise RobotError(f"{path}: the file is empty; a robot description is expected", code="empty", path=path)
     builder = _Builder(path)
     try:
         builder.parser.Parse(content, True)
@@ -159,7 +159,7 @@ def vector(node: XmlNode, attribute: str, size: int, where: str, log: Diagnostic
             node.line,
             where,
             f'{node.tag} {attribute}="{shortened(text)}" has {len(words)} numbers',
-            f"{size} are wanted",
+            f"{size} are expected",
             fix,
         )
     return tuple(_parsed(word, node, attribute, where, log) for word in words)
@@ -172,7 +172,7 @@ def _parsed(text: str, node: XmlNode, attribute: str, where: str, log: Diagnosti
         if math.isfinite(value) and abs(value) <= LARGEST:
             return value
         raise log.refusal(
-            "not-finite", node.line, where, seen, f"at most {LARGEST:g} is wanted", "write the true value"
+            "not-finite", node.line, where, seen, f"at most {LARGEST:g} is expected", "write the true value"
         )
     if "${" in text:
         raise log.refusal(
@@ -180,11 +180,11 @@ def _parsed(text: str, node: XmlNode, attribute: str, where: str, log: Diagnosti
             node.line,
             where,
             seen,
-            "a number is wanted",
+            "a number is expected",
             "this is xacro, not URDF: name the file *.xacro and load it with xacro=True",
         )
     if text.lower().lstrip("+-") in ("nan", "inf", "infinity", "1.#inf", "1.#qnan"):
         fix = 'for a joint without limits write type="continuous"' if node.tag == "limit" else "write the true value"
-        raise log.refusal("not-finite", node.line, where, seen, "a finite number is wanted", fix)
+        raise log.refusal("not-finite", node.line, where, seen, "a finite number is expected", fix)
     fix = "write a decimal point, not a comma" if re.fullmatch(r"[+-]?\d+,\d+", text) else "write digits such as 0.5"
-    raise log.refusal("number", node.line, where, seen, "a number is wanted", fix)
+    raise log.refusal("number", node.line, where, seen, "a number is expected", fix)

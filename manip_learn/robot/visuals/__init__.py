@@ -1,1 +1,1 @@
-"""What a robot looks like: visual elements, meshes and plain shapes."""
+"""The look of a robot: visual elements, meshes and plain shapes."""

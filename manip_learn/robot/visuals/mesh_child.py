@@ -1,7 +1,7 @@
 """The child process that parses meshes; run as a script, never imported.
 
-It reads jobs from stdin, one JSON object a line (`{"input": file, "output": file}`), limits its own memory and time,
-writes vertices and faces to the output and answers with one JSON object a line.
+It reads jobs from stdin, one JSON object per line (`{"input": file, "output": file}`), limits its own memory and time,
+writes vertices and faces to the output and answers with one JSON object per line.
 """
 
 from __future__ import annotations

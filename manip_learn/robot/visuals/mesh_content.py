@@ -19,7 +19,7 @@ HEAD = 4_096
 MAX_SIDE_FILES = 500
 MAX_BUFFERS = 10
 WINDOWS_PATH = re.compile(r"(file:/*)?[A-Za-z]:[\\/]")
-# every pattern stops at the next "<", so that the time is linear in the size of the file, whatever is in it
+# each pattern stops at the next "<", so that the time is linear in the size of the file, whatever is in it
 PIECE = re.compile(rb"<(?:triangles|polylist|polygons)\b([^<>]*)>")
 BOUND = re.compile(rb"<instance_material\b([^<>]*)>")
 MATERIAL = re.compile(rb"<material\b([^<>]*)>\s*<instance_effect\b([^<>]*)>")

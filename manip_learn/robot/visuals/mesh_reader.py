@@ -105,7 +105,7 @@ class _Child:
             raise _failed(original, "mesh-parser", "the parser crashed or ran out of memory")
         answer = json.loads(line)
         if not answer.get("ok"):
-            self.is_lost = True  # what it has eaten it may keep
+            self.is_lost = True  # its memory is not reused
             raise _failed(original, "mesh-parser", str(answer.get("reason", "it cannot be parsed")))
 
     def close(self) -> None:

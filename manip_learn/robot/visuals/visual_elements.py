@@ -129,7 +129,7 @@ class VisualElement:
 
 
 def visual_elements(content: bytes, path: Path) -> list[VisualElement]:
-    """All visuals of a URDF that passed the gate.
+    """All visuals of a validated URDF.
 
     Raises:
         RobotError: The text is not XML.
@@ -216,4 +216,4 @@ def _colour(material: XmlNode, log: Diagnostics) -> Colour | None:
 
 
 def _unusable(node: XmlNode, where: str, seen: str, log: Diagnostics) -> RobotError:
-    return log.refusal("visual", node.line, where, seen, "a usable shape is wanted", "a plain shape is drawn")
+    return log.refusal("visual", node.line, where, seen, "a usable shape is expected", "a plain shape is drawn")

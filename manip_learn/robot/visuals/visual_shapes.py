@@ -62,7 +62,7 @@ class MeshReport:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """One sentence a mesh that cannot be used."""
+        """One sentence per mesh that cannot be used."""
         return tuple(self.missing.values())
 
 
@@ -102,7 +102,7 @@ def visual_shapes(robot: Robot, meshes: bool = True) -> tuple[Visual, ...]:
         if isinstance(shape, MeshElement):
             shape, why = _mesh_shape(shape, report, parsed, meshes)
         if shape is None:
-            # one stick figure a link is enough, however many of its meshes are missing
+            # one stick figure per link is enough, however many of its meshes are missing
             if not any(v.link == e.link and v.stand_in for v in visuals):
                 visuals += _sticks(robot, [e.link], why)
             continue
@@ -137,7 +137,7 @@ def _mesh_shape(
 
 
 def _sticks(robot: Robot, links: list[str], why: str) -> tuple[Visual, ...]:
-    """Rods from each link's origin to the joints that hang on it, and a ball where none does."""
+    """Rods from each link's origin to its child joints, and a ball where there is none."""
     model = robot.pinocchio_model
     visuals: list[Visual] = []
     for link in links:
