@@ -26,9 +26,9 @@ class GapTable:
 
     Attributes:
         counts: Candidate numbers of rows s.
-        gaps: Ratio that speaks for each.
+        gaps: Ratio that supports each.
         weak_from: Gap from which a weak answer is given.
-        best: The number of rows that the gaps speak for.
+        best: The number of rows that the gaps support.
     """
 
     counts: tuple[int, ...]
@@ -60,7 +60,7 @@ class Estimate:
         gradients, hessians: Of each trajectory at the optimum, for the bootstrap.
         policy_model: Name of the policy model, if there is one.
         policy_residuals: Policy model -> held-out share of unexplained energy.
-        noise: Held-out residual energy a degree of freedom [(rad/s)^2]; 0 where there is no such thing.
+        noise: Held-out residual energy per degree of freedom [(rad/s)^2]; 0 where there is no such thing.
         warnings: Doubts.
         joint: Joint estimator: the fit with the policy's parameters, the start of a refinement on more samples.
         levels: Null-space estimator: levels of the whitened directions, least first [1], see `null_space.levels`.
@@ -97,7 +97,7 @@ def gaps_of_levels(levels: Float[np.ndarray, " r"], nv: int) -> GapTable:
 
 
 def gaps_of_residuals(residuals: dict[int, float], floor: float, n_samples: int) -> GapTable:
-    """Gaps between the held-out residuals [root mean square a degree of freedom] of fits with s - 1 and with s rows.
+    """Gaps between the held-out residuals [root mean square per degree of freedom] of fits with s - 1 and with s rows.
 
     With too few rows the task's own motion is left over; with enough rows only noise is, and more rows change nothing.
     So the last row that still helps is the answer, not the one that helps most: a task that moves much more along one

@@ -34,7 +34,7 @@ COMPARE: dict[str, Any] = {"max_iterations": 8, "gain": 1e-4}
 
 @final
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class CrossValidatedFit:
     """A fit with its cross-validated cost."""
 
     fit: JointFit
@@ -69,25 +69,25 @@ def estimate_joint(
         )
     if policy_model == "affine-offset":
         return estimate_with_offsets(samples, n_constraints, rng)
-    few = _few(samples)
-    models = _models(few, rng, policy_model)
-    usable = _scan(few, models[:2])
+    few = _subsample(samples)
+    models = _list_models(few, rng, policy_model)
+    usable = _scan_counts(few, models[:2])
     if n_constraints is None and len(usable) < 2 or (n_constraints is not None and n_constraints not in usable):
         raise NotIdentifiableError(
             f"{len(samples)} samples are too few for the joint estimator on {samples.n_rows} rows and {samples.nv} "
             "joints: record more trajectories, or name fewer axes",
             code="too-few-samples",
         )
-    table = _table(few, usable)
+    table = _build_table(few, usable)
     s = n_constraints or table.best
-    chosen, residuals = _chosen(few, s, models, usable[s])
+    chosen, residuals = _climb_models(few, s, models, usable[s])
     if policy_model == "auto" and chosen.held_out > POOR * _null_energy(samples, chosen.fit):
         own = offsets_if_clear(samples, n_constraints, rng, chosen.fit.whitened_selection)
         if own is not None:
             return own
     if chosen.held_out > unexplained * _null_energy(samples, chosen.fit):
         raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
-    fit = _from_random_starts(samples, chosen.fit, rng)
+    fit = _fit_from_random_starts(samples, chosen.fit, rng)
     gradients, hessians = scores(samples, fit)
     return Estimate(
         "joint",
@@ -109,7 +109,7 @@ def _null_energy(samples: Samples, fit: JointFit) -> float:
     return max(fit.energy, VANISHING * samples.energy)
 
 
-def _few(samples: Samples) -> Samples:
+def _subsample(samples: Samples) -> Samples:
     """Every k-th sample of all trajectories, for the comparisons."""
     if len(samples) <= COMPARE_LIMIT:
         return samples
@@ -117,11 +117,11 @@ def _few(samples: Samples) -> Samples:
     return samples.subset(np.arange(len(samples)) % step == 0)
 
 
-def _models(samples: Samples, rng: np.random.Generator, name: str) -> list[PolicyModel]:
+def _list_models(samples: Samples, rng: np.random.Generator, name: str) -> list[PolicyModel]:
     """Models in the order of their size; quadratic stands in for the others in the search for the number of rows."""
     m = samples.q.shape[1]
     if name == "rbf":
-        return [_radial(samples, rng)]
+        return [_make_radial(samples, rng)]
     if name != "auto":
         if name not in PolynomialModel.NAMES:
             raise NotIdentifiableError(
@@ -130,83 +130,83 @@ def _models(samples: Samples, rng: np.random.Generator, name: str) -> list[Polic
                 code="policy-model",
             )
         return [PolynomialModel(PolynomialModel.NAMES.index(name), m)]
-    models = [PolynomialModel(1, m), PolynomialModel(2, m), PolynomialModel(3, m), _radial(samples, rng)]
+    models = [PolynomialModel(1, m), PolynomialModel(2, m), PolynomialModel(3, m), _make_radial(samples, rng)]
     return [models[0]] + [model for model in models[1:] if model.n_terms * samples.nv <= MAX_COLUMNS]
 
 
-def _radial(samples: Samples, rng: np.random.Generator) -> RadialModel:
+def _make_radial(samples: Samples, rng: np.random.Generator) -> RadialModel:
     return RadialModel(np.concatenate([b.x for b in samples.blocks()]), N_CENTRES, rng)
 
 
-def _counts(samples: Samples) -> range:
+def _list_counts(samples: Samples) -> range:
     return range(min(samples.n_rows, samples.nv - 1) + 1)
 
 
-def _scan(samples: Samples, models: list[PolicyModel]) -> dict[int, Candidate]:
+def _scan_counts(samples: Samples, models: list[PolicyModel]) -> dict[int, CrossValidatedFit]:
     """Best of the models for each number of rows that there are samples enough for, all from one closed-form start."""
-    fitting = {s: [m for m in models if _enough(samples, s, m)] for s in _counts(samples)}
+    fitting = {s: [m for m in models if _has_enough(samples, s, m)] for s in _list_counts(samples)}
     if not any(fitting.values()):
         return {}
-    _, directions = conditional_pca(samples, PolynomialModel(_start_degree(samples), samples.q.shape[1]))
-    return {s: _best(samples, fit, directions[:s]) for s, fit in fitting.items() if fit}
+    _, directions = conditional_pca(samples, PolynomialModel(_choose_start_degree(samples), samples.q.shape[1]))
+    return {s: _select_model(samples, fit, directions[:s]) for s, fit in fitting.items() if fit}
 
 
-def _best(samples: Samples, models: list[PolicyModel], start: np.ndarray) -> Candidate:
+def _select_model(samples: Samples, models: list[PolicyModel], start: np.ndarray) -> CrossValidatedFit:
     """Best of the models from a start; a richer one only if it is worth its parameters."""
-    best = _candidate(samples, models[0], start)
+    best = _cross_validate(samples, models[0], start)
     for model in models[1:]:
-        candidate = _candidate(samples, model, start)
+        candidate = _cross_validate(samples, model, start)
         if candidate.held_out < WORTH * best.held_out:
             best = candidate
     return best
 
 
-def _enough(samples: Samples, s: int, model: PolicyModel) -> bool:
+def _has_enough(samples: Samples, s: int, model: PolicyModel) -> bool:
     return len(samples) * (samples.nv - s) * (1.0 - 1.0 / N_FOLDS) >= 2.0 * model.n_terms * samples.nv
 
 
-def _candidate(samples: Samples, model: PolicyModel, start: np.ndarray) -> Candidate:
+def _cross_validate(samples: Samples, model: PolicyModel, start: np.ndarray) -> CrossValidatedFit:
     fit = fit_joint(samples, start, model, **COMPARE)
     folds = min(N_FOLDS, samples.n_trajectories)
-    return Candidate(fit, held_out_cost(samples, fit.whitened_selection, model, folds))
+    return CrossValidatedFit(fit, held_out_cost(samples, fit.whitened_selection, model, folds))
 
 
-def _start_degree(samples: Samples) -> int:
+def _choose_start_degree(samples: Samples) -> int:
     m = samples.q.shape[1]
     return 2 if len(samples) > 4 * (m + 1) * (m + 2) // 2 else 1 if len(samples) > 4 * (m + 1) else 0
 
 
-def _table(samples: Samples, scan: dict[int, Candidate]) -> GapTable:
+def _build_table(samples: Samples, scan: dict[int, CrossValidatedFit]) -> GapTable:
     residuals = {s: float(np.sqrt(c.held_out / (samples.nv - s))) for s, c in scan.items()}
     floor = 1e-15 * float(np.sqrt(samples.energy))
     present = {s: r for s, r in residuals.items() if s == 0 or s - 1 in residuals}
     return gaps_of_residuals(present, floor, len(samples))
 
 
-def _chosen(
-    samples: Samples, s: int, models: list[PolicyModel], first: Candidate
-) -> tuple[Candidate, dict[str, float]]:
+def _climb_models(
+    samples: Samples, s: int, models: list[PolicyModel], first: CrossValidatedFit
+) -> tuple[CrossValidatedFit, dict[str, float]]:
     """Climb to richer models as long as they are worth it; held-out share of every model that was tried."""
     best, residuals = first, {first.fit.model.name: first.held_out / _null_energy(samples, first.fit)}
     for model in models:
         if model.name in residuals or best.held_out <= ROUNDING * best.fit.energy:
             continue
-        if not _enough(samples, s, model):
+        if not _has_enough(samples, s, model):
             continue
-        candidate = _candidate(samples, model, best.fit.whitened_selection)
+        candidate = _cross_validate(samples, model, best.fit.whitened_selection)
         residuals[model.name] = candidate.held_out / _null_energy(samples, candidate.fit)
         if candidate.held_out < WORTH * best.held_out:
             best = candidate
     return best, residuals
 
 
-def _from_random_starts(samples: Samples, chosen: JointFit, rng: np.random.Generator) -> JointFit:
+def _fit_from_random_starts(samples: Samples, chosen: JointFit, rng: np.random.Generator) -> JointFit:
     """The chosen fit on all samples, and a look from random starts whether there is a better one."""
     best = fit_joint(samples, chosen.whitened_selection, chosen.model)
     s, r = best.whitened_selection.shape
     if s == r or best.cost <= ROUNDING * best.energy:
         return best
-    few = _few(samples)
+    few = _subsample(samples)
     reference = fit_joint(few, best.whitened_selection, chosen.model, **COMPARE).cost
     for _ in range(RANDOM_STARTS):
         start: Float[np.ndarray, "s r"] = rng.standard_normal((s, r))

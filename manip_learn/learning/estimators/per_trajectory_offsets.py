@@ -1,6 +1,6 @@
 """Joint estimation where each demonstrator rests in a posture of their own: pi(q) = Theta^T (q, 1) + c_trajectory.
 
-A constant a trajectory makes the cost bumpy: the search begins from many starts on a few trajectories, and the best
+An offset per trajectory makes the cost bumpy: the search begins from many starts on a few trajectories, and the best
 goes on with all of them.
 """
 
@@ -22,7 +22,7 @@ FEW = 16  # trajectories on which the starts are compared
 FEW_SAMPLES = 600
 STARTS = 20
 IDLE_ROUNDS = 2  # so many rounds of starts without anything better end the search
-POLISHED = 8
+REFINED = 8
 LOOK: dict[str, Any] = {"max_iterations": 5, "gain": 1e-3}
 ROUNDING = 1e-24
 N_FOLDS = 5
@@ -39,22 +39,22 @@ def estimate_with_offsets(samples: Samples, n_constraints: int | None, rng: np.r
         rng: For the starts.
 
     Raises:
-        NotIdentifiableError: Too few samples a trajectory.
+        NotIdentifiableError: Too few samples per trajectory.
     """
-    few = _few(samples)
-    if len(few) < 2 * samples.nv * _model(few).n_terms:
+    few = _subsample(samples)
+    if len(few) < 2 * samples.nv * _make_model(few).n_terms:
         raise NotIdentifiableError(
             f"{len(samples)} samples of {samples.n_trajectories} trajectories are too few for a policy with an "
             f"offset for each trajectory: about {2 * samples.nv * (1 + samples.nv)} samples per trajectory are needed",
             code="too-few-samples",
         )
     counts = range(min(samples.n_rows, samples.nv - 1) + 1)
-    fits = {s: _best_of_starts(few, s, rng) for s in counts}
+    fits = {s: _search_from_starts(few, s, rng) for s in counts}
     held_out = {s: held_out_cost(few, f.whitened_selection, f.model, N_FOLDS, by_sample=True) for s, f in fits.items()}
     residuals = {s: float(np.sqrt(c / (samples.nv - s))) for s, c in held_out.items()}
     table = gaps_of_residuals(residuals, 1e-15 * float(np.sqrt(samples.energy)), len(few))
     s = n_constraints or table.best
-    fit = fit_joint(samples, fits[s].whitened_selection, _model(samples))
+    fit = fit_joint(samples, fits[s].whitened_selection, _make_model(samples))
     gradients, hessians = scores(samples, fit)
     share = held_out[s] / fits[s].energy
     return Estimate(
@@ -82,12 +82,12 @@ def offsets_if_clear(
         rng: For the starts.
         whitened_selection: What was learnt without offsets: if they do not help there, they are not tried.
     """
-    few = _few(samples)
+    few = _subsample(samples)
     shared = PolynomialModel(1, samples.q.shape[1])
-    if len(few) < 2 * samples.nv * _model(few).n_terms:
+    if len(few) < 2 * samples.nv * _make_model(few).n_terms:
         return None
     without, offsets = (
-        held_out_cost(few, whitened_selection, model, N_FOLDS, by_sample=True) for model in (shared, _model(few))
+        held_out_cost(few, whitened_selection, model, N_FOLDS, by_sample=True) for model in (shared, _make_model(few))
     )
     if offsets > HELPFUL * without:
         return None
@@ -96,17 +96,17 @@ def offsets_if_clear(
     return estimate if estimate.table.gap(s) >= BEYOND_DOUBT and estimate.held_out < EXACT else None
 
 
-def _few(samples: Samples) -> Samples:
+def _subsample(samples: Samples) -> Samples:
     every = -(-int(np.count_nonzero(samples.trajectory < FEW)) // FEW_SAMPLES)
     return samples.subset((samples.trajectory < FEW) & (np.arange(len(samples)) % every == 0))
 
 
-def _model(samples: Samples) -> TrajectoryOffsetModel:
+def _make_model(samples: Samples) -> TrajectoryOffsetModel:
     return TrajectoryOffsetModel(PolynomialModel(1, samples.q.shape[1]), samples.n_trajectories)
 
 
-def _best_of_starts(samples: Samples, s: int, rng: np.random.Generator) -> JointFit:
-    model, r = _model(samples), samples.n_rows
+def _search_from_starts(samples: Samples, s: int, rng: np.random.Generator) -> JointFit:
+    model, r = _make_model(samples), samples.n_rows
     first = conditional_pca(samples, PolynomialModel(1, samples.q.shape[1]))[1][:s]
     if s in (0, r):
         return fit_joint(samples, first, model)
@@ -126,7 +126,7 @@ def _best_of_starts(samples: Samples, s: int, rng: np.random.Generator) -> Joint
 def _refine_best(fits: list[JointFit], samples: Samples) -> JointFit:
     fits = sorted(fits, key=lambda fit: fit.cost)
     best = fits[0]
-    for fit in fits[:POLISHED]:
+    for fit in fits[:REFINED]:
         best = min(best, fit_joint(samples, fit.whitened_selection, fit.model), key=lambda f: f.cost)
         if best.cost <= ROUNDING * best.energy:
             break

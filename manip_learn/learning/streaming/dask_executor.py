@@ -33,7 +33,7 @@ def dask_client(address: str, n_workers: int | None = None) -> Iterator[Client]:
 
     Args:
         address: `"local"`, or where the scheduler listens, e.g. `"tcp://10.0.0.1:8786"`.
-        n_workers: Of a local cluster; one a processor by default, each a process with one thread.
+        n_workers: Of a local cluster; one per processor by default, each a process with one thread.
 
     Raises:
         ManipLearnError: Nobody answers at the address.
@@ -71,7 +71,7 @@ def connected_executor(client: Client, stream: SampleStream, progress: Progress 
 
 @final
 class DaskExecutor(Executor):
-    """Each part is read once, and kept by the worker that read it; a pass is a task a part and a tree of sums.
+    """Each part is read once, and kept by the worker that read it; a pass is one task per part and a tree of merges.
 
     All tasks are pure functions of what the source says, so that a lost worker's share is done again by another.
 

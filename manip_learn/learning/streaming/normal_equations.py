@@ -4,7 +4,7 @@ With e = N (u - Theta^T beta) and dLambda = B Lambda_perp (Kaufman's form of the
 
     d e / d Theta_kv = -beta_k N e_v          d e / d B_ij = -(A^{+T} (u - pi))_i  N (Lambda_perp Phi)_j^T
 
-N is a projector, so that sum (d e / d Theta)^T (d e / d Theta) = sum beta beta^T (x) N: one matrix product a chunk,
+N is a projector, so that sum (d e / d Theta)^T (d e / d Theta) = sum beta beta^T (x) N: one matrix product per chunk,
 where a QR of the rows costs far more. The condition number is squared thereby: the regressors are made orthonormal
 beforehand, and since e is formed sample by sample, each further pass takes off what rounding has left (iterative
 refinement).
