@@ -7,17 +7,23 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	if command -v $$p >/dev/null 2>&1 && $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; \
 	then echo $$p; break; fi; done)
 VENV := .venv
+# the lowest versions that pyproject.toml allows are tested on the lowest Python that it allows
+LOWEST_PYTHON ?= python3.11
+LOWEST := .venv-lowest
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 # two workers with one thread each: BLAS threads on these tiny matrices cost more than they bring
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
+QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli compiled_controller mjcf loading load_demonstrations \
+	playback playback_motion meshes rollout_file linalg axioms examples experiments)) $(wildcard tests/test_io_*_reader.py)
+
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types check docs bench fuzz proofs format clean distclean
+.PHONY: help demo test lint types check lowest package docs bench fuzz proofs format clean distclean
 
 help:
 	@sed -n '1,4s/^# \{0,1\}//p' Makefile
-	@echo "Also: make lint, types, format, docs, bench, fuzz, proofs, clean, distclean"
+	@echo "Also: make lint, types, format, docs, lowest, package, bench, fuzz, proofs, clean, distclean"
 
 # ---- installing -------------------------------------------------------------------------------------------------
 
@@ -35,6 +41,12 @@ $(VENV)/runtime: pyproject.toml $(VENV)/made
 $(VENV)/dev: pyproject.toml $(VENV)/made
 	$(PIP) install --quiet --editable '.[dev]'
 	@touch $@ $(VENV)/runtime
+
+$(LOWEST)/made: pyproject.toml
+	$(LOWEST_PYTHON) -m venv --clear $(LOWEST)
+	$(LOWEST)/bin/python -m pip --disable-pip-version-check install --quiet uv
+	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --editable '.[test]'
+	@touch $@
 
 # ---- doing ------------------------------------------------------------------------------------------------------
 
@@ -57,6 +69,23 @@ format: $(VENV)/dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# what touches other libraries: files in and out, robots, the command line, compiled code, the demo
+lowest: $(LOWEST)/made
+	$(LOWEST)/bin/manip-learn demo --no-browser --out $(LOWEST)/demo
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/python -m pytest -n 2 --dist worksteal --benchmark-disable \
+		-p no:cacheprovider -m 'not slow and not bench and not fuzz and not browser' $(QUICK) $(ARGS)
+
+# wheel and sdist; then the wheel's own demo, in an environment without extras and in a folder that holds nothing
+package: $(VENV)/dev
+	rm -rf dist
+	$(PIP) install --quiet 'build>=1.2'
+	$(BIN)/python -m build --outdir dist .
+	@folder=$$(mktemp -d) && wheel=$$(ls "$$PWD"/dist/*.whl) && trap 'rm -rf "$$folder"' EXIT && \
+	$(BIN)/python -m venv "$$folder/venv" && mkdir "$$folder/empty" && cd "$$folder/empty" && \
+	"$$folder/venv/bin/python" -m pip --disable-pip-version-check install --quiet "$$wheel" && \
+	env -u PYTHONPATH "$$folder/venv/bin/manip-learn" demo --no-browser --json >"$$folder/demo.json" && \
+	test -s demo_out/replay.html && echo "the wheel's own demo works"
+
 docs: $(VENV)/dev
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
@@ -72,7 +101,7 @@ proofs: $(VENV)/dev
 
 clean:
 	rm -rf build dist out demo_out docs/_build .pytest_cache .ruff_cache .hypothesis .benchmarks
-	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -exec rm -rf {} +
+	find . -path './.venv*' -prune -o -name __pycache__ -type d -exec rm -rf {} +
 
 distclean: clean
-	rm -rf $(VENV)
+	rm -rf $(VENV) $(LOWEST)
