@@ -96,6 +96,25 @@ def test_imports_only_go_down():
     assert not faults, listed(faults)
 
 
+def test_eight_rooms():
+    """At the top there are eight rooms and at most four modules beside __init__, __main__ and cli."""
+    rooms = {s.top for s in SOURCES if "/" in s.relative}
+    assert len(rooms) == 8
+    assert len({s.top for s in SOURCES if s.name} - rooms - {"__main__", "cli"}) <= 4
+
+
+def test_at_most_nine_import_levels():
+    """The longest chain of rooms and loose modules, each importing the next, has at most nine links."""
+    below: dict[str, set[str]] = {s.top: set() for s in SOURCES if s.name}
+    for source in SOURCES:
+        if source.name:
+            below[source.top] |= {target.split(".")[0] for target, _line in own_imports(source)} - {source.top}
+    level: dict[str, int] = {}
+    for top in TopologicalSorter(below).static_order():
+        level[top] = 1 + max((level[lower] for lower in below[top]), default=0)
+    assert max(level.values()) <= 9, level
+
+
 def test_no_import_cycles():
     """Files can be put in an order in which each imports only from those before it, imports for types included."""
     graph = {s.name: {target for target, _ in own_imports(s)} for s in SOURCES if s.name}
