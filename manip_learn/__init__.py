@@ -25,10 +25,12 @@ if TYPE_CHECKING:
         manipulability_gradient,
     )
     from manip_learn.constraint.manipulability_batch import manipulability_batch
-    from manip_learn.control.compiled.compiled_controller import CompiledController
-    from manip_learn.control.controller import Command, ResolvedRateController
+    from manip_learn.control.command import Command, Controller
+    from manip_learn.control.compiled_controller import CompiledController
+    from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
     from manip_learn.control.rollout import Rollout, simulate
+    from manip_learn.control.status import Status
     from manip_learn.control.tasks import Hold, PointAttractor, Task, Track
     from manip_learn.errors import ManipLearnError
     from manip_learn.learning import ConstraintLearner
@@ -50,9 +52,10 @@ _HOMES = {
     "likely_tips": "robot.tips",
     "inspect_robot": "robot.robot_summary",
     "manipulability_batch": "constraint.manipulability_batch",
-    "CompiledController": "control.compiled.compiled_controller",
+    "CompiledController": "control.compiled_controller",
     "CentreOfMass": "constraint.features",
-    "Command": "control.controller",
+    "Command": "control.command",
+    "Controller": "control.command",
     "Constraint": "constraint.constraint",
     "ConstraintLearner": "learning",
     "CustomFeatures": "constraint.features",
@@ -70,6 +73,7 @@ _HOMES = {
     "ResolvedRateController": "control.controller",
     "Robot": "robot",
     "Rollout": "control.rollout",
+    "Status": "control.status",
     "Stacked": "constraint.features",
     "Task": "control.tasks",
     "Track": "control.tasks",
@@ -94,6 +98,7 @@ __all__ = [
     "CompiledController",
     "Constraint",
     "ConstraintLearner",
+    "Controller",
     "CustomFeatures",
     "Demonstrations",
     "FeatureMap",
@@ -111,6 +116,7 @@ __all__ = [
     "Robot",
     "Rollout",
     "Stacked",
+    "Status",
     "Task",
     "Track",
     "Trajectory",

@@ -158,7 +158,7 @@ def control(
             tolerance=tolerance,
             out=out,
             package_dirs=package_dir,
-            progress=lambda share: report("simulating", share),
+            progress=report,
         )
     _answer(as_json, result.to_dict(), "print_controlled", result)
 

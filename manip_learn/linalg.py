@@ -17,7 +17,7 @@ from threadpoolctl import ThreadpoolController
 
 Inverse = Literal["exact", "truncated", "damped"]
 EPS = float(np.finfo(np.float64).eps)
-WELL_CONDITIONED = 0.04  # smallest over largest singular value
+LEAST_SINGULAR_RATIO = 0.04  # smallest over largest singular value of A for which A A^T may be inverted
 
 
 def pseudo_inverse(
@@ -86,8 +86,8 @@ def row_inverse(A: Float[np.ndarray, "s n"]) -> tuple[Float[np.ndarray, "s n"], 
     """A^{+T} = (A A^T)^-1 A by Cholesky's factors of A A^T, in half the time of a singular value decomposition.
 
     With it come the volume sqrt(det(A A^T)), which is the product of the singular values, and the smallest of them.
-    None if A is too ill-conditioned: errors grow with the square of its condition number here, so that 1e-12 is kept
-    up to 1 / WELL_CONDITIONED only. The singular value decomposition is for the rest.
+    None if A is too ill-conditioned: errors grow with the square of its condition number here, so that 1e-12 holds up
+    to a condition number of 1 / LEAST_SINGULAR_RATIO only. The rest needs the singular value decomposition.
     """
     s = A.shape[0]
     if s > A.shape[1]:
@@ -109,7 +109,7 @@ def row_inverse(A: Float[np.ndarray, "s n"]) -> tuple[Float[np.ndarray, "s n"], 
         volume = math.prod(L.diagonal().tolist())
         values, _, failed = dsyev(G, compute_v=0)
         smallest, largest = float(values[0]), float(values[-1])
-    if failed or not smallest > WELL_CONDITIONED**2 * largest:
+    if failed or not smallest > LEAST_SINGULAR_RATIO**2 * largest:
         return None
     return X, volume, math.sqrt(smallest)
 

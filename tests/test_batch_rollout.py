@@ -1,7 +1,8 @@
-"""Rollouts from many starts must be the rollouts from each."""
+"""Rollouts from a table of starts must be the rollouts from each start."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -9,14 +10,14 @@ import pytest
 from conftest import tip_of
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FrameJacobian
-from manip_learn.control import batch
-from manip_learn.control.batch import run_batch
+from manip_learn.constraint.features import CustomFeatures, FrameJacobian
+from manip_learn.control import rollout as rollout_module
 from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.integration import Method
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.rollout import Rollout, simulate
 from manip_learn.control.tasks import Hold, PointAttractor, Track
-from manip_learn.errors import ConfigurationError, ConstraintError
+from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]
@@ -34,14 +35,20 @@ def starts_of(robot: Robot, rng: np.random.Generator, n: int) -> np.ndarray:
     return np.stack([0.8 * robot.positions(robot.random_configuration(rng)) for _ in range(n)])
 
 
+@pytest.fixture(params=["compiled", "start by start"])
+def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What computes a table of starts: the kernel wherever the controller can be compiled, or the law."""
+    if request.param == "compiled":
+        pytest.importorskip("numba", reason="the extra 'fast' is not installed")
+    monkeypatch.setattr(rollout_module, "COMPILED_FROM", 0 if request.param == "compiled" else math.inf)
+
+
 @pytest.mark.parametrize("method", ["euler", "rk4"])
 @pytest.mark.parametrize("name", ["planar3", "sawyer", "wrist", "gantry", "mimic", "tree"])
-def test_many_starts_are_single_starts(
-    name: str, method: str, robot_of: RobotOf, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Postures, velocities, mu, distances and statuses to 1e-9 at the end of a second, for every task and policy."""
+@pytest.mark.usefixtures("engine")
+def test_many_starts_are_single_starts(name: str, method: Method, robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Postures, velocities, mu, distances and statuses to 1e-9 after 0.4 s, for every task and policy."""
     robot = robot_of(name)
-    monkeypatch.setattr(batch, "TOGETHER_FROM", 1)
     starts = starts_of(robot, rng, 3)
     features = FrameJacobian(robot, tip_of(name), "x y")
     target = features.coordinates(robot.random_configuration(rng))
@@ -59,9 +66,9 @@ def test_many_starts_are_single_starts(
         same(simulate(robot, controller, starts, 0.4, 0.02, method), singles)
 
 
-def test_singular_starts(robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Arms that start stretched out are asked one by one and join the others later."""
-    monkeypatch.setattr(batch, "TOGETHER_FROM", 1)
+@pytest.mark.usefixtures("engine")
+def test_singular_starts(robot_of: RobotOf) -> None:
+    """Arms that start stretched out leave the singularity, beside arms that do not."""
     robot = robot_of("planar3")
     features = FrameJacobian(robot, "tip", "x y")
     constraint = Constraint(np.eye(2), features)
@@ -72,31 +79,9 @@ def test_singular_starts(robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> 
     assert many[0].status[0] == "singular" and many[0].status[-1] != "singular"
 
 
-@pytest.mark.parametrize("method", ["euler", "rk4"])
-def test_compiled_or_not(method: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """The compiled engine and the NumPy engine give the same rollouts."""
-    pytest.importorskip("numba", reason="the extra 'fast' is not installed")
-    robot = robot_of("kinova")
-    features = FrameJacobian(robot, tip_of("kinova"), "xyz")
-    constraint = Constraint(np.eye(3)[:2], features)
-    target = features.coordinates(robot.random_configuration(rng))
-    controller = ResolvedRateController(constraint, PointAttractor(target), ManipulabilityAscent(constraint, 0.2))
-    starts = starts_of(robot, rng, 4)
-    a = run_batch(robot, controller, starts, 40, 0.02, method, compiled=True)
-    b = run_batch(robot, controller, starts, 40, 0.02, method, compiled=False)
-    for x, y in zip(a[:4], b[:4], strict=True):
-        np.testing.assert_allclose(x, y, rtol=0, atol=1e-9)
-    assert np.array_equal(a.status, b.status)
-    with pytest.raises(ConstraintError, match="CentreOfMass"):
-        com = ResolvedRateController(Constraint(np.eye(3), CentreOfMass(robot_of("tree"))))
-        run_batch(robot_of("tree"), com, np.zeros((2, robot_of("tree").nv)), 3, 0.01, compiled=True)
-
-
-def test_configurations_come_back_as_configurations(
-    robot_of: RobotOf, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("engine")
+def test_configurations_come_back_as_configurations(robot_of: RobotOf, rng: np.random.Generator) -> None:
     """Starts as (cos, sin) of continuous joints give postures of the same kind."""
-    monkeypatch.setattr(batch, "TOGETHER_FROM", 1)
     robot = robot_of("wrist")
     constraint = Constraint(np.eye(3)[:1], FrameJacobian(robot, "tip"))
     controller = ResolvedRateController(constraint, null_policy=ManipulabilityAscent(constraint))
@@ -104,7 +89,7 @@ def test_configurations_come_back_as_configurations(
     same(simulate(robot, controller, starts, 0.2, 0.02), [simulate(robot, controller, q, 0.2, 0.02) for q in starts])
 
 
-def test_systems_that_are_rolled_out_one_by_one(robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_systems_that_cannot_be_compiled(robot_of: RobotOf, rng: np.random.Generator) -> None:
     """Floating bases and plain vectors take a table of starts too."""
     robot = robot_of("humanoid")
     constraint = Constraint(np.eye(3)[:2], FrameJacobian(robot, "tip"))
@@ -117,12 +102,21 @@ def test_systems_that_are_rolled_out_one_by_one(robot_of: RobotOf, rng: np.rando
     same(simulate(None, controller, starts, 0.1, 0.02), [simulate(None, controller, q, 0.1, 0.02) for q in starts])
 
 
-def test_few_starts_go_one_by_one_and_many_together(robot_of: RobotOf) -> None:
-    """Which way is taken depends on the number of starts and steps only."""
-    robot = robot_of("sawyer")
+def test_large_tables_are_compiled(robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel is used from `COMPILED_FROM` commands on, four per step of Runge-Kutta, and only where numba is."""
+    pytest.importorskip("numba", reason="the extra 'fast' is not installed")
+    robot, used, compiled_rollout = robot_of("sawyer"), [], rollout_module._compiled_rollout
     controller = ResolvedRateController(Constraint(np.eye(3), FrameJacobian(robot, "right_hand")))
-    assert not batch.pays(controller, 3, 10, "euler")
-    assert batch.pays(controller, batch.TOGETHER_FROM, 10, "euler")
+    monkeypatch.setattr(rollout_module, "COMPILED_FROM", 3 * 11 * 4)
+    monkeypatch.setattr(rollout_module, "_compiled_rollout", lambda *a: used.append(a[-1]) or compiled_rollout(*a))
+    starts = np.tile(np.linspace(-0.5, 0.7, 7), (3, 1))
+    simulate(robot, controller, starts, 0.1, 0.01, "euler")
+    assert not used
+    simulate(robot, controller, starts, 0.1, 0.01, "rk4")
+    assert used == ["rk4"] * 3
+    monkeypatch.setattr(rollout_module, "find_spec", lambda name: None)
+    simulate(robot, controller, starts, 0.1, 0.01, "rk4")
+    assert len(used) == 3
 
 
 def test_no_start_and_bad_starts(robot_of: RobotOf) -> None:

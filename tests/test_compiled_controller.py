@@ -1,27 +1,48 @@
-"""A compiled controller must give the commands of the one that it was made from."""
+"""The kernel must give the commands and rollouts of the law in `controller`, compiled or as the plain Python it is."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 from conftest import tip_of
+from test_batch_rollout import same
 from test_control_step import close
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CentreOfMass, FrameJacobian
-from manip_learn.control.compiled import compiled_controller
-from manip_learn.control.compiled.compiled_controller import CompiledController, why_not
+from manip_learn.constraint.manipulability_batch import row_inverses
+from manip_learn.control import compiled_controller, kernel, kernel_linalg
+from manip_learn.control.compiled_controller import CompiledController, why_not
 from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.integration import Method
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.control.rollout import simulate
 from manip_learn.control.tasks import Hold, PointAttractor, Track
 from manip_learn.errors import ConfigurationError, ConstraintError, MissingExtraError
+from manip_learn.linalg import row_inverse
+from manip_learn.robot.batch import compiled_chain
 from manip_learn.robot.robot import Robot
 
-pytest.importorskip("numba", reason="the extra 'fast' is not installed")
+needs_numba = pytest.mark.skipif(find_spec("numba") is None, reason="the extra 'fast' is not installed")
+both_ways = pytest.mark.parametrize("numba", [pytest.param(True, marks=needs_numba), False])
 RobotOf = Callable[[str], Robot]
+
+
+@pytest.fixture
+def kernels(numba: bool, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The kernels as they are compiled, or the same function objects run by the interpreter."""
+    if numba:
+        yield
+        return
+    monkeypatch.setattr(compiled_controller, "find_spec", lambda name: "plain Python instead")
+    for module in (compiled_chain, kernel_linalg, kernel):
+        for name, value in list(vars(module).items()):
+            monkeypatch.setattr(module, name, getattr(value, "py_func", value))
+    with np.errstate(all="ignore"):  # as compiled code, which overflows to infinity in silence
+        yield
 
 
 def controllers(robot: Robot, frame: str, rng: np.random.Generator) -> list[ResolvedRateController]:
@@ -47,8 +68,10 @@ def controllers(robot: Robot, frame: str, rng: np.random.Generator) -> list[Reso
     return out
 
 
+@both_ways
 @pytest.mark.parametrize("name", ["planar3", "sawyer", "panda", "kinova", "gantry", "wrist", "tree"])
-def test_commands_are_the_same(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+@pytest.mark.usefixtures("kernels")
+def test_commands_are_the_same(name: str, numba: bool, robot_of: RobotOf, rng: np.random.Generator) -> None:
     """Every part of the command, its numbers to 1e-12 and its status, at random, extreme and singular postures."""
     robot = robot_of(name)
     statuses = set()
@@ -68,26 +91,65 @@ def test_commands_are_the_same(name: str, robot_of: RobotOf, rng: np.random.Gene
     assert len(statuses) >= 3
 
 
+@both_ways
 @pytest.mark.parametrize("method", ["euler", "rk4"])
 @pytest.mark.parametrize("name", ["planar3", "sawyer", "kinova"])
-def test_rollouts_are_the_same(name: str, method: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """A compiled rollout follows the one in Python to 1e-10, through singular starts and damped stretches."""
+@pytest.mark.usefixtures("kernels")
+def test_rollouts_are_the_same(
+    name: str, method: Method, numba: bool, robot_of: RobotOf, rng: np.random.Generator
+) -> None:
+    """A rollout of the kernel follows that of the law to 1e-9, through singular starts and damped stretches."""
     robot = robot_of(name)
     features = FrameJacobian(robot, tip_of(name), "x y")
     constraint = Constraint(np.eye(2), features)
     target = features.coordinates(robot.random_configuration(rng))
     controller = ResolvedRateController(constraint, PointAttractor(target), ManipulabilityAscent(constraint, 0.2))
     for start in (robot.positions(robot.random_configuration(rng)), np.full(robot.nv, 1e-3)):
-        wanted = simulate(robot, controller, start, 1.0, 0.02, method)
+        expected = simulate(robot, controller, start, 1.0, 0.02, method)
         got = CompiledController(controller).rollout(start, 50, 0.02, method)
-        np.testing.assert_allclose(got.q, wanted.q, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(got.u, wanted.u, rtol=0, atol=1e-8)
-        np.testing.assert_allclose(got.mu, wanted.manipulability, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(got.error, wanted.task_error, rtol=0, atol=1e-9)
-        assert got.status == wanted.status
+        np.testing.assert_allclose(got.q, expected.q, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(got.u, expected.u, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(got.mu, expected.manipulability, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(got.error, expected.task_error, rtol=0, atol=1e-9)
+        assert got.status == expected.status
 
 
-def test_what_cannot_be_compiled_says_why(robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> None:
+@both_ways
+@pytest.mark.usefixtures("kernels")
+def test_row_inverses_are_the_same(numba: bool, rng: np.random.Generator) -> None:
+    """The law's row inverse, the kernel's and that for many postures agree to 1e-12 where the law's does not refuse."""
+    for _ in range(100):
+        s = int(rng.integers(1, 5))
+        A = rng.normal(size=(s, int(rng.integers(s + 1, 9))))
+        expected = row_inverse(A)
+        X, G, L = np.zeros(A.shape), np.zeros((s, s)), np.zeros((s, s))
+        volume, smallest = kernel_linalg.row_inverse(A, X, G, L)
+        assert (expected is None) == (volume == 0.0)
+        if expected is None:
+            continue
+        many, mu, ill = row_inverses(A[:, :, None])
+        assert not ill[0]
+        for got in (X, many[..., 0]):
+            np.testing.assert_allclose(got, expected[0], rtol=0, atol=1e-12 / expected[2])
+        np.testing.assert_allclose([volume, mu[0]], expected[1], rtol=1e-12)
+        np.testing.assert_allclose(smallest, expected[2], rtol=1e-11)
+
+
+@needs_numba
+def test_compiled_controllers_are_simulated(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """`simulate` takes a compiled controller, from one start or many, as postures or configurations."""
+    robot = robot_of("wrist")
+    features = FrameJacobian(robot, tip_of("wrist"), "x y")
+    constraint = Constraint([[0.6, 0.8]], features)
+    controller = ResolvedRateController(constraint, PointAttractor([0.4, 0.5]), ManipulabilityAscent(constraint, 0.2))
+    positions = np.stack([0.8 * robot.positions(robot.random_configuration(rng)) for _ in range(3)])
+    for starts in (positions, np.stack([robot.configuration(x) for x in positions])):
+        expected = [simulate(robot, controller, start, 0.4, 0.02) for start in starts]
+        same(simulate(robot, CompiledController(controller), starts, 0.4, 0.02), expected)
+        same((simulate(robot, CompiledController(controller), starts[0], 0.4, 0.02),), expected[:1])
+
+
+def test_unsupported_controllers_are_refused(robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each unsupported part is named; without numba the extra is."""
     robot, arm = robot_of("humanoid"), robot_of("sawyer")
     features = FrameJacobian(arm, "right_hand")
@@ -113,6 +175,7 @@ def test_what_cannot_be_compiled_says_why(robot_of: RobotOf, monkeypatch: pytest
         CompiledController(ResolvedRateController(constraint))
 
 
+@needs_numba
 def test_bad_postures_are_refused(robot_of: RobotOf) -> None:
     """NaN, infinity and wrong sizes raise what the original raises."""
     features = FrameJacobian(robot_of("sawyer"), "right_hand")
@@ -122,5 +185,5 @@ def test_bad_postures_are_refused(robot_of: RobotOf) -> None:
         with pytest.raises(ConfigurationError):
             compiled(wrong)
     q = np.linspace(-0.5, 0.7, 7)
-    for same in (list(q), q.astype(">f8"), np.repeat(q, 2)[::2]):
-        np.testing.assert_array_equal(compiled(same).velocity, compiled(q).velocity)
+    for equal in (list(q), q.astype(">f8"), np.repeat(q, 2)[::2]):
+        np.testing.assert_array_equal(compiled(equal).velocity, compiled(q).velocity)

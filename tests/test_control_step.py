@@ -11,12 +11,13 @@ from conftest import tip_of
 from manip_learn import linalg
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
-from manip_learn.control.controller import Command, ResolvedRateController
+from manip_learn.control.command import Command
+from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.tasks import PointAttractor, Task
-from manip_learn.control.velocity_limits import VelocityRoom
+from manip_learn.control.velocity_limits import VelocityLimits
 from manip_learn.errors import ConfigurationError, TargetError
-from manip_learn.linalg import WELL_CONDITIONED, row_inverse
+from manip_learn.linalg import LEAST_SINGULAR_RATIO, row_inverse
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]
@@ -72,7 +73,7 @@ def test_row_inverse_is_exact_or_refuses(rng: np.random.Generator) -> None:
         A = (U * sigma) @ Vt
         got = row_inverse(A)
         if got is None:
-            assert sigma[-1] < 1.01 * WELL_CONDITIONED * sigma[0]
+            assert sigma[-1] < 1.01 * LEAST_SINGULAR_RATIO * sigma[0]
             continue
         answered += 1
         X, volume, smallest = got
@@ -168,21 +169,21 @@ def test_rounding_does_not_stop_the_arm(robot_of: RobotOf) -> None:
     q[3] = robot.position_upper[3]
     task, null = np.full(7, 0.01), np.full(7, 0.01)
     task[3] = null[3] = 1e-15
-    assert VelocityRoom(robot).shares(q, 0.01, task, null) == (1.0, 1.0, False)
+    assert VelocityLimits(robot).scale_factors(q, 0.01, task, null) == (1.0, 1.0, False)
     task[3] = 1e-9
-    assert VelocityRoom(robot).shares(q, 0.01, task, null) == (0.0, 1.0, True)
+    assert VelocityLimits(robot).scale_factors(q, 0.01, task, null) == (0.0, 1.0, True)
 
 
-def test_shares_against_their_definition(robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """The largest shares that fit, at postures within, at and outside the limits; both parts end up within bounds."""
+def test_scale_factors_against_their_definition(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """The largest factors that fit, at postures within, at and outside the limits; both parts end up within bounds."""
     robot = robot_of("sawyer")
-    room, dt, seen = VelocityRoom(robot), 0.01, set()
+    limits, dt, seen = VelocityLimits(robot), 0.01, set()
     for _ in range(300):
         q = rng.uniform(1.02 * robot.position_lower, 1.02 * robot.position_upper)
         if rng.random() < 0.3:
             q[rng.integers(7)] = robot.position_upper[0]
         task, null = rng.normal(size=7) * 10.0 ** rng.uniform(-2, 1), rng.normal(size=7) * 10.0 ** rng.uniform(-2, 1)
-        got = room.shares(q, dt, task, null)
+        got = limits.scale_factors(q, dt, task, null)
         lower = np.maximum(-robot.velocity_limit, np.minimum((robot.position_lower - q) / dt, 0.0))
         upper = np.minimum(robot.velocity_limit, np.maximum((robot.position_upper - q) / dt, 0.0))
         assert got.task == pytest.approx(brute_share(task, lower, upper), rel=1e-13)

@@ -8,9 +8,10 @@ from conftest import tip_of
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
-from manip_learn.control.controller import STATUSES, ResolvedRateController
+from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
 from manip_learn.control.rollout import simulate
+from manip_learn.control.status import Status
 from manip_learn.control.tasks import PointAttractor, Track
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 
@@ -66,7 +67,7 @@ def test_every_command_keeps_the_promises(robot_of, rng, name: str, inverse: str
             np.testing.assert_allclose(A @ command.velocity, wanted, rtol=0, atol=1e-11 * max(1.0, size))
         low, high = bounds_of(robot, robot.positions(q), controller.dt)
         assert np.all(command.velocity <= high + 1e-9) and np.all(command.velocity >= low - 1e-9)
-        assert command.status in STATUSES
+        assert command.status in tuple(Status)
         assert 0.0 <= command.task_scale <= 1.0 and 0.0 <= command.null_scale <= 1.0
         np.testing.assert_allclose(command.task_part + command.null_part, command.velocity, rtol=0, atol=1e-12)
 
@@ -117,7 +118,7 @@ def test_the_null_space_leads_round_position_limits(robot_of):
         for helped in (True, False):
             controller = ResolvedRateController(constraint, PointAttractor(target, gain=2.0, max_speed=0.5))
             if not helped:  # a null space of no dimension can lead nowhere
-                controller._room.bounds = lambda q, dt: (np.zeros(7), np.zeros(7))
+                controller._limits.bounds = lambda q, dt: (np.zeros(7), np.zeros(7))
             reached[helped] += simulate(robot, controller, start, 4.0, 0.02).task_error[-1] < 0.01
     assert reached[True] >= reached[False] + 3
     assert reached[True] >= 8

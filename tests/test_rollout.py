@@ -164,9 +164,32 @@ def test_bad_arguments(robot_of):
             simulate(robot, controller, q0)
 
 
-def test_progress_is_told(robot_of):
-    """The share done rises to 1."""
-    robot = robot_of("planar3")
-    shares: list[float] = []
-    simulate(robot, reaching(robot, "tip", "x y", [1.0, 1.0]), np.ones(3), 0.1, 0.01, progress=shares.append)
-    assert shares == sorted(shares) and shares[-1] == 1.0
+def test_a_controller_of_your_own(robot_of):
+    """Any (q, t, dt) -> Command is simulated; without `task_error` that column is NaN, everything else is the same."""
+    robot = robot_of("sawyer")
+    controller = reaching(robot, "right_hand", "xyz", [0.5, 0.2, 0.4])
+    q0 = np.linspace(-0.5, 0.7, 7)
+
+    class Mine:
+        def __call__(self, q, t=0.0, dt=None):
+            return controller(q, t)
+
+    for method in ("euler", "rk4"):
+        expected = simulate(robot, controller, q0, 0.05, 0.01, method)
+        got = simulate(robot, Mine(), q0, duration=0.05, dt=0.01, method=method)
+        np.testing.assert_array_equal(got.q, expected.q)
+        np.testing.assert_array_equal(got.manipulability, expected.manipulability)
+        assert got.status == expected.status and np.all(np.isnan(got.task_error))
+    table = simulate(robot, Mine(), np.stack([q0, q0]), 0.05, 0.01)
+    assert len(table) == 2 and all(np.isnan(r.task_error).all() for r in table)
+
+
+def test_progress_is_reported_with_a_title(robot_of):
+    """The signature is that of the learner's progress: a title and a fraction that ends at 1."""
+    robot, seen = robot_of("planar3"), []
+    controller = reaching(robot, "tip", "x y", [0.5, 1.2])
+    starts = np.array([[0.2, 0.5, 0.3], [0.3, 0.8, -0.5]])
+    for q0 in (starts[0], starts):
+        seen.clear()
+        simulate(robot, controller, q0, 0.05, 0.01, progress=lambda title, fraction: seen.append((title, fraction)))
+        assert seen[-1] == ("simulating", 1.0) and [f for _, f in seen] == sorted(f for _, f in seen)

@@ -4,7 +4,7 @@ import numpy as np
 from common import POSTURES, TARGET, TIP, report
 
 import manip_learn as ml
-from manip_learn.control.compiled.compiled_controller import CompiledController
+from manip_learn.control.compiled_controller import CompiledController
 from manip_learn.errors import MissingExtraError
 
 robot = ml.load_robot("sawyer")

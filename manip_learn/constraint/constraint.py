@@ -77,6 +77,12 @@ class Constraint:
         """Number of velocities that A acts on."""
         return self.features.nv
 
+    @property
+    def robot(self) -> Robot | None:
+        """The robot that the features belong to; None for those of a system without one."""
+        # not every feature map has a robot, and those of users need not know of the attribute
+        return getattr(self.features, "robot", None)
+
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "s nv"]:
         """A(q).
 
@@ -127,8 +133,7 @@ class Constraint:
         Raises:
             FeatureError: The features are Python functions and cannot be written down.
         """
-        robot = getattr(self.features, "robot", None)
-        described = None
+        robot, described = self.robot, None
         if robot is not None:
             described = {
                 "name": robot.name,

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_of
 
-WELL_CONDITIONED = 1e-3  # smallest over largest row length of the triangle; below it the SVD takes over
+LEAST_LENGTH_RATIO = 1e-3  # shortest orthogonalised row over longest row of A; below it the SVD takes over
 
 
 @final
@@ -84,7 +84,7 @@ def row_inverses(
         np.divide(Q[i], L[i, i], out=Q[i], where=L[i, i] > 0.0)
     lengths = L[np.arange(s), np.arange(s)]
     mu = np.prod(lengths, axis=0)
-    ill = ~(lengths.min(axis=0) > WELL_CONDITIONED * np.sqrt(np.max(np.sum(A * A, axis=1), axis=0)))
+    ill = ~(lengths.min(axis=0) > LEAST_LENGTH_RATIO * np.sqrt(np.max(np.sum(A * A, axis=1), axis=0)))
     safe = np.where(ill, 1.0, lengths)
     for i in range(s - 1, -1, -1):  # back substitution with L^T, row i of Q becomes row i of L^{-T} Q
         for j in range(i + 1, s):

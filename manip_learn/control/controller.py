@@ -1,4 +1,4 @@
-"""Resolved-rate control: u = A^+ b + N pi, made safe for a real arm."""
+"""Resolved-rate control: u = A^+ b + N pi, within the limits of a real arm."""
 
 from __future__ import annotations
 
@@ -11,61 +11,48 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
-from manip_learn.control.null_space_saturation import BLOCKED, Detour, detour, sidestep
-from manip_learn.control.policies.manipulability_ascent import ManipulabilityAscent
-from manip_learn.control.policies.policy import NullSpacePolicy
-from manip_learn.control.policies.zero_policy import ZeroPolicy
-from manip_learn.control.tasks.hold import Hold
-from manip_learn.control.tasks.task import Task
-from manip_learn.control.velocity_limits import VelocityRoom
+from manip_learn.control.command import Command
+from manip_learn.control.null_space_saturation import BLOCKED, project_policy, saturate_null_space
+from manip_learn.control.policies import ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
+from manip_learn.control.status import Status
+from manip_learn.control.tasks import Hold, Task
+from manip_learn.control.velocity_limits import VelocityLimits
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 from manip_learn.linalg import Inverse, inverse_singular_values, matlab_tolerance, row_inverse, svd
 from manip_learn.robot.robot import Robot
 
-# worst first: a command has one status, the gravest thing that was done to it
-STATUSES = ("singular", "position-limited", "velocity-limited", "damped", "rerouted", "null-scaled", "ok")
-
 
 @final
-class Command(NamedTuple):
-    """What the controller asks for at one instant.
+class _Law(NamedTuple):
+    """Equation (2) at one posture, before limits."""
 
-    Attributes:
-        velocity: u, shape (nv,) [rad/s or m/s], finite and within the limits.
-        status: The gravest thing that was done: `"ok"`; `"null-scaled"`: the null-space part was shortened to the room
-            that the task left, or done without joints at a limit; `"rerouted"`: joints at a position limit were led
-            round it by null-space motion, the task goes on at full speed; `"damped"`: the task part was damped near a
-            singularity; `"velocity-limited"`, `"position-limited"`: the task was slowed down for a limit;
-            `"singular"`: a task direction is lost.
-        manipulability: mu(q).
-        task_velocity: b, shape (s,), as the task wanted it.
-        task_part: A^+ b as commanded, shape (nv,).
-        null_part: N pi as commanded, shape (nv,), and what leads joints round their position limits; A null_part = 0.
-        task_scale: Share of the task velocity that is commanded, 0 to 1.
-        null_scale: Share of the null-space velocity that is commanded, 0 to 1.
-        smallest_singular_value: Of A(q).
-    """
-
-    velocity: Float[np.ndarray, " nv"]
-    status: str
-    manipulability: float
-    task_velocity: Float[np.ndarray, " s"]
+    A: Float[np.ndarray, "s nv"]
+    b: Float[np.ndarray, " s"]
     task_part: Float[np.ndarray, " nv"]
     null_part: Float[np.ndarray, " nv"]
-    task_scale: float
-    null_scale: float
-    smallest_singular_value: float
+    mu: float
+    smallest: float
+    singular: bool
 
 
 @final
 class ResolvedRateController:
-    """u = A^+ b + N pi, equation (2) of Manavalan and Howard, with limits.
+    """u = A^+ b + N pi, equation (2) of Manavalan and Howard, "Learning Singularity Avoidance", with limits.
 
-    N is always the exact projector. The task part is damped only where a singular value is below `threshold`. The task
-    part is slowed down as a whole at the limits (clipping joint by joint would bend the task's direction), and the
-    null-space part is then shortened to the room that is left. Where a position limit would slow the task down, the
-    null space leads the joints round it first, as far as it can.
+    With A = U diag(sigma) V^T, the task part is A^+ b = V diag(g) U^T b, where g_i depends on `inverse`:
+
+        exact:      g = 1 / sigma
+        truncated:  g = 1 / sigma where sigma > max(size(A)) eps(sigma_1), else 0      (Matlab's pinv)
+        damped:     g = sigma / (sigma^2 + lambda^2),  lambda = damping (1 - (sigma / threshold)^2), 0 above threshold
+
+    N = I - A^+ A = Z Z^T is always the exact projector, Z the null basis of A: a damped one would leak into the task.
+    Away from singularities, A^{+T} = (A A^T)^-1 A and N pi = pi - A^+ (A pi) give the same without the decomposition.
+
+    The task part is scaled down as a whole at the limits (clipping joint by joint would change the task's direction),
+    and the null-space part is then scaled to what is left. Where a position limit would slow the task down, null-space
+    motion first compensates for the joints at their limits, as far as it can.
 
     Args:
         constraint: A(q).
@@ -74,7 +61,7 @@ class ResolvedRateController:
         inverse: `"damped"` for a real arm; `"exact"` or `"truncated"` (Matlab's tolerance) as in the paper.
         threshold: Singular value of A at which damping sets in, in the constraint's units (m or 1).
         damping: Damping factor at a singular value of 0.
-        limits: False ignores the joint limits and the room for the null-space part (the paper's law, bare).
+        limits: False ignores the joint limits and scales nothing (the paper's law as printed).
         dt: Look-ahead for the position limits [s], unless the call says otherwise.
         robot: Whose limits count; the features' own robot by default.
 
@@ -108,11 +95,11 @@ class ResolvedRateController:
         self.damping = float(damping)
         self.limits = bool(limits)
         self.dt = float(dt)
-        self.robot: Robot | None = robot or getattr(constraint.features, "robot", None)
-        self._room = VelocityRoom(self.robot) if self.limits and self.robot is not None else None
-        self._features_check = self.robot is not None and self.robot is getattr(constraint.features, "robot", None)
-        ours = isinstance(self.null_policy, ManipulabilityAscent) and self.null_policy.constraint is constraint
-        self._ascent: ManipulabilityAscent | None = self.null_policy if ours else None  # type: ignore[assignment]
+        self.robot: Robot | None = robot or constraint.robot
+        self._limits = VelocityLimits(self.robot) if self.limits and self.robot is not None else None
+        self._features_check = self.robot is not None and self.robot is constraint.robot
+        policy = self.null_policy
+        self._ascent = policy if isinstance(policy, ManipulabilityAscent) and policy.constraint is constraint else None
 
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float | None = None) -> Command:
         """The command at posture q and time t.
@@ -126,24 +113,37 @@ class ResolvedRateController:
             ConfigurationError: q has the wrong size or is not finite, or dt is not positive.
             TargetError: The task's target does not fit the constraint.
         """
-        if dt is not None and not 0.0 < dt < math.inf:
+        if dt is None:
+            dt = self.dt
+        elif not 0.0 < dt < math.inf:
             raise ConfigurationError(f"dt must be a positive number of seconds, got {dt!r}")
         if not (self._features_check and type(q) is np.ndarray and q.dtype.char == "d"):
             q = self._checked_posture(q)
-        ascent = self._ascent
+        ascent, vjp = self._ascent, None
         if ascent is None:
-            A, vjp = self.constraint(q), _not_needed
+            A = self.constraint(q)
         else:  # one Hessian and one inverse serve the task and the policy
             A, vjp = self.constraint.value_and_vjp(q)
         b = self._checked(self.task.velocity(self.constraint, q, t), A.shape[0], "the task's velocity b")
         inverse = row_inverse(A)
-        if inverse is not None and (self.inverse != "damped" or inverse[2] >= self.threshold):
-            # nothing to damp or to drop, the case of nearly every step: A^{+T} b and pi - A^+ A pi as they stand
-            X, mu, smallest = inverse
-            pi = self._policy(q, t) if ascent is None else ascent.from_inverse(X, mu, vjp)
-            return self._limited(q, dt, A, b, b.dot(X), pi - A.dot(pi).dot(X), mu, smallest, False)
+        if inverse is None or (self.inverse == "damped" and inverse[2] < self.threshold):
+            return self._limited(q, dt, self._near_singularity(q, t, dt, A, b, vjp))
+        # nothing to damp or to truncate, the case of nearly every step
+        X, mu, smallest = inverse
+        pi = self._policy(q, t) if ascent is None or vjp is None else ascent.from_inverse(X, mu, vjp)
+        return self._limited(q, dt, _Law(A, b, b.dot(X), pi - A.dot(pi).dot(X), mu, smallest, False))
+
+    def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
+        """Distance to the task's goal along the constrained rows [m or rad]."""
+        return self.task.error(self.constraint, np.asarray(q, dtype=np.float64), t)
+
+    def _near_singularity(
+        self, q: np.ndarray, t: float, dt: float, A: np.ndarray, b: np.ndarray, vjp: Vjp | None
+    ) -> _Law:
+        """The law by the singular value decomposition, see the class."""
+        ascent = self._ascent
         U, sigma, Vt = svd(A)
-        if ascent is None:
+        if ascent is None or vjp is None:
             pi = self._policy(q, t)
         else:
             pi = ascent.from_decomposition(A.shape, (U, sigma, Vt), vjp)
@@ -154,11 +154,12 @@ class ResolvedRateController:
         smallest, singular = float(sigma[-1]), bool(sigma[-1] <= SINGULAR_RATIO * sigma[0])
         mu = math.prod(sigma.tolist()) if A.shape[0] <= A.shape[1] else 0.0
         null_part = Z.dot(pi).dot(Z)
-        if singular and ascent is not None and self._room is not None:
-            # at a singularity mu climbs both ways: a limit in one way is no reason to stay
-            ways = [self._room.shares(q, dt or self.dt, task_part, way).null for way in (null_part, -null_part)]
-            null_part = null_part if ways[0] >= ways[1] else -null_part
-        return self._limited(q, dt, A, b, task_part, null_part, mu, smallest, singular)
+        if singular and ascent is not None and self._limits is not None:
+            # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
+            directions = (null_part, -null_part)
+            scales = [self._limits.scale_factors(q, dt, task_part, v).null for v in directions]
+            null_part = directions[0] if scales[0] >= scales[1] else directions[1]
+        return _Law(A, b, task_part, null_part, mu, smallest, singular)
 
     def _checked_posture(self, q: ArrayLike) -> np.ndarray:
         if self.robot is not None:
@@ -178,30 +179,19 @@ class ResolvedRateController:
             raise TargetError(f"{what} must be {size} finite numbers, got {array.tolist()}")
         return array
 
-    def _limited(
-        self,
-        q: np.ndarray,
-        dt: float | None,
-        A: np.ndarray,
-        b: np.ndarray,
-        task_part: np.ndarray,
-        null_part: np.ndarray,
-        mu: float,
-        smallest: float,
-        singular: bool,
-    ) -> Command:
-        task_scale = null_scale = 1.0
-        position_bound = False
-        way_round: Detour | None = None
-        if self._room is not None:
-            task_scale, null_scale, position_bound = self._room.shares(q, dt or self.dt, task_part, null_part)
+    def _limited(self, q: np.ndarray, dt: float, law: _Law) -> Command:
+        """The two parts of the law scaled to the limits, and added."""
+        A, b, task_part, null_part, mu, smallest, singular = law
+        limits, task_scale, null_scale = self._limits, 1.0, 1.0
+        position_bound, saturation = False, None
+        if limits is not None:
+            task_scale, null_scale, position_bound = limits.scale_factors(q, dt, task_part, null_part)
             if position_bound:
-                bounds = self._room.bounds(q, dt or self.dt)
-                way_round = detour(task_part, null_part, A, *bounds, task_scale)
-            if way_round is not None:
-                task_scale, null_part, null_scale = way_round
+                saturation = saturate_null_space(task_part, null_part, A, *limits.bounds(q, dt), task_scale)
+            if saturation is not None:
+                task_scale, null_part, null_scale = saturation
             elif task_scale == 1.0 and null_scale < BLOCKED:
-                null_part, null_scale = sidestep(task_part, null_part, A, *self._room.bounds(q, dt or self.dt))
+                null_part, null_scale = project_policy(task_part, null_part, A, *limits.bounds(q, dt))
                 null_scale = min(null_scale, 1.0 - BLOCKED)
             elif null_scale < 1.0:
                 null_part = null_scale * null_part
@@ -214,15 +204,15 @@ class ResolvedRateController:
                 "use inverse='damped'"
             )
         if singular:
-            status = "singular"
+            status = Status.SINGULAR
         elif task_scale < 1.0:
-            status = "position-limited" if position_bound else "velocity-limited"
+            status = Status.POSITION_LIMITED if position_bound else Status.VELOCITY_LIMITED
         elif self.inverse == "damped" and smallest < self.threshold:
-            status = "damped"
-        elif way_round is not None:
-            status = "rerouted"
+            status = Status.DAMPED
+        elif saturation is not None:
+            status = Status.REROUTED
         else:
-            status = "null-scaled" if null_scale < 1.0 else "ok"
+            status = Status.NULL_SCALED if null_scale < 1.0 else Status.OK
         return Command(velocity, status, mu, b, task_part, null_part, task_scale, null_scale, smallest)
 
     def __repr__(self) -> str:
@@ -230,7 +220,3 @@ class ResolvedRateController:
             f"ResolvedRateController({self.constraint!r}, task={self.task!r}, null_policy={self.null_policy!r}, "
             f"inverse={self.inverse!r})"
         )
-
-
-def _not_needed(weights: np.ndarray) -> np.ndarray:
-    raise NotImplementedError

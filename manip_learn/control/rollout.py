@@ -1,4 +1,4 @@
-"""Rolling a controller out in time."""
+"""Rollouts: a controller run in time, from one start or many."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import zipfile
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Literal, final, overload
+from typing import TypeGuard, final, overload
 
 import numpy as np
 from jaxtyping import Float
@@ -18,11 +19,13 @@ from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.manipulability import manipulability
-from manip_learn.control.batch import pays, run_batch
-from manip_learn.control.controller import Command, ResolvedRateController
+from manip_learn.control.command import Command, Controller, TaskController
+from manip_learn.control.compiled_controller import CompiledController, why_not
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.integration import Method, next_posture
 from manip_learn.errors import ConfigurationError, RecordingError
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.robot.batch.postures import checked_postures
+from manip_learn.robot.batch.postures import checked_postures, positions_of
 from manip_learn.robot.robot import Robot
 
 FORMAT = "manip_learn.rollout"
@@ -31,8 +34,8 @@ DAMAGE = (
     *(OSError, ValueError, KeyError, AttributeError, TypeError, EOFError, NotImplementedError, RuntimeError),
     *(MemoryError, zipfile.BadZipFile, zlib.error),
 )
-MOVING_BASES = ("floating", "planar", "other")  # joints whose positions do not simply add up
-Progress = Callable[[float], None]
+COMPILED_FROM = 5_000  # commands of a table of starts: fewer take less time one by one than loading numba does
+Progress = Callable[[str, float], None]
 
 
 @final
@@ -44,10 +47,11 @@ class Rollout:
         time: shape (T,) [s].
         q: shape (T, n), postures, the same kind of vector as the start.
         u: shape (T, nv), commanded velocities [rad/s or m/s].
-        manipulability: shape (T,), of the controller's constraint.
-        status: T words, see `Command.status`.
-        joint_names: One name a velocity.
-        task_error: shape (T,), distance to the task's goal along the constrained rows [m or rad].
+        manipulability: shape (T,), as the commands give it: of the controller's constraint.
+        status: shape (T,), see `Status`.
+        joint_names: One name per velocity.
+        task_error: shape (T,), distance to the task's goal along the constrained rows [m or rad]; NaN if the controller
+            has no `task_error`.
         frame: Frame that the constraint holds, whose path a replay draws; empty if its features have no frame.
     """
 
@@ -79,7 +83,7 @@ class Rollout:
         return Trajectory(self.time, self.q, self.u, self.joint_names, name)
 
     def violation(self, constraint: Constraint) -> Float[np.ndarray, " T"]:
-        """|A(q) u| along the motion: how far it breaks a constraint with b = 0, in the rows' units a second."""
+        """|A(q) u| along the motion: how far it breaks a constraint with b = 0, in the rows' units per second."""
         return np.array([np.linalg.norm(constraint(q) @ u) for q, u in zip(self.q, self.u, strict=True)])
 
     def manipulability_of(self, constraint: Constraint) -> Float[np.ndarray, " T"]:
@@ -138,11 +142,11 @@ class Rollout:
 @overload
 def simulate(
     robot: Robot | None,
-    controller: ResolvedRateController,
+    controller: Controller,
     q0: Sequence[float] | Float[np.ndarray, " n"],
     duration: float = ...,
     dt: float = ...,
-    method: Literal["euler", "rk4"] = ...,
+    method: Method = ...,
     *,
     progress: Progress | None = ...,
 ) -> Rollout: ...
@@ -151,11 +155,11 @@ def simulate(
 @overload
 def simulate(
     robot: Robot | None,
-    controller: ResolvedRateController,
+    controller: Controller,
     q0: Sequence[Sequence[float]],
     duration: float = ...,
     dt: float = ...,
-    method: Literal["euler", "rk4"] = ...,
+    method: Method = ...,
     *,
     progress: Progress | None = ...,
 ) -> tuple[Rollout, ...]: ...
@@ -163,11 +167,11 @@ def simulate(
 
 def simulate(
     robot: Robot | None,
-    controller: ResolvedRateController,
+    controller: Controller,
     q0: ArrayLike,
     duration: float = 5.0,
     dt: float = 0.01,
-    method: Literal["euler", "rk4"] = "euler",
+    method: Method = "euler",
     *,
     progress: Progress | None = None,
 ) -> Rollout | tuple[Rollout, ...]:
@@ -175,17 +179,18 @@ def simulate(
 
     Args:
         robot: The robot; None for a system whose state is a plain vector.
-        controller: What commands it.
-        q0: Start posture; the rollout's postures are the same kind of vector. Or a table of starts, one a row.
+        controller: A `ResolvedRateController`, a `CompiledController`, or any `(q, t, dt) -> Command`.
+        q0: Start posture; the rollout's postures are the same kind of vector. Or a table of starts, one per row.
         duration: [s].
         dt: Step [s].
         method: `"euler"` holds each command for a step, as a real arm's interface does; `"rk4"` approximates the
             continuous system.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with a title and the completed fraction, 0 to 1.
 
     Returns:
-        A `Rollout` of round(duration / dt) + 1 samples, the start included; a tuple of them, one a start, for a table
-        of starts (they are rolled out together, several times as fast as one by one).
+        A `Rollout` of round(duration / dt) + 1 samples, the start included; for a table of starts a tuple of them, one
+        per start. A large table is computed by compiled code where numba is installed and the controller can be
+        compiled (see `CompiledController`), and start by start otherwise.
 
     Raises:
         ConfigurationError: The start has the wrong size or is not finite; a step or duration that is not positive.
@@ -195,84 +200,95 @@ def simulate(
     if method not in ("euler", "rk4"):
         raise ConfigurationError(f"method must be 'euler' or 'rk4', not {method!r}")
     steps = round(duration / dt)
+    report = progress or _silent
     if np.ndim(q0) == 2:
-        return _simulate_all(robot, controller, np.asarray(q0), steps, dt, method, progress)
+        return _simulate_table(robot, controller, np.asarray(q0), steps, dt, method, report)
+    if isinstance(controller, CompiledController) and controller.robot is robot:
+        rollout = _compiled_rollout(controller, np.asarray(controller.robot.checked_posture(q0)), steps, dt, method)
+        report("simulating", 1.0)
+        return rollout
     q = np.array(q0, dtype=np.float64) if robot is None else np.array(robot.checked_posture(q0))
-    postures = np.empty((steps + 1, q.shape[0]))
+    return _integrated(robot, controller, q, steps, dt, method, report)
+
+
+def _integrated(
+    robot: Robot | None,
+    controller: Controller,
+    q: np.ndarray,
+    steps: int,
+    dt: float,
+    method: Method,
+    report: Progress,
+) -> Rollout:
+    task_error = controller.task_error if isinstance(controller, TaskController) else None
+    postures, errors = np.empty((steps + 1, q.shape[0])), np.full(steps + 1, np.nan)
     commands: list[Command] = []
-    errors = np.empty(steps + 1)
     for i in range(steps + 1):
         t = i * dt
         command = controller(q, t, dt)
         postures[i] = q
         commands.append(command)
-        errors[i] = controller.task.error(controller.constraint, q, t)
+        if task_error is not None:
+            errors[i] = task_error(q, t)
         if i < steps:
-            q = _stepped(robot, controller, q, t, dt, method, command)
-        if progress is not None:
-            progress((i + 1) / (steps + 1))
+            q = next_posture(robot, controller, q, t, dt, method, command.velocity)
+        report("simulating", (i + 1) / (steps + 1))
+    u = np.array([c.velocity for c in commands])
     return Rollout(
         np.arange(steps + 1) * dt,
         postures,
-        np.array([c.velocity for c in commands]),
+        u,
         np.array([c.manipulability for c in commands]),
         tuple(c.status for c in commands),
-        robot.joint_names if robot is not None else tuple(f"q{i}" for i in range(controller.constraint.nv)),
+        robot.joint_names if robot is not None else tuple(f"q{i}" for i in range(u.shape[1])),
         errors,
-        _frame_of(controller.constraint),
+        _frame_of(controller),
     )
 
 
-def _simulate_all(
+def _simulate_table(
     robot: Robot | None,
-    controller: ResolvedRateController,
+    controller: Controller,
     starts: np.ndarray,
     steps: int,
     dt: float,
-    method: Literal["euler", "rk4"],
-    progress: Progress | None,
+    method: Method,
+    report: Progress,
 ) -> tuple[Rollout, ...]:
-    simple = robot is not None and controller.robot is robot and all(b.kind not in MOVING_BASES for b in robot.blocks)
-    if robot is None or not simple or not pays(controller, len(starts), steps, method):
-        if robot is not None:
-            checked_postures(robot, starts)  # names the row before any work is done
-        return tuple(simulate(robot, controller, start, steps * dt, dt, method, progress=progress) for start in starts)
-    run = run_batch(robot, controller, starts, steps, dt, method)
-    if progress is not None:
-        progress(1.0)
-    time = np.arange(steps + 1) * dt
-    rows = zip(run.q, run.u, run.mu, run.status, run.error, strict=True)
-    frame = _frame_of(controller.constraint)
-    return tuple(
-        Rollout(time, q, u, mu, tuple(status), robot.joint_names, error, frame) for q, u, mu, status, error in rows
-    )
+    if robot is not None:
+        starts = checked_postures(robot, starts)  # names the row before any work is done
+    commands = len(starts) * (steps + 1) * (4 if method == "rk4" else 1)
+    if commands >= COMPILED_FROM and _compiles(controller, robot):
+        controller = CompiledController(controller)
+    rollouts = []
+    for i, start in enumerate(starts):
+        rollouts.append(simulate(robot, controller, start, steps * dt, dt, method))
+        report("simulating", (i + 1) / len(starts))
+    return tuple(rollouts)
 
 
-def _frame_of(constraint: Constraint) -> str:
-    """Name of the frame whose rows are constrained; empty for features that belong to no frame."""
-    features = constraint.features
+def _compiles(controller: Controller, robot: Robot | None) -> TypeGuard[ResolvedRateController]:
+    if not isinstance(controller, ResolvedRateController) or controller.robot is not robot:
+        return False
+    return find_spec("numba") is not None and why_not(controller) is None
+
+
+def _compiled_rollout(
+    controller: CompiledController, start: np.ndarray, steps: int, dt: float, method: Method
+) -> Rollout:
+    robot = controller.robot
+    run = controller.rollout(positions_of(robot, start[None])[0], steps, dt, method)
+    q = run.q if start.shape[0] == robot.nv else np.array([robot.configuration(x) for x in run.q])
+    time, frame = np.arange(steps + 1) * dt, _frame_of(controller)
+    return Rollout(time, q, run.u, run.mu, run.status, robot.joint_names, run.error, frame)
+
+
+def _frame_of(controller: Controller) -> str:
+    """Name of the frame whose rows are constrained; empty if the controller has no such frame."""
+    law = controller.controller if isinstance(controller, CompiledController) else controller
+    features = law.constraint.features if isinstance(law, ResolvedRateController) else None
     return features.frame.name if isinstance(features, FrameJacobian) else ""
 
 
-def _stepped(
-    robot: Robot | None,
-    controller: ResolvedRateController,
-    q: np.ndarray,
-    t: float,
-    dt: float,
-    method: str,
-    first: Command,
-) -> np.ndarray:
-    if method == "euler":
-        return _moved(robot, q, dt * first.velocity)
-    # Munthe-Kaas form of the classic scheme: stages are tangent displacements from q; exact order 4 where the
-    # tangent coordinates commute (all joints but floating bases), order 2 otherwise
-    k1 = first.velocity
-    k2 = controller(_moved(robot, q, 0.5 * dt * k1), t + 0.5 * dt, dt).velocity
-    k3 = controller(_moved(robot, q, 0.5 * dt * k2), t + 0.5 * dt, dt).velocity
-    k4 = controller(_moved(robot, q, dt * k3), t + dt, dt).velocity
-    return _moved(robot, q, dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
-
-
-def _moved(robot: Robot | None, q: np.ndarray, step: np.ndarray) -> np.ndarray:
-    return q + step if robot is None else robot.integrate(q, step)
+def _silent(_title: str, _fraction: float) -> None:
+    pass

@@ -1,4 +1,4 @@
-"""How much of a joint velocity fits between the limits."""
+"""Velocity and position limits: by how much a joint velocity must be scaled down to respect them."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from jaxtyping import Float
 
 from manip_learn.robot.robot import Robot
 
-# [rad/s or m/s] A joint at its limit must not stop the arm because rounding asks it for less than this.
+# [rad/s or m/s] rounding that commands a joint at its limit less than this must not stop the arm
 NEGLIGIBLE = 1e-12
 
 
 @final
-class Shares(NamedTuple):
-    """Shares of the two parts of a command that fit, 0 to 1.
+class ScaleFactors(NamedTuple):
+    """Factors that bring the two parts of a command within the limits, 0 to 1.
 
     Attributes:
-        task: Of the task part.
-        null: Of the null-space part, in the room that the task part leaves.
-        position_bound: True if a position limit is what shortens the task part, not a velocity limit.
+        task: On the task part.
+        null: On the null-space part, after the scaled task part has been subtracted from the limits.
+        position_bound: True if it is a position limit, not a velocity limit, that scales the task part down.
     """
 
     task: float
@@ -28,15 +28,15 @@ class Shares(NamedTuple):
     position_bound: bool
 
 
-EVERYTHING = Shares(1.0, 1.0, False)
+UNSCALED = ScaleFactors(1.0, 1.0, False)
 
 
 @final
-class VelocityRoom:
+class VelocityLimits:
     """Velocity limits of a robot, and the position limits seen as velocities that reach them within dt.
 
-    Whole vectors are shortened, never single joints: that would bend the direction of the task. Plain numbers, as an
-    arm has too few joints for NumPy to pay.
+    Whole vectors are scaled, never single joints: that would change the direction of the task. Loops over Python
+    floats, because NumPy calls on vectors as short as an arm's cost more.
 
     Args:
         robot: The robot.
@@ -47,16 +47,21 @@ class VelocityRoom:
         bounds = (robot.velocity_limit, robot.position_lower, robot.position_upper)
         self._limits: list[tuple[float, float, float]] = list(zip(*(b.tolist() for b in bounds), strict=True))
 
-    def shares(
+    def scale_factors(
         self,
         q: Float[np.ndarray, " n"],
         dt: float,
         task_part: Float[np.ndarray, " nv"],
         null_part: Float[np.ndarray, " nv"],
-    ) -> Shares:
-        """Largest shares that keep every joint within its bounds for the next dt.
+    ) -> ScaleFactors:
+        """The largest factors that keep every joint within its bounds for the next dt.
 
-        Standing still is always allowed, also outside the limits.
+        With the bounds of joint j, l_j <= u_j <= h_j (see `bounds`), task part v and null-space part w:
+
+            task = min(1, min_j h_j / v_j over v_j > 0, min_j l_j / v_j over v_j < 0)
+
+        and the same for w between the bounds l - task v and h - task v. Standing still is always allowed, also outside
+        the limits.
         """
         # a posture that has been checked already; as many numbers as joints are joint positions
         positions = q.tolist() if q.shape[0] == len(self._limits) else self._robot.positions(q).tolist()
@@ -66,28 +71,31 @@ class VelocityRoom:
             if not (speed <= limit and lower <= x - speed * dt and x + speed * dt <= upper):
                 break
         else:
-            return EVERYTHING  # both parts fit into the room in either direction: nearly every step
+            return UNSCALED  # both parts fit in either direction: nearly every step
         task, position_bound = 1.0, False
-        room: list[tuple[float, float, float]] = []
+        bounds: list[tuple[float, float, float]] = []
         for x, v, (limit, lower, upper) in zip(positions, task_speeds, self._limits, strict=True):
             low, high = (lower - x) / dt, (upper - x) / dt
             low = -limit if low < -limit else min(low, 0.0)
             high = limit if high > limit else max(high, 0.0)
-            room.append((low, high, v))
+            bounds.append((low, high, v))
             bound = high if v > 0.0 else low
             if abs(bound) < abs(v) * task and abs(v) > NEGLIGIBLE:
                 task, position_bound = bound / v, abs(bound) < limit
         null = 1.0
-        for w, (low, high, v) in zip(null_speeds, room, strict=True):
+        for w, (low, high, v) in zip(null_speeds, bounds, strict=True):
             left = high - task * v if w > 0.0 else task * v - low
             if left < abs(w) * null and abs(w) > NEGLIGIBLE:
                 null = max(left, 0.0) / abs(w)
-        return Shares(task, null, position_bound)
+        return ScaleFactors(task, null, position_bound)
 
     def bounds(
         self, q: Float[np.ndarray, " n"], dt: float
     ) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"]]:
-        """Lowest and highest velocity of each joint that keep it within its bounds for the next dt."""
+        """Lowest and highest velocity of each joint that keep it within its position limits for the next dt.
+
+        l = max(-limit, min((lower - q) / dt, 0)),  h = min(limit, max((upper - q) / dt, 0))
+        """
         robot = self._robot
         x = q if q.shape[0] == len(self._limits) else robot.positions(q)
         limit = robot.velocity_limit

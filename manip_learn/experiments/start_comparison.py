@@ -12,8 +12,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies.joint_attractor import JointAttractor
 from manip_learn.control.policies.manipulability_ascent import ManipulabilityAscent
-from manip_learn.control.policies.policy import NullSpacePolicy
-from manip_learn.control.policies.zero_policy import ZeroPolicy
+from manip_learn.control.policies.policy import NullSpacePolicy, ZeroPolicy
 from manip_learn.control.rollout import Rollout, simulate
 from manip_learn.control.tasks.point_attractor import PointAttractor
 from manip_learn.experiments import charts

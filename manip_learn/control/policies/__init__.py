@@ -2,7 +2,6 @@
 
 from manip_learn.control.policies.joint_attractor import JointAttractor
 from manip_learn.control.policies.manipulability_ascent import ManipulabilityAscent
-from manip_learn.control.policies.policy import NullSpacePolicy
-from manip_learn.control.policies.zero_policy import ZeroPolicy
+from manip_learn.control.policies.policy import NullSpacePolicy, ZeroPolicy
 
 __all__ = ["JointAttractor", "ManipulabilityAscent", "NullSpacePolicy", "ZeroPolicy"]

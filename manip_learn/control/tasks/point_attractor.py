@@ -1,8 +1,9 @@
-"""The task of reaching a point in task space."""
+"""Tasks that reach a point in task space: a fixed target, or a moving one."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import final
 
 import numpy as np
@@ -20,8 +21,8 @@ class PointAttractor(Task):
 
     Args:
         target: r*. As many numbers as the features have rows (e.g. x, y, z of the tip in the base frame [m]; rotations
-            as a rotation vector [rad]); Lambda picks its part of them. Or a 4 x 4 pose of the frame. Or one number a
-            constrained row, read along the rows of Lambda, where that is a different count.
+            as a rotation vector [rad]); Lambda picks its part of them. Or a 4 x 4 pose of the frame. Or one
+            number per constrained row, along the rows of Lambda, where their number differs from that of the features.
         gain: Rate [1/s].
         max_speed: Largest norm of b [m/s or rad/s]; None for no bound.
 
@@ -52,14 +53,14 @@ class PointAttractor(Task):
         s = constraint.n_constraints
         if shape == (s,):
             return self.target - constraint.selection @ features.coordinates(q)
-        either = "" if s == features.n_rows else f", or {s}: one a row of the constraint"
+        either = "" if s == features.n_rows else f", or {s}: one per row of the constraint"
         raise TargetError(
             f"the target must have {features.n_rows} numbers ({', '.join(features.row_names)}){either}; "
             f"got shape {shape}"
         )
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
-        """gain * displacement, shortened to max_speed."""
+        """gain * displacement, scaled down to max_speed."""
         b = self.gain * self.displacement(constraint, q)
         if self.max_speed is not None:
             speed = math.sqrt(b.dot(b))
@@ -74,3 +75,35 @@ class PointAttractor(Task):
 
     def __repr__(self) -> str:
         return f"PointAttractor({np.array2string(self.target, precision=3)}, gain={self.gain:g})"
+
+
+@final
+class Track(Task):
+    """b = gain * Lambda (r*(t) - r(q)) + Lambda dr*/dt.
+
+    Args:
+        target: t [s] -> r*(t), as for `PointAttractor`.
+        rate: t -> dr*/dt along the rows of the features, shape (p,); None for no feed-forward.
+        gain: Rate [1/s].
+    """
+
+    def __init__(
+        self, target: Callable[[float], ArrayLike], rate: Callable[[float], ArrayLike] | None = None, gain: float = 1.0
+    ):
+        self._target = target
+        self._rate = rate
+        self.gain = float(gain)
+
+    def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
+        """Attraction to the moving target, plus the target's velocity."""
+        b = PointAttractor(self._target(t), self.gain).velocity(constraint, q, t)
+        if self._rate is not None:
+            b = b + constraint.selection @ np.asarray(self._rate(t), dtype=np.float64)
+        return b
+
+    def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
+        """Distance to the target's position at time t."""
+        return PointAttractor(self._target(t)).error(constraint, q, t)
+
+    def __repr__(self) -> str:
+        return f"Track(gain={self.gain:g})"

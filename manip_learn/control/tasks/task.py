@@ -1,8 +1,9 @@
-"""Tasks: the velocity b(q) that the constrained rows shall have."""
+"""Tasks: the velocity b(q) of the constrained rows."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
@@ -15,8 +16,24 @@ class Task(ABC):
 
     @abstractmethod
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
-        """b in the constraint's rows, in their units a second."""
+        """b along the constraint's rows, in their units per second."""
 
     @abstractmethod
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
-        """Distance still to go, in the constraint's rows (Euclidean norm)."""
+        """Distance to the goal along the constraint's rows (Euclidean norm)."""
+
+
+@final
+class Hold(Task):
+    """b = 0: nothing moves along the constrained rows, all motion is in the null space."""
+
+    def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
+        """Zeros, shape (s,)."""
+        return np.zeros(constraint.n_constraints)
+
+    def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
+        """Always 0: there is no goal to reach."""
+        return 0.0
+
+    def __repr__(self) -> str:
+        return "Hold()"

@@ -2,7 +2,7 @@
 
 numba's own cache sees changes of the file of a function only, not of the functions that it calls from other files:
 after an upgrade it would go on with the old ones in silence. Here the folder of the cache is named after the content of
-all kernel files. Modules with kernels are those that need `import numba`.
+all kernel files. Without numba the kernels are plain Python functions: slow, and good for comparison only.
 """
 
 from __future__ import annotations
@@ -13,19 +13,27 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numba
+try:
+    import numba
+except ImportError:
+    numba = None
 
 # numba fills its settings in while it runs: no type checker can know them
-_SETTINGS: Any = numba.config  # pyright: ignore[reportPrivateImportUsage]
+_SETTINGS: Any = None if numba is None else numba.config  # pyright: ignore[reportPrivateImportUsage]
 
 PACKAGE = Path(__file__).resolve().parents[2]
 KERNEL_FILES = (
     "robot/batch/compiled_kinematics.py",
-    "control/compiled/kernel_linalg.py",
-    "control/compiled/kernel.py",
+    "control/kernel_linalg.py",
+    "control/kernel.py",
 )
 # the constants that the kernels take from elsewhere
-CONSTANT_FILES = ("linalg.py", "control/velocity_limits.py", "control/null_space_saturation.py")
+CONSTANT_FILES = (
+    "linalg.py",
+    "control/status.py",
+    "control/velocity_limits.py",
+    "control/null_space_saturation.py",
+)
 
 _lock = threading.Lock()
 
@@ -50,11 +58,16 @@ def _cache_folder() -> Path:
     return here
 
 
-_FOLDER = _cache_folder()
+_FOLDER = None if numba is None else _cache_folder()
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, compiled at its first call or read from the cache; runs without the interpreter's lock."""
+    """The function, compiled at its first call or read from the cache; runs without the interpreter's lock.
+
+    Without numba it is the function itself.
+    """
+    if numba is None:
+        return function
     with _lock:
         before = _SETTINGS.CACHE_DIR
         _SETTINGS.CACHE_DIR = str(_FOLDER)

@@ -1,4 +1,4 @@
-"""A controller whose step is compiled (the optional extra `fast`): the same commands, several times as fast."""
+"""A controller whose step is compiled (the optional extra `fast`): the same commands, several times faster."""
 
 from __future__ import annotations
 
@@ -10,38 +10,35 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.control.controller import Command, ResolvedRateController
-from manip_learn.control.policies.joint_attractor import JointAttractor
-from manip_learn.control.policies.manipulability_ascent import ManipulabilityAscent
-from manip_learn.control.policies.zero_policy import ZeroPolicy
-from manip_learn.control.tasks.hold import Hold
-from manip_learn.control.tasks.point_attractor import PointAttractor
+from manip_learn.control.command import Command
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.integration import Method, next_posture
+from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
+from manip_learn.control.status import STATUSES, Status
+from manip_learn.control.tasks import Hold, PointAttractor
 from manip_learn.errors import ConstraintError, MissingExtraError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Robot
 
-# in the order of the kernel's codes
-KERNEL_STATUSES = ("ok", "null-scaled", "damped", "velocity-limited")
-
 
 @final
 class CompiledRollout(NamedTuple):
-    """Rows of a rollout: postures as joint positions (T, nv), velocities, mu, task error, and words."""
+    """Samples of a rollout: joint positions [rad or m], velocities [rad/s or m/s], mu, task error and status."""
 
     q: Float[np.ndarray, "T nv"]
     u: Float[np.ndarray, "T nv"]
     mu: Float[np.ndarray, " T"]
     error: Float[np.ndarray, " T"]
-    status: tuple[str, ...]
+    status: tuple[Status, ...]
 
 
 @final
 class CompiledController:
-    """The commands of a `ResolvedRateController` out of compiled code.
+    """The commands of a `ResolvedRateController`, computed by compiled code.
 
-    Made for the usual arm: rows of a frame's Jacobian, a chain of revolute, continuous and prismatic joints, holding
-    still or reaching a point along x, y, z of the base, and a policy of the library. Near singularities and at position
-    limits the original controller is asked, so that its numbers are kept everywhere (to 1e-12 of the largest).
+    For rows of a frame's Jacobian, a chain of revolute, continuous and prismatic joints, the tasks `Hold` and
+    `PointAttractor` (along x, y, z of the base), and a policy of the library. Near singularities and at position limits
+    the original controller computes the command, so that the numbers are the same everywhere (to 1e-12 of the largest).
 
     Args:
         controller: What is compiled; later changes of its attributes are not seen.
@@ -57,7 +54,7 @@ class CompiledController:
             raise ConstraintError(f"this controller cannot be compiled: {reason}; use it as it is")
         if find_spec("numba") is None:
             raise MissingExtraError("a compiled controller", "fast")
-        from manip_learn.control.compiled import kernel
+        from manip_learn.control import kernel
 
         self.controller = controller
         self.robot: Robot = controller.robot  # type: ignore[assignment]
@@ -80,7 +77,7 @@ class CompiledController:
         mu, task_scale, null_scale, smallest = out[4, :4].tolist()
         return Command(
             out[0, :nv],
-            KERNEL_STATUSES[code],
+            STATUSES[code],
             mu,
             out[3, : self._s],
             out[1, :nv],
@@ -90,8 +87,14 @@ class CompiledController:
             smallest,
         )
 
-    def rollout(self, start: Float[np.ndarray, " nv"], steps: int, dt: float, method: str = "euler") -> CompiledRollout:
-        """The start and `steps` steps after it, integrated without coming back to Python but at singularities.
+    def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
+        """Distance to the task's goal along the constrained rows [m or rad]."""
+        return self.controller.task_error(q, t)
+
+    def rollout(
+        self, start: Float[np.ndarray, " nv"], steps: int, dt: float, method: Method = "euler"
+    ) -> CompiledRollout:
+        """The start and `steps` steps after it, in compiled code except near singularities and at position limits.
 
         Args:
             start: Joint positions [rad or m].
@@ -100,41 +103,32 @@ class CompiledController:
             method: `"euler"` or `"rk4"`, as in `simulate`.
 
         Raises:
-            ConfigurationError: The controller met a posture that is not finite.
+            ConfigurationError: A posture is not finite.
         """
         T, nv = steps + 1, self.nv
         q, u, mu, error = np.empty((T, nv)), np.empty((T, nv)), np.empty(T), np.empty(T)
         code, work = np.zeros(T, dtype=np.int64), (np.empty(self._shape), np.empty(nv), np.empty(nv))
         q[0] = start
-        words: dict[int, str] = {}
+        by_python: dict[int, Status] = {}
         row, kernel = 0, self._kernel
         while row < T:
             row = kernel.rollout(self._constants, row, dt, method == "rk4", q, u, mu, error, code, *work)
             if row < T:
                 command = self.controller(q[row], row * dt, dt)
-                u[row], mu[row], words[row] = command.velocity, command.manipulability, command.status
-                error[row] = self.controller.task.error(self.controller.constraint, q[row], row * dt)
+                u[row], mu[row], by_python[row] = command.velocity, command.manipulability, command.status
+                error[row] = self.controller.task_error(q[row], row * dt)
                 if row + 1 < T:
-                    q[row + 1] = q[row] + self._displacement(q[row], row * dt, dt, method, command)
+                    q[row + 1] = next_posture(None, self.controller, q[row], row * dt, dt, method, command.velocity)
                 row += 1
-        status = tuple(words.get(i) or KERNEL_STATUSES[c] for i, c in enumerate(code.tolist()))
+        status = tuple(by_python.get(i) or STATUSES[c] for i, c in enumerate(code.tolist()))
         return CompiledRollout(q, u, mu, error, status)
-
-    def _displacement(self, q: np.ndarray, t: float, dt: float, method: str, first: Command) -> np.ndarray:
-        if method == "euler":
-            return dt * first.velocity
-        k1 = first.velocity
-        k2 = self.controller(q + 0.5 * dt * k1, t + 0.5 * dt, dt).velocity
-        k3 = self.controller(q + 0.5 * dt * k2, t + 0.5 * dt, dt).velocity
-        k4 = self.controller(q + dt * k3, t + dt, dt).velocity
-        return dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
 
     def __repr__(self) -> str:
         return f"CompiledController({self.controller!r})"
 
 
 def why_not(controller: ResolvedRateController) -> str | None:
-    """Why a controller cannot be compiled, in words; None if it can (given numba)."""
+    """Why a controller cannot be compiled; None if it can where numba is installed."""
     features, task, policy = controller.constraint.features, controller.task, controller.null_policy
     if not isinstance(features, FrameJacobian):
         return f"the features are {type(features).__name__}, not FrameJacobian"
@@ -162,7 +156,7 @@ def why_not(controller: ResolvedRateController) -> str | None:
 
 def _packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
     """All constants of the step in one table: one argument costs less than thirty."""
-    from manip_learn.control.compiled import kernel
+    from manip_learn.control import kernel
 
     constraint, task, robot = controller.constraint, controller.task, controller.robot
     features: FrameJacobian = constraint.features  # type: ignore[assignment]
@@ -187,7 +181,7 @@ def _packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
 
 
 def _pack_policy(controller: ResolvedRateController, header: np.ndarray, dofs: np.ndarray) -> None:
-    from manip_learn.control.compiled import kernel
+    from manip_learn.control import kernel
 
     policy = controller.null_policy
     header[kernel.POLICY] = kernel.NO_POLICY

@@ -1,13 +1,13 @@
-"""`linalg.row_inverse` as compiled code, for matrices of a few rows. For where `import numba` works."""
+"""`linalg.row_inverse` as loops over plain numbers, for matrices of a few rows; compiled where numba is installed."""
 
 from __future__ import annotations
 
 import math
 
-from manip_learn.linalg import WELL_CONDITIONED
+from manip_learn.linalg import LEAST_SINGULAR_RATIO
 from manip_learn.robot.batch.kernel_cache import compiled
 
-SWEEPS = 8  # of Jacobi's rotations: converged to the last bit for six rows
+SWEEPS = 8  # of Jacobi rotations: converged to the last bit for six rows
 
 
 @compiled
@@ -62,7 +62,7 @@ def row_inverse(A, X, G, L):
             else:
                 return 0.0, 0.0
     smallest, largest = smallest_and_largest(G, L)
-    if not smallest > WELL_CONDITIONED * WELL_CONDITIONED * largest:
+    if not smallest > LEAST_SINGULAR_RATIO * LEAST_SINGULAR_RATIO * largest:
         return 0.0, 0.0
     for i in range(s):
         for k in range(n):

@@ -1,15 +1,17 @@
-"""One control step as compiled code (the optional extra `fast`): the law of `controller`, away from singularities.
+"""One control step as loops over plain numbers: the law of `controller` away from singularities and position limits.
 
-Postures where `linalg.row_inverse` would refuse are handed back to Python, so that nothing about singularities is
-written twice. For where `import numba` works.
+numba compiles these functions (the optional extra `fast`); without it they are plain Python, the same function objects.
+Postures where `linalg.row_inverse` would refuse are handed back to Python, so that singularities and null-space
+saturation are treated in one place.
 """
 
 from __future__ import annotations
 
 import math
 
-from manip_learn.control.compiled.kernel_linalg import row_inverse
+from manip_learn.control.kernel_linalg import row_inverse
 from manip_learn.control.null_space_saturation import BLOCKED
+from manip_learn.control.status import STATUSES, Status
 from manip_learn.control.velocity_limits import NEGLIGIBLE
 from manip_learn.robot.batch.compiled_kinematics import (
     JOINTS,
@@ -25,11 +27,13 @@ from manip_learn.robot.batch.compiled_kinematics import (
 from manip_learn.robot.batch.kernel_cache import compiled
 
 REFUSED = -1  # too close to a singularity, at a position limit, or not finite: Python decides
-OK, NULL_SCALED, DAMPED, VELOCITY_LIMITED = 0, 1, 2, 3
+# all other statuses are Python's
+OK, NULL_SCALED = STATUSES.index(Status.OK), STATUSES.index(Status.NULL_SCALED)
+VELOCITY_LIMITED = STATUSES.index(Status.VELOCITY_LIMITED)
 NO_POLICY, ASCENT, LOG_ASCENT, REST = 0, 1, 2, 3
 
-# The constants of a controller are one table of twelve columns: this row, the chain's table, a row a degree of freedom
-# (velocity limit, lower, upper, rest posture, whether it wraps), and a row a constraint (Lambda over the six rows).
+# The constants of a controller are one table of twelve columns: this row, the chain's table, one row per degree of
+# freedom (velocity limit, lower, upper, rest posture, whether it wraps), and one per row of Lambda (padded to six).
 N_JOINTS, NV, N_CONSTRAINTS, POLICY, POLICY_GAIN, DAMPS, THRESHOLD, LIMITS, REACHES, GAIN, MAX_SPEED = range(11)
 CHAIN = 1
 TARGET_POINT = 6  # column of the chain's second row, after the tool's position, sign and reference
@@ -76,13 +80,13 @@ def jacobian_vjp(work, base, joints, local):
 
 @compiled
 def six(table, k, at):
-    """Six neighbours in a row, as numbers."""
+    """Six neighbouring entries of a row."""
     return table[k, at], table[k, at + 1], table[k, at + 2], table[k, at + 3], table[k, at + 4], table[k, at + 5]
 
 
 @compiled
-def shares(constants, dofs, nv, q, dt, out):
-    """`VelocityRoom.shares` of the parts in `out`: (task, null, position bound)."""
+def scale_factors(constants, dofs, nv, q, dt, out):
+    """`VelocityLimits.scale_factors` of the parts in `out`: (task, null, position bound)."""
     task, null, position_bound = 1.0, 1.0, False
     for j in range(nv):
         limit, v = constants[dofs + j, LIMIT], out[TASK_PART, j]
@@ -117,7 +121,7 @@ def turn_joints(constants, joints, q, out, base):
 
 @compiled
 def task_velocity(constants, rows, s, p0, p1, p2, out):
-    """B of the task into `out`; returns the task's error."""
+    """Write the task velocity b = gain Lambda (r* - r(q)), norm at most max_speed, into `out`; return the error."""
     error = 0.0
     if constants[0, REACHES] == 0.0:
         for i in range(s):
@@ -141,7 +145,10 @@ def task_velocity(constants, rows, s, p0, p1, p2, out):
 
 @compiled
 def policy_velocity(constants, dofs, rows, nv, joints, s, q, volume, X, out, base):
-    """Pi of the null-space policy, away from singularities, into `out`."""
+    """Write the null-space policy's velocity pi, away from singularities, into `out`.
+
+    Manipulability ascent is equation (13), grad mu = mu A^{+T} : dA/dq, or grad log mu without the factor mu.
+    """
     policy, gain = int(constants[0, POLICY]), constants[0, POLICY_GAIN]
     for j in range(nv):
         out[PI, j] = 0.0
@@ -167,7 +174,7 @@ def policy_velocity(constants, dofs, rows, nv, joints, s, q, volume, X, out, bas
 
 @compiled
 def control_step(constants, q, dt, out):
-    """One command into the rows of `out`. Returns what was done, or REFUSED."""
+    """Write one command, u = A^+ b + N pi, into the rows of `out`; return its status, or REFUSED."""
     joints, nv, s = int(constants[0, N_JOINTS]), int(constants[0, NV]), int(constants[0, N_CONSTRAINTS])
     for j in range(nv):
         if not math.isfinite(q[j]):
@@ -203,15 +210,15 @@ def control_step(constants, q, dt, out):
             x, column = X[i, int(constants[k, 1])], int(constants[k, SOURCE])
             out[TASK_PART, column] += out[TASK_VELOCITY, i] * x
             out[NULL_PART, column] -= along * x
-    return finished(constants, dofs, nv, q, dt, volume, smallest, out)
+    return limited(constants, dofs, nv, q, dt, volume, smallest, out)
 
 
 @compiled
-def finished(constants, dofs, nv, q, dt, volume, smallest, out):
-    """The two parts shortened to the limits and added."""
+def limited(constants, dofs, nv, q, dt, volume, smallest, out):
+    """The two parts scaled to the limits, and added."""
     task, null = 1.0, 1.0
     if constants[0, LIMITS] != 0.0:
-        task, null, position_bound = shares(constants, dofs, nv, q, dt, out)
+        task, null, position_bound = scale_factors(constants, dofs, nv, q, dt, out)
         if position_bound or (task == 1.0 and null < BLOCKED):
             return REFUSED
     for j in range(nv):
@@ -229,7 +236,7 @@ def finished(constants, dofs, nv, q, dt, volume, smallest, out):
 
 @compiled
 def rollout(constants, first, dt, rk4, q, u, mu, error, code, out, point, slope):
-    """Control steps from row `first` of q (T, nv) on, integrated; returns the row that Python must do, or T."""
+    """`integration.next_posture` from row `first` of q (T, nv) on; returns the row that Python must do, or T."""
     nv, steps = q.shape[1], q.shape[0]
     for i in range(first, steps):
         for j in range(nv):
@@ -250,9 +257,9 @@ def rollout(constants, first, dt, rk4, q, u, mu, error, code, out, point, slope)
             for j in range(nv):
                 slope[j] += weight * out[VELOCITY, j]
         if i + 1 < steps:
-            share = dt / 6.0 if rk4 else dt
+            factor = dt / 6.0 if rk4 else dt
             for j in range(nv):
-                q[i + 1, j] = q[i, j] + share * slope[j]
+                q[i + 1, j] = q[i, j] + factor * slope[j]
     return steps
 
 

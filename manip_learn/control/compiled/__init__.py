@@ -1,1 +1,0 @@
-"""The control step as compiled code."""
