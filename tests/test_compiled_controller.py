@@ -23,7 +23,7 @@ from manip_learn.control.rollout import simulate
 from manip_learn.control.tasks import Hold, PointAttractor, Track
 from manip_learn.errors import ConfigurationError, ConstraintError, MissingExtraError
 from manip_learn.linalg import row_inverse
-from manip_learn.robot.batch import compiled_chain
+from manip_learn.robot.batch import compiled_kinematics
 from manip_learn.robot.robot import Robot
 
 needs_numba = pytest.mark.skipif(find_spec("numba") is None, reason="the extra 'fast' is not installed")
@@ -38,7 +38,7 @@ def kernels(numba: bool, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         yield
         return
     monkeypatch.setattr(compiled_controller, "find_spec", lambda name: "plain Python instead")
-    for module in (compiled_chain, kernel_linalg, kernel):
+    for module in (compiled_kinematics, kernel_linalg, kernel):
         for name, value in list(vars(module).items()):
             monkeypatch.setattr(module, name, getattr(value, "py_func", value))
     with np.errstate(all="ignore"):  # as compiled code, which overflows to infinity in silence
