@@ -21,7 +21,7 @@ SINGULAR_RATIO = 64.0 * EPS
 
 
 def manipulability(constraint: Constraint, q: ArrayLike) -> float:
-    """mu(q), the product of the singular values of A(q); 0 at a singularity, never NaN.
+    """mu(q) = sqrt(det(A A^T)) = prod_i sigma_i, equation (4) of Manavalan and Howard; 0 at a singularity, never NaN.
 
     Unit: product of the units of the constraint's rows.
 
@@ -125,7 +125,12 @@ def escape_direction(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], v
 def _cone_ascent(
     u_min: Float[np.ndarray, " s"], V_null: Float[np.ndarray, "k nv"], scale: float, vjp: Vjp
 ) -> Float[np.ndarray, " nv"]:
-    """Steepest ascent of |M step| with M[r, k] = scale * u_min^T (dA / dq_k) v_r, v_r spanning the null space of A."""
+    """Steepest ascent of mu at a singularity, where it is a cone: mu(q + step) = |M step| to first order.
+
+        M_rk = scale * u_min^T (dA / dq_k) v_r,  scale = prod_{j < s} sigma_j,  v_r spanning the null space of A
+
+    The answer is the leading right singular vector of M times its singular value (docs/method.md, the gradient of mu).
+    """
     M = scale * np.stack([vjp(np.outer(u_min, v)) for v in V_null])
     _, rate, Wt = np.linalg.svd(M, full_matrices=False)
     return rate[0] * _one_sign(Wt[0])

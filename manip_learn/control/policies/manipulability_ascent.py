@@ -17,11 +17,13 @@ from manip_learn.linalg import row_inverse, svd
 
 @final
 class ManipulabilityAscent(NullSpacePolicy):
-    """pi = gain * grad log mu, or gain * grad mu as printed in the paper (equation 13).
+    """pi = gain * grad log mu, or gain * grad mu as in equation (13) of Manavalan and Howard.
+
+        d mu / d q_k = mu tr((A A^T)^-1 A (dA / dq_k)^T) = mu A^{+T} : dA / dq_k,    grad log mu = grad mu / mu
 
     grad log mu points the same way and does not depend on the units of the constraint, nor on how small mu has become:
-    raw grad mu all but vanishes in SI units where it matters most. At a singularity the steepest way out is taken, also
-    where several directions are lost at once and grad mu is zero (not with `logarithmic=False`).
+    raw grad mu all but vanishes in SI units where it matters most. At a singularity the direction of steepest ascent is
+    taken, also where several directions are lost at once and grad mu is zero (not with `logarithmic=False`).
 
     Args:
         constraint: Whose manipulability is climbed; true or learnt.
