@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from manip_learn.control.tasks import Hold, PointAttractor, Task, Track
     from manip_learn.errors import ManipLearnError
     from manip_learn.learning import ConstraintLearner
+    from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_mechanism
+    from manip_learn.learning.mechanisms.mechanism import Mechanism
     from manip_learn.playback import LiveViewer, replay
     from manip_learn.recordings import RecordingSource, iter_demonstrations, load_demonstrations
     from manip_learn.recordings.demonstrations import Demonstrations
@@ -66,6 +68,10 @@ _HOMES = {
     "JointAttractor": "control.policies",
     "LiveViewer": "playback",
     "ManipLearnError": "errors",
+    "Mechanism": "learning.mechanisms.mechanism",
+    "MechanismFit": "learning.mechanisms.find_mechanism",
+    "MechanismRows": "constraint.features",
+    "find_mechanism": "learning.mechanisms.find_mechanism",
     "ManipulabilityAscent": "control.policies",
     "NullSpacePolicy": "control.policies",
     "PointAttractor": "control.tasks",
@@ -108,6 +114,9 @@ __all__ = [
     "LiveViewer",
     "ManipLearnError",
     "ManipulabilityAscent",
+    "Mechanism",
+    "MechanismFit",
+    "MechanismRows",
     "NullSpacePolicy",
     "PointAttractor",
     "RecordingSource",
@@ -122,6 +131,7 @@ __all__ = [
     "Trajectory",
     "ZeroPolicy",
     "derive_velocities",
+    "find_mechanism",
     "inspect_robot",
     "iter_demonstrations",
     "likely_tips",
