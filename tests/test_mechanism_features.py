@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_gradients import central_difference, postures
 
-from manip_learn.compiled_controller import CompiledController
+from manip_learn.control.compiled.compiled_controller import CompiledController
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian, MechanismRows
 from manip_learn.constraint.features.place_fields import FIELDS
