@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from test_gradients import central_difference, postures
 
-from manip_learn.control.compiled.compiled_controller import CompiledController
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian, MechanismRows
 from manip_learn.constraint.features.place_fields import FIELDS
 from manip_learn.constraint.manipulability import manipulability, manipulability_gradient
 from manip_learn.constraint.manipulability_batch import manipulability_batch
+from manip_learn.control.compiled.compiled_controller import CompiledController
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies.manipulability_ascent import ManipulabilityAscent
 from manip_learn.control.rollout import simulate
@@ -49,7 +49,7 @@ def test_derivative_of_every_row(robot_of, rng, name):
         value, together = features.value_and_derivative(q)
         np.testing.assert_allclose(value, features(q), rtol=0, atol=1e-13 * scale)
         np.testing.assert_array_equal(together, exact)
-        A, contract = features.selected(q, features.padded(selection))
+        A, contract = features.value_and_vjp(q, features.padded(selection))
         np.testing.assert_allclose(A, selection @ value, rtol=0, atol=1e-13 * scale)
         weights = rng.normal(size=A.shape)
         wanted = np.einsum("ij,ip,pjk->k", weights, selection, exact)
