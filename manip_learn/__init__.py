@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         CustomFeatures,
         FeatureMap,
         FrameJacobian,
+        MechanismRows,
         RelativeFrameJacobian,
         Stacked,
     )

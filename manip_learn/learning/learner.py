@@ -180,9 +180,13 @@ class ConstraintLearner:
         if not isinstance(demonstrations, Demonstrations | Sequence | Iterator):
             return demonstrations
         demos = demonstrations if isinstance(demonstrations, Demonstrations) else Demonstrations(demonstrations)
+        robot = getattr(self._feature_maps[0], "robot", None)
+        if not demos.joint_names:
+            names = tuple(f"q{i}" for i in range(self._feature_maps[0].nv)) if robot is None else robot.joint_names
+            demos = demos.with_joint_names(names)
         for features in self._feature_maps:
             check_joints(demos.joint_names, getattr(features, "robot", None))
-        return with_velocities(demos, getattr(self._feature_maps[0], "robot", None), self.velocities)
+        return with_velocities(demos, robot, self.velocities)
 
     def _forget(self) -> None:
         """A fit that refuses must not leave the answer to other demonstrations behind."""

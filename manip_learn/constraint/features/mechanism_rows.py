@@ -92,9 +92,7 @@ class MechanismRows(FeatureMap):
         turned = W @ H.reshape(6, -1)
         return W @ J, turned.reshape(-1, self.nv, self.nv) + J.T @ (dW @ J[:3])
 
-    def value_and_vjp(
-        self, q: ArrayLike, padded: Float[np.ndarray, "s p"]
-    ) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
+    def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s p"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
         """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
         W, dW = self._weights(q)
         mix = padded.dot(W)

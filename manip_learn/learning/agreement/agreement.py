@@ -104,7 +104,7 @@ def _agreement(
         members = np.flatnonzero(agrees)
     selection = motion.selection(rows)
     odd = tuple(
-        (i, reason(features, trajectories, selection, i, members))
+        (i, reason(features, trajectories, selection, i, members.tolist()))
         for i in range(motion.n_trajectories)
         if i not in members
     )

@@ -15,12 +15,14 @@ from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.place_fields import across
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.mechanisms.choice import APART, REPEATED, Alternative, Choice, axes_apart, choose, with_shared
-from manip_learn.learning.mechanisms.evidence import radius_of
+from manip_learn.learning.mechanisms.consensus import agreeing
+from manip_learn.learning.mechanisms.evidence import Scales, margins, radius_of
 from manip_learn.learning.mechanisms.fits import Fit
 from manip_learn.learning.mechanisms.mechanism import Mechanism
 from manip_learn.learning.mechanisms.residuals import QUANTITIES, angles_about, turn_about
 from manip_learn.learning.mechanisms.tip_paths import TipPaths, recombined, thinned
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 
 SAMPLES = 60  # of each trajectory in the comparison
@@ -45,6 +47,8 @@ class MechanismFit:
         alternatives: All candidates, best first.
         reason: Why there is no mechanism; empty if there is one.
         warnings: What to know about the answer, in sentences.
+        odd: Numbers (from 0) of trajectories that do not belong: the others agree on a mechanism that does not hold
+            these, or they are too short.
     """
 
     mechanism: Mechanism | None
@@ -54,6 +58,7 @@ class MechanismFit:
     alternatives: tuple[Alternative, ...]
     reason: str = ""
     warnings: tuple[str, ...] = ()
+    odd: tuple[int, ...] = ()
 
 
 def find_mechanism(
@@ -83,15 +88,13 @@ def find_mechanism(
         NotIdentifiableError: No trajectory has ten samples, or nothing moves.
     """
     tip = robot.frame(frame)
-    postures = [np.stack([robot.positions(q) for q in t.q]) if t.q.shape[1] != robot.nv else t.q for t in trajectories]
-    postures = [q for q in postures if len(q) >= 10]
-    if not postures:
+    every = [np.stack([robot.positions(q) for q in t.q]) if t.q.shape[1] != robot.nv else t.q for t in trajectories]
+    numbers = [i for i, q in enumerate(every) if len(q) >= 10]
+    if not numbers:
         raise NotIdentifiableError("no trajectory has ten samples: there is no path to look at", code="too-short")
-    paths = TipPaths.of(robot, tip, [thinned(q, SAMPLES) for q in postures])
-    if max(np.ptp(paths.p, axis=0).max(), np.abs(paths.turns).max()) < 1e-3:
-        raise NotIdentifiableError("the hand does not move in these trajectories", code="no-motion")
-    mixed = TipPaths.of(robot, tip, recombined(postures, rng)) if len(postures) > 1 else None
-    choice = choose(paths, mixed)
+    choice, kept = _compared(robot, tip, [every[i] for i in numbers], rng)
+    postures = [every[numbers[i]] for i in kept]
+    odd = tuple(number for i, number in enumerate(numbers) if i not in kept)
     table = choice.table
     if choice.fit is None:
         return MechanismFit(None, None, None, {}, table, _why_none(table))
@@ -110,12 +113,46 @@ def find_mechanism(
     if confirm is not None and not confirm(features, selection):
         reason = f"the recordings look like {mechanism.sentence}, but the test of its rows refuses it"
         return MechanismFit(None, None, None, held_out, table, reason)
-    return MechanismFit(mechanism, features, selection, held_out, table, "", _warnings(choice, len(postures)))
+    return MechanismFit(mechanism, features, selection, held_out, table, "", _warnings(choice, len(postures), odd), odd)
 
 
-def _warnings(choice: Choice, n_trajectories: int) -> tuple[str, ...]:
+def _compared(
+    robot: Robot, tip: Frame, postures: Sequence[Float[np.ndarray, "T nv"]], rng: np.random.Generator
+) -> tuple[Choice, tuple[int, ...]]:
+    """The choice among the candidates, and the trajectories that it rests on: those that agree on more rows than all
+    share are learnt without the others.
+
+    Raises:
+        NotIdentifiableError: Nothing moves.
+    """
+    paths, mixed = _paths(robot, tip, postures, rng)
+    if max(np.ptp(paths.p, axis=0).max(), np.abs(paths.turns).max()) < 1e-3:
+        raise NotIdentifiableError("the hand does not move in these trajectories", code="no-motion")
+    choice, scales, everyone = choose(paths, mixed), Scales.of(paths, mixed), tuple(range(len(postures)))
+    soft = choice.fit is not None and float(np.min(margins(choice.fit, scales))) < 1.0 / SOFT
+    rows = 0 if choice.fit is None else choice.fit.candidate.n_rows - soft
+    together = agreeing(paths, rows, scales)
+    if len(together) < len(everyone):
+        stricter = choose(*_paths(robot, tip, [postures[i] for i in together], rng))
+        if stricter.fit is not None and stricter.fit.candidate.n_rows > rows:
+            return stricter, together
+    return choice, everyone
+
+
+def _paths(
+    robot: Robot, tip: Frame, postures: Sequence[Float[np.ndarray, "T nv"]], rng: np.random.Generator
+) -> tuple[TipPaths, TipPaths | None]:
+    """The hand's paths, and those with the joints exchanged; None for a single trajectory."""
+    mixed = TipPaths.of(robot, tip, recombined(postures, rng)) if len(postures) > 1 else None
+    return TipPaths.of(robot, tip, [thinned(q, SAMPLES) for q in postures]), mixed
+
+
+def _warnings(choice: Choice, n_trajectories: int, odd: tuple[int, ...]) -> tuple[str, ...]:
     chosen = next(a for a in choice.table if a.verdict == "chosen")
     warnings = []
+    if odd:
+        named = ", ".join(str(i + 1) for i in odd)
+        warnings.append(f"left out: trajectory {named}, which the {chosen.name} of the others does not hold")
     if n_trajectories == 1:
         warnings.append("one trajectory only: a repeated motion cannot be told from a contact")
     if chosen.held_out > SOFT:

@@ -88,7 +88,7 @@ def stretches_of(motion: PhaseMotion, states: Int[np.ndarray, " n"], state: int)
     moving = motion.moving
     out = []
     for found, a, b in runs(states, motion.first):
-        inside = np.flatnonzero(moving[a:b]) if found == state else ()
+        inside = np.flatnonzero(moving[a:b]) if found == state else np.zeros(0, dtype=np.int64)
         if len(inside):
             start, end = float(motion.time[a + inside[0]]), float(motion.time[a + inside[-1]])
             if end - start >= SHORTEST or state == 0:

@@ -74,7 +74,7 @@ class PhaseResult:
         constraints: Best supported first.
         free: Stretches of free motion.
         still: Standstill beside free motion or at the ends: whether something is held cannot be known there.
-        unsupported: What looks like a contact in one recording only: not learnt.
+        unsupported: Contacts in one recording only, which are not learnt. Not searched for yet: always empty.
         rejected: Candidates that were refused.
         warnings: Doubts, in sentences.
     """
