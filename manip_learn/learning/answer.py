@@ -1,4 +1,4 @@
-"""One constraint learnt from one part of the recordings: estimate -> evidence per row -> number of rows -> mechanism."""
+"""One constraint from one part of the recordings: estimate -> evidence per row -> number of rows -> mechanism."""
 
 from __future__ import annotations
 
@@ -24,7 +24,12 @@ from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_me
 # (what to learn from, which Phi, with which settings) -> the best candidate, and a summary of all samples
 Fit = Callable[[Part, LearnerSettings], tuple[Candidate, DataSummary]]
 # rows of a mechanism that concern the position of the frame alone, for features without rotations
-POSITION_ROWS = {"hinge": ("radial", "axial"), "screw": ("radial", "helical"), "ball": ("spherical",), "other": ("radial",)}
+POSITION_ROWS = {
+    "hinge": ("radial", "axial"),
+    "screw": ("radial", "helical"),
+    "ball": ("spherical",),
+    "other": ("radial",),
+}
 
 
 @final
@@ -47,6 +52,17 @@ class Answer:
     evidence: RowEvidence | None
     mechanism: MechanismFit | None
     warnings: tuple[str, ...]
+
+    @property
+    def odd(self) -> tuple[tuple[int, str], ...]:
+        """Trajectories that the mechanism leaves out, and why."""
+        if self.mechanism is None or self.mechanism.mechanism is None:
+            return ()
+        name = self.mechanism.mechanism.name
+        return tuple(
+            (self.part.stretches[i].trajectory, f"the others agree on a {name} that does not hold in it")
+            for i in self.mechanism.odd
+        )
 
 
 def find_answer(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
@@ -100,7 +116,10 @@ def _with_rows(answer: Answer, settings: LearnerSettings, fit: Fit) -> Answer:
         return _unsupported(answer)
     if evidence.verdict == "clear" or supported < s:
         again, data = fit(answer.part, dataclasses.replace(settings, n_constraints=supported))
-        said = f"the gap supports {s} row(s), the recombination test {supported}, which is the answer; {evidence.sentence()}"
+        said = (
+            f"the gap supports {s} row(s), the recombination test {supported}, which is the answer; "
+            f"{evidence.sentence()}"
+        )
         return dataclasses.replace(answer, candidate=again, data=data, warnings=(said,))
     said = f"the recombination test finds {supported} row(s) weakly, the gap {s}, which is the answer"
     return dataclasses.replace(answer, warnings=(said,))
@@ -153,7 +172,9 @@ def _with_mechanism(answer: Answer, settings: LearnerSettings, fit: Fit) -> Answ
     if constant.n_constraints >= features.n_rows and constant.gap >= CLEAR_GAP:
         return answer
     candidate, data = _fit_rows(features, answer.part, settings, fit)
-    return dataclasses.replace(answer, candidate=candidate, data=data, evidence=_evidence(features, answer.part, settings), warnings=())
+    return dataclasses.replace(
+        answer, candidate=candidate, data=data, evidence=_evidence(features, answer.part, settings), warnings=()
+    )
 
 
 def _despite(
@@ -206,4 +227,6 @@ def _place_rows(part: Part, found: MechanismFit | None) -> MechanismRows | None:
     if not names:
         return None
     place = features.geometry
-    return MechanismRows(features.robot, features.frame.name, names, axis=place.axis, point=place.point, pitch=place.pitch)
+    return MechanismRows(
+        features.robot, features.frame.name, names, axis=place.axis, point=place.point, pitch=place.pitch
+    )

@@ -45,7 +45,6 @@ class LearnerSettings:
         estimator: One of `EstimatorName`.
         policy_model: Of the joint estimator.
         seed: Of everything random.
-        phases: Whether to look for phases where no single constraint fits.
         mechanism: Whether to look for a mechanism.
     """
 
@@ -53,7 +52,6 @@ class LearnerSettings:
     estimator: EstimatorName
     policy_model: str
     seed: int
-    phases: bool = True
     mechanism: bool = True
 
 

@@ -68,7 +68,7 @@ class Division:
         return tuple(sorted([*held, *free], key=lambda x: x[:2]))
 
 
-def whole(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> Division:
+def undivided(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> Division:
     """No division: one constraint holds in everything."""
     return Division((_part(demonstrations, range(len(demonstrations)), feature_maps),))
 
@@ -94,17 +94,17 @@ def divide(
     """
     fitting = tuple(f for f in feature_maps if not needs_phases(f, demonstrations))
     if len(demonstrations) < 2:
-        return whole(demonstrations, feature_maps)
+        return undivided(demonstrations, feature_maps)
     agreed = _by_agreement(demonstrations, fitting or feature_maps, feature_maps, bool(fitting))
     if agreed is not None:
         return agreed
     if fitting:
-        return whole(demonstrations, feature_maps)
+        return undivided(demonstrations, feature_maps)
     if phases:
         found = find_phases(feature_maps, demonstrations, rng)
         if found.constraints:
             return _by_phases(demonstrations, feature_maps, found)
-    return Division(whole(demonstrations, feature_maps).parts, one_fits=False)
+    return Division(undivided(demonstrations, feature_maps).parts, one_fits=False)
 
 
 def _part(demonstrations: Demonstrations, chosen: Sequence[int], feature_maps: Sequence[FeatureMap]) -> Part:
