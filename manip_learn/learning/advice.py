@@ -10,7 +10,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.division import Division
-from manip_learn.learning.phases.find_phases import needs_phases
+from manip_learn.learning.phases.find_phases import one_constraint_fits
 from manip_learn.recordings.demonstrations import Demonstrations
 
 # share of the motion's energy below which a joint counts as still
@@ -82,7 +82,7 @@ def _other_rows(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMa
     for axes in ("xyz", "rotation", "pose"):
         for reference in ("world", "local"):
             other = FrameJacobian(first.robot, first.frame.name, axes, reference)
-            if (other.row_names, reference) not in tried and not needs_phases(other, demonstrations):
+            if (other.row_names, reference) not in tried and one_constraint_fits(other, demonstrations):
                 return [f"with other rows one constraint does fit: try --axes {axes} --reference {reference}"]
     return []
 

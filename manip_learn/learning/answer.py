@@ -24,6 +24,10 @@ from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_me
 # (what to learn from, which Phi, with which settings) -> the best candidate, and a summary of all samples
 Fit = Callable[[Part, LearnerSettings], tuple[Candidate, DataSummary]]
 # rows of a mechanism that concern the position of the frame alone, for features without rotations
+# trajectories beyond this number add nothing to a mechanism but time
+MOST_PATHS = 16
+# refusals that rows which depend on the place, or the evidence alone, may answer
+RESCUED = ("weak-gap", "no-freedom")
 POSITION_ROWS = {
     "hinge": ("radial", "axial"),
     "screw": ("radial", "helical"),
@@ -84,17 +88,16 @@ def find_answer(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
         settings = dataclasses.replace(
             settings, estimator="null-space", n_constraints=settings.n_constraints or part.n_constraints
         )
-    mechanism = _mechanism(part, settings)
     try:
         candidate, data = fit(part, settings)
     except NotIdentifiableError as refusal:
-        return _despite(refusal, part, settings, fit, mechanism)
+        return _despite(refusal, part, settings, fit)
     if candidate.estimate.name != "null-space":
         return Answer(part, candidate, data, None, None, ())
     rng = np.random.default_rng(settings.seed)
     evidence = recombination_test(candidate.samples.features, part.demonstrations, rng)
-    answer = _with_rows(Answer(part, candidate, data, evidence, mechanism, ()), settings, fit)
-    return _with_mechanism(answer, settings, fit)
+    answer = _with_rows(Answer(part, candidate, data, evidence, None, ()), settings, fit)
+    return _with_mechanism(dataclasses.replace(answer, mechanism=_mechanism(part, settings)), settings, fit)
 
 
 def _with_rows(answer: Answer, settings: LearnerSettings, fit: Fit) -> Answer:
@@ -157,10 +160,18 @@ def _mechanism(part: Part, settings: LearnerSettings) -> MechanismFit | None:
     if not settings.mechanism or not maps or settings.estimator not in ("auto", "null-space"):
         return None
     rng = np.random.default_rng(settings.seed)
+    chosen = _evenly(len(part.demonstrations))
+    paths = [part.demonstrations[i] for i in chosen]
     try:
-        return find_mechanism(maps[0].robot, maps[0].frame.name, part.demonstrations, rng)
+        found = find_mechanism(maps[0].robot, maps[0].frame.name, paths, rng)
     except NotIdentifiableError:
         return None
+    return dataclasses.replace(found, odd=tuple(chosen[i] for i in found.odd))
+
+
+def _evenly(n: int) -> list[int]:
+    """Numbers of the trajectories that a mechanism is found from: all, or an even choice of many."""
+    return np.unique(np.linspace(0, n - 1, min(n, MOST_PATHS)).round().astype(int)).tolist()
 
 
 def _with_mechanism(answer: Answer, settings: LearnerSettings, fit: Fit) -> Answer:
@@ -177,19 +188,20 @@ def _with_mechanism(answer: Answer, settings: LearnerSettings, fit: Fit) -> Answ
     )
 
 
-def _despite(
-    refusal: NotIdentifiableError, part: Part, settings: LearnerSettings, fit: Fit, mechanism: MechanismFit | None
-) -> Answer:
+def _despite(refusal: NotIdentifiableError, part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
     """An answer where the gap shows none: rows that depend on the place, or rows that the evidence alone supports.
 
     Raises:
         NotIdentifiableError: There is none.
     """
+    if refusal.code not in RESCUED or settings.n_constraints is not None:
+        raise refusal
+    mechanism = _mechanism(part, settings)
     features = _place_rows(part, mechanism)
-    if features is not None and settings.n_constraints is None:
+    if features is not None:
         candidate, data = _fit_rows(features, part, settings, fit)
         return Answer(part, candidate, data, _evidence(features, part, settings), mechanism, ())
-    if settings.n_constraints is None and refusal.code == "weak-gap":
+    if refusal.code == "weak-gap":
         for rows in part.feature_maps:
             evidence = _evidence(rows, part, settings)
             if evidence.verdict == "clear":

@@ -12,7 +12,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.learning.agreement.agreement import Agreement, judge_agreement
 from manip_learn.learning.agreement.reason import reason
 from manip_learn.learning.phases.decoding import TRIM
-from manip_learn.learning.phases.find_phases import find_phases, needs_phases
+from manip_learn.learning.phases.find_phases import find_phases, one_constraint_fits, too_short
 from manip_learn.learning.phases.result import PhaseConstraint, PhaseResult, Stretch
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -92,9 +92,9 @@ def divide(
         rng: For the comparisons with chance.
         phases: Whether to look for phases.
     """
-    fitting = tuple(f for f in feature_maps if not needs_phases(f, demonstrations))
-    if len(demonstrations) < 2:
-        return undivided(demonstrations, feature_maps)
+    fitting = tuple(f for f in feature_maps if one_constraint_fits(f, demonstrations))
+    if len(demonstrations) < 2 or (not fitting and too_short(demonstrations)):
+        return Division(undivided(demonstrations, feature_maps).parts, one_fits=bool(fitting))
     agreed = _by_agreement(demonstrations, fitting or feature_maps, feature_maps, bool(fitting))
     if agreed is not None:
         return agreed
@@ -130,7 +130,7 @@ def _by_agreement(
                 return None
             continue
         members = [demonstrations[i] for i in agreement.members]
-        if len(members) < 2 or needs_phases(features, members):
+        if len(members) < 2 or not one_constraint_fits(features, members):
             continue
         if best is None or len(agreement.members) > len(best.members):
             best = agreement

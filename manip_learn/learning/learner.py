@@ -18,7 +18,8 @@ from manip_learn.learning.bootstrap import bootstrap_angle_deg
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
 from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, check_joints
 from manip_learn.learning.division import Division, Part, divide, undivided
-from manip_learn.learning.report import LearningReport, Story, build_report
+from manip_learn.learning.overview import RecordingOverview
+from manip_learn.learning.report import LearningReport, build_report
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -242,13 +243,13 @@ class ConstraintLearner:
         self, answers: Sequence[Answer], division: Division, demonstrations: Demonstrations, started: float
     ) -> None:
         """Uncertainty -> report, for each answer."""
-        story = Story.of(answers, division, demonstrations)
+        overview = RecordingOverview.of(answers, division, demonstrations)
         constraints, reports = [], []
         for answer in answers:
             best = answer.candidate
             uncertainty_deg, seconds = self._uncertainty(best), time.perf_counter() - started
             constraint, report = build_report(
-                best, answer.data, demonstrations.joint_names, uncertainty_deg, seconds, answer, story
+                best, answer.data, demonstrations.joint_names, uncertainty_deg, seconds, answer, overview
             )
             constraints.append(constraint)
             reports.append(report)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
@@ -17,47 +16,18 @@ from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.learning.answer import Answer
 from manip_learn.learning.candidate import Candidate
 from manip_learn.learning.data_summary import DataSummary
-from manip_learn.learning.division import Division
 from manip_learn.learning.excitation import energy_shares
 from manip_learn.learning.mechanisms.mechanism import Mechanism
+from manip_learn.learning.overview import OddTrajectory, Phase, RecordingOverview
 from manip_learn.linalg import null_basis
-from manip_learn.recordings.demonstrations import Demonstrations
 
 MOST_NOTES = 20
-SPANS_SHOWN = 6
 PROVENANCE = (
     *("estimator", "kind", "gap", "uncertainty_deg", "n_samples", "n_trajectories", "sentence", "warnings"),
     *("phases", "odd_trajectories", "mechanism"),
 )
 # entries of a unit vector that are printed as 0: half of the last of two digits
 NEGLIGIBLE = 5e-3
-
-
-class Phase(NamedTuple):
-    """A stretch of a recording.
-
-    Attributes:
-        trajectory: Name of the recording.
-        start, end: On the recording's own clock [s].
-        constraint: Number of the constraint that holds, counted from 0 in `constraints_`; None for free motion.
-    """
-
-    trajectory: str
-    start: float
-    end: float
-    constraint: int | None
-
-
-class OddTrajectory(NamedTuple):
-    """A recording that does not agree with the others.
-
-    Attributes:
-        trajectory: Its name.
-        reason: How it differs, in numbers and units.
-    """
-
-    trajectory: str
-    reason: str
 
 
 class RowSupport(NamedTuple):
@@ -72,67 +42,6 @@ class RowSupport(NamedTuple):
     strength: float
     p_value: float
     state: str
-
-
-@final
-@dataclass(frozen=True)
-class Story:
-    """What the recordings show as a whole, the same for every constraint.
-
-    Attributes:
-        phases: Every stretch that moves.
-        odd_trajectories: Recordings that do not agree with the others.
-        warnings: Doubts about the division.
-    """
-
-    phases: tuple[Phase, ...] = ()
-    odd_trajectories: tuple[OddTrajectory, ...] = ()
-    warnings: tuple[str, ...] = ()
-
-    @staticmethod
-    def of(answers: Sequence[Answer], division: Division, demonstrations: Demonstrations) -> Story:
-        """The phases with the names of the recordings; parts without an answer count as free motion."""
-        names = distinct_names(demonstrations)
-        number = {id(answer.part): k for k, answer in enumerate(answers)}
-        phases = tuple(
-            Phase(names[i], start, end, None if part is None else number.get(id(division.parts[part])))
-            for i, start, end, part in division.phases()
-        )
-        odd = {i: why for i, why in division.odd}
-        for answer in answers:
-            for i, why in answer.odd:
-                odd.setdefault(i, why)
-        warnings = list(division.warnings)
-        if odd:
-            listed = "; ".join(f"{names[i]}: {why}" for i, why in sorted(odd.items()))
-            warnings.append(
-                f"{len(odd)} of {len(demonstrations)} recordings do not agree with the others and were left out of the "
-                f"first constraint: {listed}"
-            )
-        return Story(phases, tuple(OddTrajectory(names[i], why) for i, why in sorted(odd.items())), tuple(warnings))
-
-    def sentences(self) -> tuple[str, ...]:
-        """Where each constraint holds, in words."""
-        numbers = sorted({p.constraint for p in self.phases if p.constraint is not None})
-        free = sum(p.constraint is None for p in self.phases)
-        if not free and len(numbers) < 2:
-            return ()
-        out = []
-        for k in numbers:
-            spans = [
-                f"from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}" for p in self.phases if p.constraint == k
-            ]
-            more = f" and {len(spans) - SPANS_SHOWN} more" if len(spans) > SPANS_SHOWN else ""
-            out.append(f"constraint {k + 1} is held {', '.join(spans[:SPANS_SHOWN])}{more}")
-        if free:
-            out.append(f"free motion in {free} stretch(es)")
-        return tuple(out)
-
-
-def distinct_names(demonstrations: Demonstrations) -> tuple[str, ...]:
-    """A name for each recording: its own, numbered where several have the same."""
-    names = [t.name for t in demonstrations]
-    return tuple(n if names.count(n) == 1 else f"{n} {i + 1}" for i, n in enumerate(names))
 
 
 @final
@@ -230,7 +139,7 @@ def build_report(
     uncertainty_deg: float | None,
     seconds: float,
     answer: Answer | None = None,
-    story: Story | None = None,
+    overview: RecordingOverview | None = None,
 ) -> tuple[Constraint, LearningReport]:
     """The constraint, and the evidence for it.
 
@@ -241,9 +150,9 @@ def build_report(
         uncertainty_deg: Of the row space [deg].
         seconds: Time for the fit [s].
         answer: Evidence and mechanism, where they were looked for.
-        story: What the recordings show as a whole.
+        overview: What the recordings show as a whole.
     """
-    story = story or Story()
+    overview = overview or RecordingOverview()
     samples, estimate, warnings = best.samples, best.estimate, list(best.warnings)
     features = samples.features
     selection = samples.selection(estimate.whitened_selection)
@@ -278,11 +187,11 @@ def build_report(
         n_trajectories=data.n_trajectories,
         seconds=seconds,
         notes=_few_notes(data.notes),
-        warnings=(*warnings, *(answer.warnings if answer else ()), *story.warnings),
+        warnings=(*warnings, *(answer.warnings if answer else ()), *overview.warnings),
         row_evidence=_row_support(answer),
         evidence=answer.evidence.sentence() if answer and answer.evidence else "",
-        phases=story.phases,
-        odd_trajectories=story.odd_trajectories,
+        phases=overview.phases,
+        odd_trajectories=overview.odd_trajectories,
         mechanism=mechanism,
     )
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}

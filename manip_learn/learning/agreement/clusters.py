@@ -15,8 +15,8 @@ from manip_learn.learning.phases.search import FIRST_SCALE, refit, scale_of
 from manip_learn.learning.phases.segmentation import HeldScale, evidence
 
 REFITS = 4
-# more pairs than this add nothing but time
-MOST_PAIRS = 60
+# more trajectories, and more pairs of them, than these add nothing to the hypotheses but time
+MOST_ALONE, MOST_PAIRS = 16, 24
 # a hypothesis with more rows is preferred from this share of the best one's support
 NESTED_SHARE = 0.3
 # least evidence of a trajectory that obeys a constraint, of what so firm a constraint would give it if it were held
@@ -99,10 +99,12 @@ def _refined(motion: PhaseMotion, among: Sequence[int], counts: Iterable[int]) -
 
 def _starts(motion: PhaseMotion, among: Sequence[int]) -> list[Float[np.ndarray, " n"]]:
     """Weights of the samples of all trajectories, of each, and of pairs, for a first fit."""
-    own = [np.where(motion.trajectory == i, motion.weight, 0.0) for i in among]
+    chosen = among[:: max(1, len(among) // MOST_ALONE)]
+    own = [np.where(motion.trajectory == i, motion.weight, 0.0) for i in chosen]
     pairs = [(a, b) for a in range(len(own)) for b in range(a)]
     step = max(1, len(pairs) // MOST_PAIRS)
-    return [np.sum(own, axis=0), *own, *(own[a] + own[b] for a, b in pairs[::step])]
+    everything = np.where(np.isin(motion.trajectory, among), motion.weight, 0.0)
+    return [everything, *own, *(own[a] + own[b] for a, b in pairs[::step])]
 
 
 def _grown(motion: PhaseMotion, rows: Float[np.ndarray, "s r"], among: Sequence[int]) -> Cluster:

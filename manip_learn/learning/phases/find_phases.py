@@ -31,10 +31,18 @@ def needs_phases(features: FeatureMap | Sequence[FeatureMap], trajectories: Sequ
         features: Phi, or several candidates of which one that fits is enough.
         trajectories: Recordings, whole or cut.
     """
-    if all(t.u is None or t.duration < SHORTEST_RECORDING for t in trajectories):
-        return False
     maps = [features] if isinstance(features, FeatureMap) else features
-    return not any(_one_fits(PhaseMotion.collect(f, sparse(trajectories)), f.nv) for f in maps)
+    return not too_short(trajectories) and not any(one_constraint_fits(f, trajectories) for f in maps)
+
+
+def too_short(trajectories: Sequence[Trajectory]) -> bool:
+    """Whether no recording is long enough to have phases that could be told apart."""
+    return all(t.u is None or t.duration < SHORTEST_RECORDING for t in trajectories)
+
+
+def one_constraint_fits(features: FeatureMap, trajectories: Sequence[Trajectory]) -> bool:
+    """Whether rows of these features hold in nearly all samples that move, clearly more than all other rows."""
+    return _one_fits(PhaseMotion.collect(features, sparse(trajectories)), features.nv)
 
 
 def _one_fits(motion: PhaseMotion, nv: int) -> bool:
