@@ -1,0 +1,125 @@
+"""Demonstrations of many kinds of task by kinematics alone, for studies that need hundreds of them.
+
+    trajectories, truth = make_set("drawer", "panda", seed=7, n_demonstrations=6)
+
+A person guides the arm by the tip. What holds the tip is obeyed to 1e-10 m by Newton iterations on positions, and the
+joints wander in what is left: no learnt quantity takes part. Each recording is whole unless asked otherwise: rest, a
+curved free approach, contact, a curved free retreat, rest. Everything is drawn from kind, robot and seed; seeds below
+1000 are for development, those from 1000 on for held-out tests.
+"""
+
+from __future__ import annotations
+
+import zlib
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from make_recordings.arms import ROBOTS, Arm, load_arm
+from make_recordings.furniture import comfortable
+from make_recordings.hand_motion import RATE
+from make_recordings.kinds import FREE, KINDS, TASKS
+from make_recordings.mechanism_motion import UnreachableError
+from make_recordings.mechanisms import Mechanism
+from make_recordings.whole_recording import TRIES, Session, Tape
+
+ENCODER_NOISE = 1e-4  # [rad]
+WANDER = 0.12  # [rad]
+DRAWS = 400
+LEAST_DIFFERENCE = np.deg2rad(25.0), 0.15  # between the axes of the right mechanism and the other [rad], [m]
+
+Trajectories = list[tuple[Float[np.ndarray, " T"], Float[np.ndarray, "T nv"]]]
+
+
+def make_set(
+    kind: str, robot: str, seed: int, n_demonstrations: int = 6, noise: float = ENCODER_NOISE, whole: bool = True
+) -> tuple[Trajectories, dict[str, Any]]:
+    """Demonstrations of one task, and the truth about them.
+
+    Args:
+        kind: One of `KINDS`.
+        robot: One of `ROBOTS`.
+        seed: Everything is drawn from it; the noise is drawn apart, the motion is the same without it.
+        n_demonstrations: At least 1.
+        noise: Standard deviation of the encoders [rad].
+        whole: Whether approach, retreat and rests are recorded, or the contacts only.
+
+    Returns:
+        (time [s], q [rad]) of each demonstration, sampled at 100 Hz; and the truth, see `describe`.
+
+    Raises:
+        ValueError: No such kind or robot, or no demonstration asked for.
+        RuntimeError: Nothing within reach was drawn.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"no kind {kind!r}; there are {', '.join(KINDS)}")
+    if n_demonstrations < 1:
+        raise ValueError(f"{n_demonstrations} demonstrations: at least 1 is needed")
+    arm = load_arm(robot)
+    key = [seed, zlib.crc32(kind.encode()), ROBOTS.index(robot)]
+    for draw in range(DRAWS):
+        try:
+            tapes, mechanisms, other = _draw(kind, arm, [*key, draw], n_demonstrations, whole)
+        except UnreachableError:
+            continue
+        encoders = np.random.default_rng([*key, DRAWS])
+        recorded = [tape.motion + encoders.normal(0.0, noise, tape.motion.shape) for tape in tapes]
+        facts = {"kind": kind, "robot": robot, "tip": arm.tip.name, "seed": seed, "rate": RATE, "noise": noise}
+        return [(np.arange(len(q)) / RATE, q) for q in recorded], facts | describe(tapes, mechanisms, other)
+    raise RuntimeError(f"{kind}, {robot}, seed {seed}: {DRAWS} draws and nothing was within reach")
+
+
+def describe(tapes: list[Tape], mechanisms: list[Mechanism], other: list[int]) -> dict[str, Any]:
+    """The truth, ready for JSON.
+
+    `windows`: (start [s], end [s], index of the mechanism) of each contact of each demonstration. `mechanisms`: type,
+    how it is held, axis, a point on it or in it [m], radius [m], pitch [m/rad], `rows` of the tip's velocity (linear
+    part first) that hold in base axes throughout, and `n_rows`, how many hold at each moment. `contaminated`: indices
+    of the demonstrations that do not belong.
+    """
+    return {
+        "windows": [[list(window) for window in tape.windows] for tape in tapes],
+        "mechanisms": [mechanism.truth() for mechanism in mechanisms],
+        "contaminated": other,
+    }
+
+
+def _draw(kind: str, arm: Arm, key: list[int], n: int, whole: bool) -> tuple[list[Tape], list[Mechanism], list[int]]:
+    """One draw of the furniture, and all demonstrations with it."""
+    if kind in FREE:
+        return [_free(kind, arm, key, number) for number in range(n)], [], []
+    rng, task = np.random.default_rng(key), TASKS[kind]
+    places = [comfortable(arm, rng) for _ in task.makers]
+    handles = [arm.robot.pose(place, arm.tip)[:3, 3] for place in places]
+    mechanisms = [maker(handle, rng) for maker, handle in zip(task.makers, handles, strict=True)]
+    if task.contaminates == "mechanism" and not _differ(*mechanisms):
+        raise UnreachableError("the other one is too much like the first")
+    count = int(rng.integers(1, max((n - 1) // 2, 1) + 1)) if task.contaminates else 0
+    other = sorted(rng.choice(n, count, replace=False).tolist())
+    grip, wander = task.grip * rng.uniform(0.4, 1.2), WANDER * rng.uniform(0.5, 1.5)
+    session = Session(arm, mechanisms, places, grip, wander, whole)
+    tapes = []
+    for number in range(n):
+        indices = [int(number in other)] if task.contaminates == "mechanism" else list(range(len(mechanisms)))
+        slips = task.contaminates == "slip" and number in other
+        tapes.append(session.demonstrate(indices, slips, [*key, number]))
+    return tapes, mechanisms, other
+
+
+def _differ(first: Mechanism, second: Mechanism) -> bool:
+    """Whether two mechanisms of one type have clearly different axes."""
+    one, two = first.truth(), second.truth()
+    angle = np.arccos(min(abs(float(np.dot(one["axis"], two["axis"]))), 1.0))
+    if angle > LEAST_DIFFERENCE[0] or one["point"] is None:
+        return bool(angle > LEAST_DIFFERENCE[0])
+    apart = np.cross(one["axis"], np.subtract(one["point"], two["point"]))
+    return bool(np.linalg.norm(apart) > LEAST_DIFFERENCE[1])
+
+
+def _free(kind: str, arm: Arm, key: list[int], number: int) -> Tape:
+    for attempt in range(TRIES):
+        rng = np.random.default_rng([*key, number, attempt])
+        q = FREE[kind](arm, np.random.default_rng(key), rng)
+        if arm.stays_inside(q, RATE) and arm.keeps_clear(q[::20]):
+            return Tape([q])
+    raise UnreachableError(f"demonstration {number}: {TRIES} tries and none was good")
