@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
+
 from make_recordings.arms import Arm
 from make_recordings.furniture import comfortable
 from make_recordings.hand_motion import RATE, reach, rest

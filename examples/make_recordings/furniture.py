@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
 from make_recordings.arms import Arm
 from make_recordings.hand_motion import samples, slow_curve, strokes
 from make_recordings.mechanisms import Axle, Ball, Mechanism, Plane, Slide, Upright, across
-from scipy.spatial.transform import Rotation
 
 UP = np.array([0.0, 0.0, 1.0])
 NO_BAR = np.zeros((0, 3))

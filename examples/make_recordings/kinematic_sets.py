@@ -11,10 +11,12 @@ curved free approach, contact, a curved free retreat, rest. Everything is drawn 
 from __future__ import annotations
 
 import zlib
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+
 from make_recordings.arms import ROBOTS, Arm, load_arm
 from make_recordings.furniture import comfortable
 from make_recordings.hand_motion import RATE
@@ -29,6 +31,8 @@ DRAWS = 400
 LEAST_DIFFERENCE = np.deg2rad(25.0), 0.15  # between the axes of the right mechanism and the other [rad], [m]
 
 Trajectories = list[tuple[Float[np.ndarray, " T"], Float[np.ndarray, "T nv"]]]
+Drawn = tuple[list[Tape], list[Mechanism], list[int]]
+Draw = Callable[[str, Arm, list[int], int, bool], Drawn]
 
 
 def make_set(
@@ -55,11 +59,22 @@ def make_set(
         raise ValueError(f"no kind {kind!r}; there are {', '.join(KINDS)}")
     if n_demonstrations < 1:
         raise ValueError(f"{n_demonstrations} demonstrations: at least 1 is needed")
+    return record_set(draw_set, kind, robot, seed, n_demonstrations, noise, whole)
+
+
+def record_set(
+    draw_one: Draw, kind: str, robot: str, seed: int, n_demonstrations: int, noise: float, whole: bool
+) -> tuple[Trajectories, dict[str, Any]]:
+    """`make_set` with another way to make the motion: the first good draw, with the encoders' noise and its truth.
+
+    Raises:
+        RuntimeError: Nothing within reach was drawn.
+    """
     arm = load_arm(robot)
     key = [seed, zlib.crc32(kind.encode()), ROBOTS.index(robot)]
     for draw in range(DRAWS):
         try:
-            tapes, mechanisms, other = _draw(kind, arm, [*key, draw], n_demonstrations, whole)
+            tapes, mechanisms, other = draw_one(kind, arm, [*key, draw], n_demonstrations, whole)
         except UnreachableError:
             continue
         encoders = np.random.default_rng([*key, DRAWS])
@@ -84,8 +99,15 @@ def describe(tapes: list[Tape], mechanisms: list[Mechanism], other: list[int]) -
     }
 
 
-def _draw(kind: str, arm: Arm, key: list[int], n: int, whole: bool) -> tuple[list[Tape], list[Mechanism], list[int]]:
-    """One draw of the furniture, and all demonstrations with it."""
+def draw_set(kind: str, arm: Arm, key: list[int], n: int, whole: bool, settle: float = 0.0) -> Drawn:
+    """One draw of the furniture, and n demonstrations with it; the key seeds it.
+
+    Returns:
+        The demonstrations, the mechanisms, and the indices of the demonstrations that do not belong.
+
+    Raises:
+        UnreachableError: A demonstration could not be made with it.
+    """
     if kind in FREE:
         return [_free(kind, arm, key, number) for number in range(n)], [], []
     rng, task = np.random.default_rng(key), TASKS[kind]
@@ -97,7 +119,7 @@ def _draw(kind: str, arm: Arm, key: list[int], n: int, whole: bool) -> tuple[lis
     count = int(rng.integers(1, max((n - 1) // 2, 1) + 1)) if task.contaminates else 0
     other = sorted(rng.choice(n, count, replace=False).tolist())
     grip, wander = task.grip * rng.uniform(0.4, 1.2), WANDER * rng.uniform(0.5, 1.5)
-    session = Session(arm, mechanisms, places, grip, wander, whole)
+    session = Session(arm, mechanisms, places, grip, wander, whole, settle)
     tapes = []
     for number in range(n):
         indices = [int(number in other)] if task.contaminates == "mechanism" else list(range(len(mechanisms)))

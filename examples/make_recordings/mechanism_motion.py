@@ -7,6 +7,7 @@ from typing import final
 
 import numpy as np
 from jaxtyping import Float
+
 from make_recordings.arms import Arm
 
 TOLERANCE = 1e-10  # [m] and [rad]

@@ -8,8 +8,9 @@ from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
-from make_recordings.mechanism_motion import TipPath
 from scipy.spatial.transform import Rotation
+
+from make_recordings.mechanism_motion import TipPath
 
 Held = Literal["loose", "firm", "soft"]
 

@@ -7,6 +7,7 @@ from typing import final
 
 import numpy as np
 from jaxtyping import Float
+
 from make_recordings.arms import Arm
 from make_recordings.furniture import draw_way
 from make_recordings.hand_motion import RATE, minimum_jerk, reach, rest, slow_curve
@@ -66,6 +67,7 @@ class Session:
         grip: How differently the hand takes hold each time: standard deviation of the joints [rad].
         wander: How much the joints wander where nothing holds them: standard deviation [rad].
         whole: Whether approach, retreat and rests are recorded.
+        settle: Least time at the grip before anything moves [s].
     """
 
     arm: Arm
@@ -74,6 +76,7 @@ class Session:
     grip: float
     wander: float
     whole: bool
+    settle: float = 0.0
 
     def demonstrate(self, indices: list[int], slips: bool, key: list[int]) -> Tape:
         """One good demonstration with the mechanisms of these indices, in this order; the key seeds it.
@@ -105,8 +108,9 @@ class Session:
                 tape.add(rest(grip + rng.normal(0.0, AWAY, n), rng.uniform(0.3, 1.5)))
             if tape.pieces:
                 tape.add(reach(tape.end, grip, tempo * rng.uniform(1.3, 2.4), BEND, rng))
-            if rng.random() < 0.4 and self.whole:
-                tape.add(rest(grip, rng.uniform(0.1, 0.6)))
+            pause = max(self.settle, rng.uniform(0.1, 0.6) * (rng.random() < 0.4))
+            if tape.pieces and pause > 0.0:
+                tape.add(rest(grip, pause))
             for part, held in contact:
                 tape.add(part, index if held else None)
         if self.whole:
@@ -118,7 +122,7 @@ class Session:
     def _contact(
         self, mechanism: Mechanism, grip: np.ndarray, tempo: float, slips: bool, rng: np.random.Generator
     ) -> list[tuple[np.ndarray, bool]]:
-        """Pieces of joint motion and whether they are held; a slipping grip lets go halfway and takes hold elsewhere."""
+        """Pieces of joint motion and whether they are held; what slips lets go halfway and takes hold elsewhere."""
         way = draw_way(mechanism, tempo, rng)
         wander = slow_curve(len(way) - 1, np.full(len(grip), self.wander * rng.uniform(0.6, 1.4)), (0.1, 0.5), rng)
         half = round(len(way) * rng.uniform(0.4, 0.6)) if slips else len(way)
