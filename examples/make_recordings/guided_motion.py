@@ -49,8 +49,17 @@ class Grip:
     anywhere: bool
 
 
-def simulate(arm: Arm, plan: Tape, mechanisms: list[Mechanism], friction: float, rng: np.random.Generator) -> Tape:
+def simulate(
+    arm: Arm, plan: Tape, mechanisms: list[Mechanism], rng: np.random.Generator, friction: float = 1.0
+) -> Tape:
     """What the physics makes of a plan: the same windows, other motion.
+
+    Args:
+        arm: The arm.
+        plan: What the person has in mind.
+        mechanisms: What the indices of the plan's windows mean.
+        rng: Source of the person's errors.
+        friction: Factor on the dry friction of the arm's joints.
 
     Raises:
         UnreachableError: The arm did not come to the handle, or was thrown off.

@@ -23,7 +23,7 @@ from make_recordings.hand_motion import RATE
 from make_recordings.kinds import FREE, KINDS, TASKS
 from make_recordings.mechanism_motion import UnreachableError
 from make_recordings.mechanisms import Mechanism
-from make_recordings.whole_recording import TRIES, Session, Tape
+from make_recordings.whole_recording import TRIES, Perform, Session, Tape
 
 ENCODER_NOISE = 1e-4  # [rad]
 WANDER = 0.12  # [rad]
@@ -99,7 +99,9 @@ def describe(tapes: list[Tape], mechanisms: list[Mechanism], other: list[int]) -
     }
 
 
-def draw_set(kind: str, arm: Arm, key: list[int], n: int, whole: bool, settle: float = 0.0) -> Drawn:
+def draw_set(
+    kind: str, arm: Arm, key: list[int], n: int, whole: bool, settle: float = 0.0, perform: Perform | None = None
+) -> Drawn:
     """One draw of the furniture, and n demonstrations with it; the key seeds it.
 
     Returns:
@@ -109,7 +111,7 @@ def draw_set(kind: str, arm: Arm, key: list[int], n: int, whole: bool, settle: f
         UnreachableError: A demonstration could not be made with it.
     """
     if kind in FREE:
-        return [_free(kind, arm, key, number) for number in range(n)], [], []
+        return [_free(kind, arm, [*key, number], perform) for number in range(n)], [], []
     rng, task = np.random.default_rng(key), TASKS[kind]
     places = [comfortable(arm, rng) for _ in task.makers]
     handles = [arm.robot.pose(place, arm.tip)[:3, 3] for place in places]
@@ -119,7 +121,7 @@ def draw_set(kind: str, arm: Arm, key: list[int], n: int, whole: bool, settle: f
     count = int(rng.integers(1, max((n - 1) // 2, 1) + 1)) if task.contaminates else 0
     other = sorted(rng.choice(n, count, replace=False).tolist())
     grip, wander = task.grip * rng.uniform(0.4, 1.2), WANDER * rng.uniform(0.5, 1.5)
-    session = Session(arm, mechanisms, places, grip, wander, whole, settle)
+    session = Session(arm, mechanisms, places, grip, wander, whole, settle, perform)
     tapes = []
     for number in range(n):
         indices = [int(number in other)] if task.contaminates == "mechanism" else list(range(len(mechanisms)))
@@ -138,10 +140,12 @@ def _differ(first: Mechanism, second: Mechanism) -> bool:
     return bool(np.linalg.norm(apart) > LEAST_DIFFERENCE[1])
 
 
-def _free(kind: str, arm: Arm, key: list[int], number: int) -> Tape:
+def _free(kind: str, arm: Arm, key: list[int], perform: Perform | None) -> Tape:
     for attempt in range(TRIES):
-        rng = np.random.default_rng([*key, number, attempt])
-        q = FREE[kind](arm, np.random.default_rng(key), rng)
-        if arm.stays_inside(q, RATE) and arm.keeps_clear(q[::20]):
-            return Tape([q])
-    raise UnreachableError(f"demonstration {number}: {TRIES} tries and none was good")
+        rng = np.random.default_rng([*key, attempt])
+        tape = Tape([FREE[kind](arm, np.random.default_rng(key[:-1]), rng)])
+        if perform:
+            tape = perform(arm, tape, [], rng)
+        if arm.stays_inside(tape.motion, RATE) and arm.keeps_clear(tape.motion[::20]):
+            return tape
+    raise UnreachableError(f"{TRIES} tries and none was good")

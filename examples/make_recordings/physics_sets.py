@@ -9,16 +9,13 @@ Nothing of the truth takes part after the plan.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
-
-import numpy as np
 
 from make_recordings.arms import Arm
 from make_recordings.guided_motion import SETTLE, simulate
-from make_recordings.hand_motion import RATE
 from make_recordings.kinds import KINDS
 from make_recordings.kinematic_sets import ENCODER_NOISE, Drawn, Trajectories, draw_set, record_set
-from make_recordings.mechanism_motion import UnreachableError
 
 STUCK = 8.0  # how much more dry friction the joints have in `free_sticking`
 
@@ -40,12 +37,6 @@ def make_set(
 
 
 def _draw(kind: str, arm: Arm, key: list[int], n: int, whole: bool) -> Drawn:
-    plans, mechanisms, other = draw_set("free" if kind == "free_sticking" else kind, arm, key, n, whole, SETTLE)
-    friction = STUCK if kind == "free_sticking" else 1.0
-    tapes = []
-    for number, plan in enumerate(plans):
-        tape = simulate(arm, plan, mechanisms, friction, np.random.default_rng([*key, number, 1]))
-        if not (arm.stays_inside(tape.motion, RATE) and arm.keeps_clear(tape.motion[::20])):
-            raise UnreachableError(f"demonstration {number} came close to a limit")
-        tapes.append(tape)
-    return tapes, mechanisms, other
+    if kind == "free_sticking":
+        return draw_set("free", arm, key, n, whole, SETTLE, partial(simulate, friction=STUCK))
+    return draw_set(kind, arm, key, n, whole, SETTLE, simulate)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import final
 
@@ -20,6 +21,7 @@ AWAY, BEND = 0.35, 0.2  # rest posture from the grip's, and detour on the way, s
 SLIP = 0.06  # from one grip to the next, standard deviation of the joints [rad]
 
 Window = tuple[float, float, int]
+Perform = Callable[[Arm, "Tape", list[Mechanism], np.random.Generator], "Tape"]
 
 
 @final
@@ -68,6 +70,7 @@ class Session:
         wander: How much the joints wander where nothing holds them: standard deviation [rad].
         whole: Whether approach, retreat and rests are recorded.
         settle: Least time at the grip before anything moves [s].
+        perform: What becomes of a planned recording, given its mechanisms; None if the plan is what is recorded.
     """
 
     arm: Arm
@@ -77,6 +80,7 @@ class Session:
     wander: float
     whole: bool
     settle: float = 0.0
+    perform: Perform | None = None
 
     def demonstrate(self, indices: list[int], slips: bool, key: list[int]) -> Tape:
         """One good demonstration with the mechanisms of these indices, in this order; the key seeds it.
@@ -86,15 +90,20 @@ class Session:
         """
         shortest = SHORTEST_AFTER_SLIP if slips else SHORTEST_CONTACT
         for attempt in range(TRIES):
+            rng = np.random.default_rng([*key, attempt])
             try:
-                tape = self._record(indices, slips, np.random.default_rng([*key, attempt]))
+                tape = self._record(indices, slips, rng)
+                if self._is_good(tape, shortest) and self.perform:
+                    tape = self.perform(self.arm, tape, self.mechanisms, rng)
             except UnreachableError:
                 continue
-            q = tape.motion
-            long_enough = all(end - start >= shortest for start, end, _ in tape.windows)
-            if long_enough and self.arm.stays_inside(q, RATE) and self.arm.keeps_clear(q[::20]):
+            if self._is_good(tape, shortest):
                 return tape
         raise UnreachableError(f"{TRIES} tries and none was good")
+
+    def _is_good(self, tape: Tape, shortest: float) -> bool:
+        long_enough = all(end - start >= shortest for start, end, _ in tape.windows)
+        return long_enough and self.arm.stays_inside(tape.motion, RATE) and self.arm.keeps_clear(tape.motion[::20])
 
     def _record(self, indices: list[int], slips: bool, rng: np.random.Generator) -> Tape:
         tape, n, tempo = Tape(), len(self.arm.ready), float(np.exp(rng.normal(0.0, 0.2)))
