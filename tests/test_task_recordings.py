@@ -173,9 +173,11 @@ def test_the_command_writes_recordings_that_can_be_loaded(part, tmp_path: Path) 
 
 @pytest.mark.parametrize("folder", SHIPPED)
 def test_shipped_recordings_obey_their_truth(part, folder: str) -> None:
-    """Each shipped window obeys the shipped truth to the noise of the encoders."""
+    """Each shipped window obeys the shipped truth to the noise of the encoders; the reader accepts the files."""
     truth = json.loads((DATA / folder / "truth.json").read_text(encoding="utf-8"))
     rows = [np.loadtxt(path, delimiter=",", skiprows=1) for path in sorted((DATA / folder).glob("demo_*.csv"))]
     assert len(rows) == len(truth["windows"])
-    linear, _ = worst(part, arm(truth["robot"]), [(r[:, 0], r[:, 1:]) for r in rows], truth)
+    robot = arm(truth["robot"])
+    assert len(load_demonstrations(DATA / folder, robot).trajectories) == len(rows)
+    linear, _ = worst(part, robot, [(r[:, 0], r[:, 1:]) for r in rows], truth)
     assert 1e-5 < linear < NOISY
