@@ -18,8 +18,9 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 DATA = EXAMPLES / "data"
 SHIPPED = ("panda_drawer_whole", "xarm7_drawer_then_table", "ur5_loose_door", "panda_drawer_mixed")
 HELD = (
-    "drawer drawer_firm table table_flat door door_firm hinge screw sleeve tether joystick drawer_then_table "
-    "door_then_drawer drawer_other_direction door_other_place drawer_slip"
+    "drawer drawer_firm drawer_offset drawer_moved drawer_slip drawer_other_direction drawer_then_table "
+    "door door_firm door_offset door_moved door_other_place door_then_drawer "
+    "table table_flat hinge screw sleeve tether joystick"
 ).split()
 FREE = "free free_slow free_repeated free_one_joint free_sticking free_few_joints".split()
 ALL = {*HELD, *FREE, "door_slip", "glass"}

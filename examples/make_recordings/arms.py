@@ -35,11 +35,29 @@ class Arm:
         robot: Its kinematics.
         tip: Frame that the person holds.
         ready: shape (nv,), posture in front of the base [rad].
+        offset: shape (3,), where the person holds it, seen from the tip's frame [m].
     """
 
     robot: Robot
     tip: Frame
     ready: Float[np.ndarray, " nv"]
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def pose(self, q: Float[np.ndarray, " nv"]) -> Float[np.ndarray, "4 4"]:
+        """Pose of the held point, turned like the tip's frame, in the base frame."""
+        pose = self.robot.pose(q, self.tip)
+        if any(self.offset):
+            pose[:3, 3] += pose[:3, :3] @ self.offset
+        return pose
+
+    def jacobian(self, q: Float[np.ndarray, " nv"]) -> Float[np.ndarray, "6 nv"]:
+        """Jacobian of the held point in base axes: v + w x r, with r the offset."""
+        J = self.robot.jacobian(q, self.tip)
+        if any(self.offset):
+            x, y, z = self.robot.pose(q, self.tip)[:3, :3] @ self.offset
+            J = J.copy()
+            J[:3] -= np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ J[3:]
+        return J
 
     def stays_inside(self, q: Float[np.ndarray, "T nv"], rate: float) -> bool:
         """True if a motion keeps 0.1 rad from the position limits and below 90 % of the velocity limits."""
@@ -53,7 +71,7 @@ class Arm:
 
     def keeps_clear(self, q: Float[np.ndarray, "T nv"]) -> bool:
         """True if the tip stays above the floor and away from the base's own column."""
-        places = np.array([self.robot.pose(row, self.tip)[:3, 3] for row in q])
+        places = np.array([self.pose(row)[:3, 3] for row in q])
         return bool(np.all(places[:, 2] > LOWEST) and np.all(np.hypot(places[:, 0], places[:, 1]) > NARROWEST))
 
 

@@ -68,7 +68,7 @@ def _add_arm(spec: mujoco.MjSpec, arm: Arm, friction: float) -> None:
         bodies.append(body)
     frame = model.frames[arm.tip.index]
     quat = Rotation.from_matrix(frame.placement.rotation).as_quat(scalar_first=True)
-    bodies[frame.parentJoint].add_site(name=TIP, pos=frame.placement.translation, quat=quat)
+    bodies[frame.parentJoint].add_site(name=TIP, pos=frame.placement.act(np.array(arm.offset)), quat=quat)
 
 
 def _add_furniture(spec: mujoco.MjSpec, mechanism: Mechanism, grip: np.ndarray, handle: str, name: str) -> None:

@@ -68,11 +68,11 @@ def simulate(
     grips = grips_of(plan)
     places = [mechanism.handle for mechanism in mechanisms]
     for grip in reversed([grip for grip in grips if not grip.anywhere]):
-        places[grip.index] = arm.robot.pose(wanted[grip.start], arm.tip)[:3, 3]
+        places[grip.index] = arm.pose(wanted[grip.start])[:3, 3]
     model = guided_model(arm, mechanisms, places, friction)
     motion = _run(model, arm, wanted, [g for g in grips if joints_of(mechanisms[g.index])], mechanisms, rng)
     windows = [(round(g.start / RATE, 2), round(g.end / RATE, 2), g.index) for g in grips]
-    return Tape([motion], windows)
+    return Tape([motion], windows, arm.offset)
 
 
 def grips_of(plan: Tape) -> list[Grip]:
@@ -124,7 +124,7 @@ def _aims(arm: Arm, wanted: np.ndarray, stiffness: np.ndarray, rng: np.random.Ge
     Error comes with motion: it fades where the plan rests.
     """
     n = len(stiffness)
-    places = np.array([arm.robot.pose(row, arm.tip)[:3, 3] for row in wanted])
+    places = np.array([arm.pose(row)[:3, 3] for row in wanted])
     astray = slow_noise(np.full(3, ASTRAY), 0.3, 1.2, rng)
     push = slow_noise(np.where(np.arange(n) < n - 3, PUSH, PUSH / 5.0), 0.15, 0.7, rng)
     moving = np.any(np.diff(wanted, axis=0, append=wanted[-1:]) != 0.0, axis=1).astype(float)

@@ -21,11 +21,15 @@ class Kind:
         grip: How differently the hand takes hold each time: standard deviation of the joints [rad].
         contaminates: `"mechanism"`: some demonstrations are with the second mechanism instead of the first;
             `"slip"`: in some demonstrations the grip slips halfway; None: all belong together.
+        offset: How far from the tip's origin things are held, each time elsewhere: standard deviation [m].
+        moved: Whether the furniture stands elsewhere each time, with the same grip.
     """
 
     makers: tuple[Maker, ...]
     grip: float = 0.3
     contaminates: Literal["mechanism", "slip"] | None = None
+    offset: float = 0.0
+    moved: bool = False
 
 
 TASKS: dict[str, Kind] = {
@@ -35,6 +39,10 @@ TASKS: dict[str, Kind] = {
     "table_flat": Kind((partial(table, flat=True),)),
     "door": Kind((door,)),
     "door_firm": Kind((partial(door, firm=True),)),
+    "drawer_offset": Kind((drawer,), offset=0.03),
+    "door_offset": Kind((door,), offset=0.03),
+    "drawer_moved": Kind((partial(drawer, firm=True),), moved=True),
+    "door_moved": Kind((partial(door, firm=True),), moved=True),
     "hinge": Kind((hinge,)),
     "screw": Kind((screw,)),
     "sleeve": Kind((sleeve,)),

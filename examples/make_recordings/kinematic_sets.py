@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -90,12 +91,14 @@ def describe(tapes: list[Tape], mechanisms: list[Mechanism], other: list[int]) -
     `windows`: (start [s], end [s], index of the mechanism) of each contact of each demonstration. `mechanisms`: type,
     how it is held, axis, a point on it or in it [m], radius [m], pitch [m/rad], `rows` of the tip's velocity (linear
     part first) that hold in base axes throughout, and `n_rows`, how many hold at each moment. `contaminated`: indices
-    of the demonstrations that do not belong.
+    of the demonstrations that do not belong. `offsets`: the point that is held and of which the rows speak, seen from
+    the tip's frame [m], of each demonstration.
     """
     return {
         "windows": [[list(window) for window in tape.windows] for tape in tapes],
         "mechanisms": [mechanism.truth() for mechanism in mechanisms],
         "contaminated": other,
+        "offsets": [list(tape.offset) for tape in tapes],
     }
 
 
@@ -114,7 +117,7 @@ def draw_set(
         return [_free(kind, arm, [*key, number], perform) for number in range(n)], [], []
     rng, task = np.random.default_rng(key), TASKS[kind]
     places = [comfortable(arm, rng) for _ in task.makers]
-    handles = [arm.robot.pose(place, arm.tip)[:3, 3] for place in places]
+    handles = [arm.pose(place)[:3, 3] for place in places]
     mechanisms = [maker(handle, rng) for maker, handle in zip(task.makers, handles, strict=True)]
     if task.contaminates == "mechanism" and not _differ(*mechanisms):
         raise UnreachableError("the other one is too much like the first")
@@ -122,12 +125,38 @@ def draw_set(
     other = sorted(rng.choice(n, count, replace=False).tolist())
     grip, wander = task.grip * rng.uniform(0.4, 1.2), WANDER * rng.uniform(0.5, 1.5)
     session = Session(arm, mechanisms, places, grip, wander, whole, settle, perform)
+    if task.moved:
+        return _with_moved_furniture(session, key, n)
     tapes = []
     for number in range(n):
         indices = [int(number in other)] if task.contaminates == "mechanism" else list(range(len(mechanisms)))
         slips = task.contaminates == "slip" and number in other
-        tapes.append(session.demonstrate(indices, slips, [*key, number]))
+        offset = np.random.default_rng([*key, number, DRAWS]).normal(0.0, task.offset, 3)
+        held = replace(session, arm=replace(arm, offset=tuple(offset.tolist()))) if task.offset else session
+        tapes.append(held.demonstrate(indices, slips, [*key, number]))
     return tapes, mechanisms, other
+
+
+def _with_moved_furniture(session: Session, key: list[int], n: int) -> Drawn:
+    """Each demonstration at another place, where hand and furniture are moved together as one body."""
+    (mechanism,), (place,), tapes, mechanisms = session.mechanisms, session.places, [], []
+    back = np.linalg.inv(session.arm.pose(place))
+    for number in range(n):
+        tape = None
+        for attempt in range(TRIES):
+            there = comfortable(session.arm, np.random.default_rng([*key, number, attempt, DRAWS]))
+            moved = mechanism.moved(session.arm.pose(there) @ back)
+            here = replace(session, mechanisms=[*mechanisms, moved], places=[place] * number + [there], grip=0.0)
+            try:
+                tape = here.demonstrate([number], False, [*key, number, attempt])
+            except UnreachableError:
+                continue
+            mechanisms.append(moved)
+            break
+        if tape is None:
+            raise UnreachableError(f"demonstration {number}: {TRIES} places and none was good")
+        tapes.append(tape)
+    return tapes, mechanisms, []
 
 
 def _differ(first: Mechanism, second: Mechanism) -> bool:

@@ -75,7 +75,7 @@ def follow(
         q = _onto(arm, path, k, q + steps[k])
         motion[k] = q
         if k % CHECKED_EVERY == 0:
-            rows = path.held(k, arm.robot.jacobian(q, arm.tip))
+            rows = path.held(k, arm.jacobian(q))
             if np.linalg.svd(rows, compute_uv=False)[-1] < WEAKEST:
                 raise UnreachableError(f"near a singularity at sample {k}")
     return motion
@@ -91,12 +91,11 @@ def put(arm: Arm, start: Float[np.ndarray, " nv"], position: Float[np.ndarray, "
 
 
 def _onto(arm: Arm, path: TipPath, k: int, q: np.ndarray) -> np.ndarray:
-    robot, tip = arm.robot, arm.tip
     for _ in range(ITERATIONS):
-        error = path.error(k, robot.pose(q, tip))
+        error = path.error(k, arm.pose(q))
         if np.abs(error).max() < TOLERANCE:
             return q
-        rows = path.held(k, robot.jacobian(q, tip))
+        rows = path.held(k, arm.jacobian(q))
         try:
             step = rows.T @ np.linalg.solve(rows @ rows.T, error)
         except np.linalg.LinAlgError as singular:

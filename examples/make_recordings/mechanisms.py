@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, final
 
 import numpy as np
@@ -33,6 +33,10 @@ class Mechanism(ABC):
         """Path of the tip that is at `pose` where the mechanism's coordinates are zero."""
 
     @abstractmethod
+    def moved(self, motion: Float[np.ndarray, "4 4"]) -> Mechanism:
+        """The same one elsewhere, held by the same place: a rigid motion of the base frame."""
+
+    @abstractmethod
     def truth(self) -> dict[str, Any]:
         """Type, axis, point, radius, pitch, how it is held, constant rows in base axes, number of rows."""
 
@@ -52,6 +56,11 @@ class Slide(Mechanism):
         """Straight along the axis."""
         position = pose[:3, 3] + np.outer(way[:, 0], self.axis)
         return TipPath(position, np.tile(pose[:3, :3], (len(way), 1, 1)) if self.firm else None)
+
+    def moved(self, motion: Float[np.ndarray, "4 4"]) -> Slide:
+        """Elsewhere, with all that is in it."""
+        turn, shift = motion[:3, :3], motion[:3, 3]
+        return replace(self, handle=turn @ self.handle + shift, bar=self.bar[:0], axis=turn @ self.axis)
 
     def truth(self) -> dict[str, Any]:
         """Two rows across the axis; firmly held, three rotations more."""
@@ -76,6 +85,11 @@ class Plane(Mechanism):
         if not self.flat:
             return TipPath(position)
         return TipPath(position, None, np.tile(self.normal, (len(way), 1)), pose[:3, :3].T @ self.normal)
+
+    def moved(self, motion: Float[np.ndarray, "4 4"]) -> Plane:
+        """Elsewhere, with all that is in it."""
+        turn, shift = motion[:3, :3], motion[:3, 3]
+        return replace(self, handle=turn @ self.handle + shift, bar=self.bar[:0], normal=turn @ self.normal)
 
     def truth(self) -> dict[str, Any]:
         """One row along the normal; flat, two rotations across it more."""
@@ -117,6 +131,17 @@ class Axle(Mechanism):
         position = self.point + turn.apply(pose[:3, 3] - self.point) + np.outer(along, self.axis)
         return TipPath(position, turn.as_matrix() @ pose[:3, :3] if self.firm else None)
 
+    def moved(self, motion: Float[np.ndarray, "4 4"]) -> Axle:
+        """Elsewhere, with all that is in it."""
+        turn, shift = motion[:3, :3], motion[:3, 3]
+        return replace(
+            self,
+            handle=turn @ self.handle + shift,
+            bar=self.bar[:0],
+            axis=turn @ self.axis,
+            point=turn @ self.point + shift,
+        )
+
     def truth(self) -> dict[str, Any]:
         """Constant in base axes: along the axis [v - pitch w], and two rotations across it if held firmly."""
         bound = np.concatenate([self.axis, -self.pitch * self.axis])[None]
@@ -146,6 +171,11 @@ class Ball(Mechanism):
         position = self.point + turn.apply(pose[:3, 3] - self.point)
         return TipPath(position, turn.as_matrix() @ pose[:3, :3] if self.firm else None)
 
+    def moved(self, motion: Float[np.ndarray, "4 4"]) -> Ball:
+        """Elsewhere, with all that is in it."""
+        turn, shift = motion[:3, :3], motion[:3, 3]
+        return replace(self, handle=turn @ self.handle + shift, bar=self.bar[:0], point=turn @ self.point + shift)
+
     def truth(self) -> dict[str, Any]:
         """No row is constant in base axes at the tip."""
         radius = float(np.linalg.norm(self.handle - self.point))
@@ -172,6 +202,11 @@ class Upright(Mechanism):
         up = np.array([0.0, 0.0, 1.0])
         tilt = Rotation.from_rotvec(np.column_stack([way[:, 3:], np.zeros(len(way))]))
         return TipPath(pose[:3, 3] + way[:, :3], None, tilt.apply(up), pose[:3, :3].T @ up)
+
+    def moved(self, motion: Float[np.ndarray, "4 4"]) -> Upright:
+        """Elsewhere, with all that is in it."""
+        turn, shift = motion[:3, :3], motion[:3, 3]
+        return replace(self, handle=turn @ self.handle + shift, bar=self.bar[:0])
 
     def truth(self) -> dict[str, Any]:
         """Nearly no rotation about x and y."""

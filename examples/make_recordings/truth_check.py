@@ -14,12 +14,14 @@ from manip_learn.robot import Robot
 def windows_of(
     robot: Robot, truth: dict[str, Any], number: int, time: Float[np.ndarray, " T"], q: Float[np.ndarray, "T nv"]
 ) -> list[tuple[dict[str, Any], Float[np.ndarray, "n 4 4"]]]:
-    """The mechanism and the poses of the tip in each window of demonstration `number`."""
+    """The mechanism and the poses of the held point in each window of demonstration `number`."""
     tip = robot.frame(truth["tip"])
     found = []
     for start, end, index in truth["windows"][number]:
         inside = (time > start - 1e-6) & (time < end + 1e-6)
-        found.append((truth["mechanisms"][index], np.array([robot.pose(row, tip) for row in q[inside]])))
+        poses = np.array([robot.pose(row, tip) for row in q[inside]])
+        poses[:, :3, 3] += poses[:, :3, :3] @ np.array(truth["offsets"][number])
+        found.append((truth["mechanisms"][index], poses))
     return found
 
 

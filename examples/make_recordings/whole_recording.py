@@ -32,10 +32,12 @@ class Tape:
     Attributes:
         pieces: Each of shape (n, nv) [rad], sampled at 100 Hz.
         windows: (start [s], end [s], index of the mechanism).
+        offset: Where the hand holds things, seen from the tip's frame [m].
     """
 
     pieces: list[np.ndarray] = field(default_factory=list)
     windows: list[Window] = field(default_factory=list)
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def motion(self) -> Float[np.ndarray, "T nv"]:
@@ -106,7 +108,7 @@ class Session:
         return long_enough and self.arm.stays_inside(tape.motion, RATE) and self.arm.keeps_clear(tape.motion[::20])
 
     def _record(self, indices: list[int], slips: bool, rng: np.random.Generator) -> Tape:
-        tape, n, tempo = Tape(), len(self.arm.ready), float(np.exp(rng.normal(0.0, 0.2)))
+        tape, n, tempo = Tape(offset=self.arm.offset), len(self.arm.ready), float(np.exp(rng.normal(0.0, 0.2)))
         for index in indices:
             mechanism = self.mechanisms[index]
             bar = rng.uniform(-1.0, 1.0, len(mechanism.bar)) @ mechanism.bar
@@ -144,7 +146,7 @@ class Session:
         return [(held, True), (slip, False), (rest_of_it, True)]
 
     def _held(self, mechanism: Mechanism, grip: np.ndarray, way: np.ndarray, wander: np.ndarray) -> np.ndarray:
-        pose = self.arm.robot.pose(grip, self.arm.tip)
+        pose = self.arm.pose(grip)
         return follow(self.arm, grip, mechanism.carry(pose, way - way[0]), wander)
 
 
