@@ -152,7 +152,12 @@ def test_what_does_not_exist_is_refused(part, kind: str, robot: str, count: int)
         part("make_recordings.kinematic_sets").make_set(kind, robot, 1, count)
 
 
-@pytest.mark.parametrize(("kind", "robot"), [("drawer_slip", "panda"), ("screw", "ur5"), ("door", "xarm7")])
+SIMULATIONS = [("drawer_slip", "panda"), ("screw", "ur5"), ("door", "xarm7"), ("sleeve", "sawyer")]
+
+
+@pytest.mark.parametrize(
+    ("kind", "robot"), [SIMULATIONS[0], *(pytest.param(*each, marks=pytest.mark.slow) for each in SIMULATIONS[1:])]
+)
 def test_the_simulated_grip_holds(part, kind: str, robot: str) -> None:
     """In rigid-body dynamics the windows obey the truth to 20 micrometres, a fifth of what the encoders let one see."""
     pytest.importorskip("mujoco")

@@ -15,7 +15,7 @@ from make_recordings.arms import Arm
 from make_recordings.guided_model import STIFF, TIMESTEP, TIP, guided_model, joints_of, joints_turn_the_hand
 from make_recordings.hand_motion import RATE
 from make_recordings.mechanism_motion import UnreachableError
-from make_recordings.mechanisms import Mechanism
+from make_recordings.mechanisms import Mechanism, Upright
 from make_recordings.operator import slow_noise
 from make_recordings.whole_recording import Tape
 
@@ -23,6 +23,7 @@ SPRING, DASHPOT = 900.0, 30.0  # the hand at the tip [N/m], [N s/m]
 ELBOW = 40.0  # the other hand on the arm [N m/rad], a third of it at the wrist
 ASTRAY = 0.008  # of the hand from where it is meant to go, standard deviation [m]
 PUSH = 1.5  # on the joints, standard deviation [N m], a fifth of it at the wrist
+LEVEL = 60.0  # how stiffly a full glass is kept upright [N m/rad]
 SETTLE = 0.5  # time to take hold [s]
 SOFT = 0.12  # settling time of a grip at first [s]
 SNAP = 0.06  # after a slip: time until the new grip is firm [s]
@@ -70,7 +71,7 @@ def simulate(
     for grip in reversed([grip for grip in grips if not grip.anywhere]):
         places[grip.index] = arm.pose(wanted[grip.start])[:3, 3]
     model = guided_model(arm, mechanisms, places, friction)
-    motion = _run(model, arm, wanted, [g for g in grips if joints_of(mechanisms[g.index])], mechanisms, rng)
+    motion = _run(model, arm, wanted, grips, mechanisms, rng)
     windows = [(round(g.start / RATE, 2), round(g.end / RATE, 2), g.index) for g in grips]
     return Tape([motion], windows, arm.offset)
 
@@ -99,19 +100,27 @@ def _run(
     data.qpos[:n] = wanted[0]
     stiffness = np.where(np.arange(n) < n - 3, ELBOW, ELBOW / 3.0)
     aim = _aims(arm, wanted, stiffness, rng)
-    tip, jacobian = model.site(TIP).id, np.zeros((3, model.nv))
+    tip, jacobian, turning = model.site(TIP).id, np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    closing = [grip for grip in grips if joints_of(mechanisms[grip.index])]
+    level = [grip for grip in grips if isinstance(mechanisms[grip.index], Upright)]
+    upwards = [arm.pose(wanted[grip.start])[2, :3] for grip in level]
     motion = np.empty_like(wanted)
     for k in range(len(wanted)):
         motion[k] = data.qpos[:n]
-        for grip in grips:
+        for grip in closing:
             _work(model, data, grip, k, joints_turn_the_hand(mechanisms[grip.index]))
+        carried = [up for grip, up in zip(level, upwards, strict=True) if grip.close <= k < grip.end]
         ahead = aim[min(k + 1, len(aim) - 1)] - aim[k]
         for step in range(SUBSTEPS):
             mujoco.mj_step1(model, data)
-            mujoco.mj_jacSite(model, data, jacobian, None, tip)
+            mujoco.mj_jacSite(model, data, jacobian, turning, tip)
             goal = aim[k] + (step / SUBSTEPS) * ahead
             force = SPRING * (goal[:3] - data.site_xpos[tip]) - DASHPOT * (jacobian @ data.qvel)
             data.qfrc_applied[:n] = jacobian[:, :n].T @ force + goal[3:] - stiffness * data.qpos[:n]
+            for up in carried:
+                top = data.site_xmat[tip].reshape(3, 3) @ up
+                upright = LEVEL * np.array([top[1], -top[0], 0.0])  # top x (0, 0, 1)
+                data.qfrc_applied[:n] += turning[:, :n].T @ upright
             mujoco.mj_step2(model, data)
     if not np.all(np.isfinite(motion)) or data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
         raise UnreachableError("the simulation broke down")
