@@ -92,7 +92,8 @@ def describe(tapes: list[Tape], mechanisms: list[Mechanism], other: list[int]) -
     how it is held, axis, a point on it or in it [m], radius [m], pitch [m/rad], `rows` of the tip's velocity (linear
     part first) that hold in base axes throughout, and `n_rows`, how many hold at each moment. `contaminated`: indices
     of the demonstrations that do not belong. `offsets`: the point that is held and of which the rows speak, seen from
-    the tip's frame [m], of each demonstration.
+    the tip's frame [m], of each demonstration. After a slip the hand is elsewhere on a door: type, axis and point
+    hold, the radius does not.
     """
     return {
         "windows": [[list(window) for window in tape.windows] for tape in tapes],
