@@ -152,7 +152,7 @@ def test_what_does_not_exist_is_refused(part, kind: str, robot: str, count: int)
         part("make_recordings.kinematic_sets").make_set(kind, robot, 1, count)
 
 
-SIMULATIONS = [("drawer_slip", "panda"), ("screw", "ur5"), ("door", "xarm7"), ("sleeve", "sawyer")]
+SIMULATIONS = [("drawer_slip", "panda"), ("screw", "ur5"), ("door", "xarm7")]
 
 
 @pytest.mark.parametrize(
