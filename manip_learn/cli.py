@@ -71,6 +71,12 @@ def learn(
     package_dir: Packages = None,
     *,
     options: ReadOptions,
+    phases: Annotated[
+        str, typer.Option(help="auto: find the stretches in which a constraint holds; off: take recordings as a whole.")
+    ] = "auto",
+    mechanism: Annotated[str, typer.Option(help="auto: say what holds the hand (hinge, line, ...); off.")] = "auto",
+    start: Annotated[float | None, typer.Option("--from", help="Leave out what was recorded before [s].")] = None,
+    until: Annotated[float | None, typer.Option(help="Leave out what was recorded after [s].")] = None,
     points: Annotated[int | None, typer.Option(help="Use at most this many samples of each trajectory.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap and of random starts.")] = 0,
     dask: Annotated[str | None, typer.Option(help="Scheduler address, or local: learn on a dask cluster.")] = None,
@@ -93,6 +99,10 @@ def learn(
             package_dirs=package_dir,
             seed=seed,
             points=points,
+            phases=phases,
+            mechanism=mechanism,
+            start=start,
+            until=until,
             options=options,
             dask=dask,
             progress=report,

@@ -11,7 +11,7 @@ from manip_learn.constraint.features import FrameJacobian, MechanismRows
 from manip_learn.constraint.features.place_fields import FIELDS
 from manip_learn.constraint.manipulability import manipulability, manipulability_gradient
 from manip_learn.constraint.manipulability_batch import manipulability_batch
-from manip_learn.control.compiled.compiled_controller import CompiledController
+from manip_learn.control.compiled_controller import CompiledController
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies.manipulability_ascent import ManipulabilityAscent
 from manip_learn.control.rollout import simulate

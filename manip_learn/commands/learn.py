@@ -14,7 +14,7 @@ from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import FeatureError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.candidate import EstimatorName
-from manip_learn.learning.learner import ESTIMATORS
+from manip_learn.learning.learner import ESTIMATORS, Switch
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import ReadOptions
 from manip_learn.recordings.preprocessing import subsample
@@ -30,24 +30,40 @@ REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": ("
 class Learnt:
     """What was learnt, and where it was written."""
 
-    constraint: Constraint
-    report: LearningReport
+    constraints: tuple[Constraint, ...]
+    reports: tuple[LearningReport, ...]
     frame: str
     out: Path | None
     notes: tuple[str, ...]
 
+    @property
+    def constraint(self) -> Constraint:
+        """The best supported one."""
+        return self.constraints[0]
+
+    @property
+    def report(self) -> LearningReport:
+        """The evidence for it."""
+        return self.reports[0]
+
     def to_dict(self) -> dict[str, Any]:
-        """The JSON answer."""
-        content = self.report.to_dict()
+        """The JSON answer: the keys of the best supported constraint, and all constraints as a list."""
+        content = _described(self.constraint, self.report)
         content.update(
-            selection=self.constraint.selection.tolist(),
-            axes=list(self.report.row_names),
-            free_directions=[list(row) for row in self.report.free_directions],
+            constraints=[_described(c, r) for c, r in zip(self.constraints, self.reports, strict=True)],
             frame=self.frame,
             notes=[*self.notes, *self.report.notes],
             out=None if self.out is None else str(self.out),
         )
         return content
+
+
+def _described(constraint: Constraint, report: LearningReport) -> dict[str, Any]:
+    return report.to_dict() | {
+        "selection": constraint.selection.tolist(),
+        "axes": list(report.row_names),
+        "free_directions": [list(row) for row in report.free_directions],
+    }
 
 
 def learn(
@@ -64,6 +80,10 @@ def learn(
     package_dirs: list[str] | None = None,
     seed: int = 0,
     points: int | None = None,
+    phases: str = "auto",
+    mechanism: str = "auto",
+    start: float | None = None,
+    until: float | None = None,
     options: ReadOptions | None = None,
     dask: str | None = None,
     progress: Progress | None = None,
@@ -81,21 +101,34 @@ def learn(
         raise RecordingError(
             "--points works on recordings in memory, not with --dask: give one of the two", code="option"
         )
+    if dask is not None and not (start is None and until is None):
+        raise RecordingError(
+            "--from and --until cut recordings in memory, not with --dask: cut the files first", code="option"
+        )
     if progress is not None:
         progress("reading", 0.0)
     load = load_for_recordings if dask is None else source_for_recordings
     robot, demos, chosen, notes = load(robot_name, recordings, frame, locked or [], package_dirs or [], options)
+    if isinstance(demos, Demonstrations) and (start is not None or until is not None):
+        demos = Demonstrations([t[start:until] for t in demos], demos.notes)
     if points is not None and isinstance(demos, Demonstrations):
         demos = Demonstrations([subsample(t, points) for t in with_velocities(demos, robot)], demos.notes)
     candidates = [FrameJacobian(robot, chosen, axes, r) for r in REFERENCES[reference]]
     most = min(min(c.n_rows, c.nv) for c in candidates)
     if n_constraints is not None and not 1 <= n_constraints <= most:
         raise FeatureError(f"--constraints must be between 1 and {most} for the axes {axes!r}, got {n_constraints}")
-    learner = ConstraintLearner(candidates, n_constraints, _estimator(estimator), seed=seed)
+    learner = ConstraintLearner(
+        candidates,
+        n_constraints,
+        _estimator(estimator),
+        phases=_switch("--phases", phases),
+        mechanism=_switch("--mechanism", mechanism),
+        seed=seed,
+    )
     with _client(dask) as client:
         learner.fit(demos, client=client, progress=progress)
     written = learner.constraint_.save(out) if out is not None else None
-    return Learnt(learner.constraint_, learner.report_, chosen, written, tuple(notes))
+    return Learnt(learner.constraints_, learner.reports_, chosen, written, tuple(notes))
 
 
 @contextmanager
@@ -108,6 +141,13 @@ def _client(dask: str | None) -> Iterator[Any]:
 
     with dask_client(dask) as client:
         yield client
+
+
+def _switch(option: str, value: str) -> Switch:
+    for known in get_args(Switch):
+        if value == known:
+            return known
+    raise FeatureError(f"{option} must be auto or off, not {value!r}")
 
 
 def _estimator(name: str) -> EstimatorName:

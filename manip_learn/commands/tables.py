@@ -12,6 +12,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from manip_learn.learning.estimators.estimate import CLEAR_GAP
+from manip_learn.learning.mechanisms.mechanism import Mechanism
+from manip_learn.learning.overview import RecordingOverview
 
 if TYPE_CHECKING:  # so that printing one command's answer does not load the others
     from manip_learn.commands.control import Controlled
@@ -41,16 +43,34 @@ def print_learnt(console: Console, learnt: Learnt) -> None:
         table.add_row("left-out trajectories", f"{100 * report.held_out_residual:.2g} % of the motion unexplained")
     if report.uncertainty_deg is not None:
         table.add_row("uncertainty", f"{report.uncertainty_deg:.2g} degrees (68 %, bootstrap over trajectories)")
+    if report.row_evidence:
+        held = [row for row in report.row_evidence if row.state == "held"]
+        strengths = ", ".join(f"{row.strength:.3g}" for row in held) or "none"
+        p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
+        table.add_row("evidence per row", f"strength {strengths}{p_value} (recombination test)")
+    if report.mechanism is not None:
+        table.add_row("mechanism", f"{report.mechanism.sentence}{_spread(report.mechanism)}")
     table.add_row(
         "learnt from", f"{report.n_samples} samples of {report.n_trajectories} trajectories in {report.seconds:.2g} s"
     )
     console.print(table)
+    for number, other in enumerate(learnt.reports[1:], start=2):
+        console.print(f"constraint {number}: {escape(other.sentence)}", highlight=False)
+    for sentence in RecordingOverview(report.phases).sentences():
+        console.print(escape(sentence), highlight=False)
     for note in (*learnt.notes, *report.notes):
         console.print(f"[dim]note: {escape(note)}[/dim]", highlight=False)
     for warning in report.warnings:
         console.print(f"[yellow]warning: {escape(warning)}[/yellow]", highlight=False)
     if learnt.out is not None:
         console.print(f"written: {escape(str(learnt.out))}", highlight=False, soft_wrap=True)
+
+
+def _spread(mechanism: Mechanism) -> str:
+    """The uncertainty of each parameter, one standard deviation."""
+    units = {"axis": (1.0, "degrees"), "point": (1e3, "mm"), "radius": (1e3, "mm"), "pitch": (1e3, "mm/rad")}
+    parts = [f"{name} {units[name][0] * x:.2g} {units[name][1]}" for name, x in mechanism.uncertainty.items()]
+    return f" (+- {', '.join(parts)})" if parts else ""
 
 
 def rollout_table(rollouts: dict[str, Controlled]) -> Table:
