@@ -184,7 +184,7 @@ def test_settings_out_of_range():
         ConstraintLearner([])
     with pytest.raises(FeatureError, match="between 1 and 3"):
         ConstraintLearner(features, n_constraints=4)
-    with pytest.raises(FeatureError, match="whole number"):
+    with pytest.raises(FeatureError, match="an integer"):
         ConstraintLearner(features, n_constraints=1.5)  # type: ignore[arg-type]
     demos, _ = paper_motions([0, 1], np.random.default_rng(75), n_trajectories=20)
     with pytest.raises(NotIdentifiableError, match="'sextic'"):

@@ -15,7 +15,7 @@ from manip_learn.control.compiled_controller import CompiledController
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies.manipulability_ascent import ManipulabilityAscent
 from manip_learn.control.rollout import simulate
-from manip_learn.control.tasks.hold import Hold
+from manip_learn.control.tasks.task import Hold
 from manip_learn.errors import ConstraintError, ConstraintMismatchError, FeatureError
 
 AXIS, POINT, PITCH = (0.3, -0.5, 0.8), (0.4, 0.2, 0.3), 0.07

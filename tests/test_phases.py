@@ -111,7 +111,8 @@ def test_times_are_those_of_each_recordings_own_clock():
     late = Trajectory(trajectories[1].time + 1000.0, trajectories[1].q, trajectories[1].u, trajectories[1].joint_names)
     before = searched((features, trajectories, {})).constraints[0]
     after = searched((features, [trajectories[0], late, *trajectories[2:]], {})).constraints[0]
-    assert row_space_angle(before.selection, after.selection) < 1e-9
+    # a clock that is a thousand seconds on has three digits less for the steps between the samples
+    assert row_space_angle(before.selection, after.selection) < 1e-5
     for a, b in zip(before.stretches, after.stretches, strict=True):
         shift = 1000.0 if a.trajectory == 1 else 0.0
         assert (b.trajectory, b.start, b.end) == pytest.approx((a.trajectory, a.start + shift, a.end + shift))

@@ -5,14 +5,17 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
 from manip_learn.errors import ManipLearnError
 
 # the keywords of `load_demonstrations`; their own type is not imported here, so that `--help` stays quick
-ReadOptions = Any
+if TYPE_CHECKING:
+    from manip_learn.recordings.load_demonstrations import ReadOptions
+else:
+    ReadOptions = dict[str, Any]
 
 
 def read_options(
@@ -48,7 +51,7 @@ def read_options(
         "episodes": episodes,
         "task": task,
     }
-    return {key: value for key, value in given.items() if value is not None and value != []}
+    return cast(ReadOptions, {key: value for key, value in given.items() if value is not None and value != []})
 
 
 def takes_read_options(command: Callable[..., None]) -> Callable[..., None]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+from jaxtyping import Bool
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
@@ -26,6 +27,8 @@ Fit = Callable[[Part, LearnerSettings], tuple[Candidate, DataSummary]]
 # rows of a mechanism that concern the position of the frame alone, for features without rotations
 # trajectories beyond this number add nothing to a mechanism but time
 MOST_PATHS = 16
+# rows of Phi below this are ones that the arm cannot move
+BLIND = 1e-6
 # refusals that rows which depend on the place, or the evidence alone, may answer
 RESCUED = ("weak-gap", "no-freedom")
 POSITION_ROWS = {
@@ -181,7 +184,7 @@ def _with_mechanism(answer: Answer, settings: LearnerSettings, fit: Fit) -> Answ
         return answer
     constant = answer.candidate
     if constant.n_constraints >= features.n_rows and constant.gap >= CLEAR_GAP:
-        return answer
+        return answer  # the place adds nothing to rows that are constant
     candidate, data = _fit_rows(features, answer.part, settings, fit)
     return dataclasses.replace(
         answer, candidate=candidate, data=data, evidence=_evidence(features, answer.part, settings), warnings=()
@@ -225,20 +228,29 @@ def _fit_rows(
 
 
 def _place_rows(part: Part, found: MechanismFit | None) -> MechanismRows | None:
-    """The rows of a mechanism that depend on the place, in the axes that were asked for."""
+    """The rows of a mechanism that depend on the place, in the axes asked for and in which the arm can move."""
     if found is None or found.mechanism is None or not isinstance(found.features, MechanismRows):
         return None
-    features, m = found.features, found.mechanism
-    units = {unit for f in part.feature_maps for unit in f.row_units}
-    if units == {"m/s", "rad/s"}:
-        return features
+    features, units = found.features, {unit for f in part.feature_maps for unit in f.row_units}
+    names = tuple(n for n, unit in zip(features.row_names, features.row_units, strict=True) if unit in units)
     if units == {"m/s"}:
-        names = POSITION_ROWS[m.type]
-    else:
-        names = tuple(n for n, unit in zip(features.row_names, features.row_units, strict=True) if unit in units)
-    if not names:
-        return None
+        names = POSITION_ROWS.get(found.mechanism.type, ())
+    names = (
+        tuple(n for n, moves in zip(names, _movable(_only(features, names), part), strict=True) if moves)
+        if names
+        else ()
+    )
+    return _only(features, names) if names else None
+
+
+def _only(features: MechanismRows, names: tuple[str, ...]) -> MechanismRows:
     place = features.geometry
     return MechanismRows(
         features.robot, features.frame.name, names, axis=place.axis, point=place.point, pitch=place.pitch
     )
+
+
+def _movable(features: MechanismRows, part: Part) -> Bool[np.ndarray, " p"]:
+    """Whether the arm can move the frame along each row, somewhere on the recordings."""
+    few = np.concatenate([t.q[:: max(1, len(t) // 10)] for t in part.demonstrations])
+    return np.max(np.linalg.norm(features.batch(few), axis=2), axis=0) > BLIND

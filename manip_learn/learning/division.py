@@ -92,19 +92,28 @@ def divide(
         rng: For the comparisons with chance.
         phases: Whether to look for phases.
     """
-    fitting = tuple(f for f in feature_maps if one_constraint_fits(f, demonstrations))
+    usable = tuple(f for f in feature_maps if _moves(f, demonstrations))
+    if not usable:
+        return undivided(demonstrations, feature_maps)
+    fitting = tuple(f for f in usable if one_constraint_fits(f, demonstrations))
     if len(demonstrations) < 2 or (not fitting and too_short(demonstrations)):
         return Division(undivided(demonstrations, feature_maps).parts, one_fits=bool(fitting))
-    agreed = _by_agreement(demonstrations, fitting or feature_maps, feature_maps, bool(fitting))
+    agreed = _by_agreement(demonstrations, fitting or usable, feature_maps, bool(fitting))
     if agreed is not None:
         return agreed
     if fitting:
         return undivided(demonstrations, feature_maps)
     if phases:
-        found = find_phases(feature_maps, demonstrations, rng)
+        found = find_phases(usable, demonstrations, rng)
         if found.constraints:
-            return _by_phases(demonstrations, feature_maps, found)
+            return _by_phases(demonstrations, usable, found)
     return Division(undivided(demonstrations, feature_maps).parts, one_fits=False)
+
+
+def _moves(features: FeatureMap, demonstrations: Demonstrations) -> bool:
+    """Whether any row of the features is not zero throughout."""
+    few = np.concatenate([t.q[:: max(1, len(t) // 5)] for t in demonstrations])
+    return bool(np.any(np.abs(features.batch(few)) > 0.0))
 
 
 def _part(demonstrations: Demonstrations, chosen: Sequence[int], feature_maps: Sequence[FeatureMap]) -> Part:

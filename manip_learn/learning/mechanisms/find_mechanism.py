@@ -117,7 +117,7 @@ def find_mechanism(
 
 
 def _compared(
-    robot: Robot, tip: Frame, postures: Sequence[Float[np.ndarray, "T nv"]], rng: np.random.Generator
+    robot: Robot, tip: Frame, postures: Sequence[Float[np.ndarray, "_ nv"]], rng: np.random.Generator
 ) -> tuple[Choice, tuple[int, ...]]:
     """The choice among the candidates, and the trajectories that it rests on: those that agree on more rows than all
     share are learnt without the others.
@@ -140,7 +140,7 @@ def _compared(
 
 
 def _paths(
-    robot: Robot, tip: Frame, postures: Sequence[Float[np.ndarray, "T nv"]], rng: np.random.Generator
+    robot: Robot, tip: Frame, postures: Sequence[Float[np.ndarray, "_ nv"]], rng: np.random.Generator
 ) -> tuple[TipPaths, TipPaths | None]:
     """The hand's paths, and those with the joints exchanged; None for a single trajectory."""
     mixed = TipPaths.of(robot, tip, recombined(postures, rng)) if len(postures) > 1 else None

@@ -34,7 +34,7 @@ class TipPaths:
     starts: Int[np.ndarray, " n"]
 
     @staticmethod
-    def of(robot: Robot, frame: Frame, postures: Sequence[Float[np.ndarray, "T n"]]) -> TipPaths:
+    def of(robot: Robot, frame: Frame, postures: Sequence[Float[np.ndarray, "_ n"]]) -> TipPaths:
         """The paths of a frame along trajectories given as postures."""
         pose = batch_kinematics(robot, frame).pose(np.concatenate(postures))
         lengths = [len(q) for q in postures]
@@ -89,8 +89,8 @@ def thinned(q: Float[np.ndarray, "T n"], most: int) -> Float[np.ndarray, "t n"]:
 
 
 def recombined(
-    postures: Sequence[Float[np.ndarray, "T n"]], rng: np.random.Generator, repetitions: int = 8
-) -> list[Float[np.ndarray, "t n"]]:
+    postures: Sequence[Float[np.ndarray, "_ n"]], rng: np.random.Generator, repetitions: int = 8
+) -> list[Float[np.ndarray, "_ n"]]:
     """Trajectories whose joints come from different demonstrations, aligned by their way in joint space.
 
     Each joint keeps a motion of its own; the coordination that a contact enforces is lost. What the recombined hand
