@@ -15,8 +15,10 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # two workers with one thread each: BLAS threads on these tiny matrices cost more than they bring
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
+# what touches other libraries: files in and out, robots, the command line, compiled code; pytest refuses a missing file
 QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli compiled_controller mjcf loading load_demonstrations \
-	playback playback_motion meshes rollout_file linalg axioms examples experiments)) $(wildcard tests/test_io_*_reader.py)
+	playback playback_motion meshes rollout_file linalg axioms examples experiments io_csv_reader io_lerobot_reader \
+	io_npz_reader io_robomimic_reader io_rosbag_reader))
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test lint types check lowest package docs bench fuzz proofs format clean distclean
@@ -69,7 +71,7 @@ format: $(VENV)/dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# what touches other libraries: files in and out, robots, the command line, compiled code, the demo
+# the demo and the quick tests at the lowest versions
 lowest: $(LOWEST)/made
 	$(LOWEST)/bin/manip-learn demo --no-browser --out $(LOWEST)/demo
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/python -m pytest -n 2 --dist worksteal --benchmark-disable \

@@ -165,6 +165,9 @@ def replay(
     html: Annotated[Path, typer.Option(help="File to write.")] = Path("replay.html"),
     open_browser: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
     tip: Annotated[str | None, typer.Option(help="Frame whose path is drawn.")] = None,
+    constraint: Annotated[
+        Path | None, typer.Option(help="Constraint file: show the phases and the mechanism that were learnt with it.")
+    ] = None,
     package_dir: Packages = None,
     as_json: Json = False,
 ) -> None:
@@ -172,7 +175,15 @@ def replay(
     from manip_learn.commands.replay import replay as run
 
     with waiting(as_json, "writing the replay"):
-        page = run(robot, rollouts, html=html, open_browser=open_browser, tip=tip, package_dirs=package_dir)
+        page = run(
+            robot,
+            rollouts,
+            html=html,
+            open_browser=open_browser,
+            tip=tip,
+            package_dirs=package_dir,
+            constraint_file=constraint,
+        )
     answer = {"html": str(page.html), "bytes": page.bytes, "notes": list(page.notes)}
     if as_json:
         _answer(True, answer)
