@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from manip_learn.commands.output import console, finite, progress, waiting
+from manip_learn.commands.read_options import ReadOptions, takes_read_options
 from manip_learn.commands.vectors import joined_vectors, vector
 from manip_learn.errors import ManipLearnError
 
@@ -56,6 +57,7 @@ def inspect(robot: RobotName, lock: Lock = None, package_dir: Packages = None, a
 
 
 @app.command()
+@takes_read_options
 def learn(
     robot: RobotName,
     recordings: Annotated[list[str], typer.Argument(metavar="RECORDING...", help="Files, or a folder of them.")],
@@ -67,15 +69,8 @@ def learn(
     out: Annotated[Path | None, typer.Option(help="Constraint file to write (JSON).")] = None,
     lock: Lock = None,
     package_dir: Packages = None,
-    degrees: Annotated[bool, typer.Option("--degrees", help="The recordings are in degrees.")] = False,
-    units: Annotated[str | None, typer.Option(help="Of the recorded angles: radians, degrees or normalised.")] = None,
-    time_unit: Annotated[str | None, typer.Option(help="Of the time stamps: s, ms, us or ns.")] = None,
-    ignore_column: Annotated[list[str] | None, typer.Option(help="Column to ignore; repeatable.")] = None,
-    rename: Annotated[list[str] | None, typer.Option(help="NAME_IN_FILE=NAME_IN_ROBOT of a joint.")] = None,
-    joint_names: Annotated[str | None, typer.Option(help="Column names, in order, for files without names.")] = None,
-    topic: Annotated[list[str] | None, typer.Option(help="Topic of a bag; default: all that hold joints.")] = None,
-    rate: Annotated[float | None, typer.Option(help="Samples per second, for files without time stamps.")] = None,
-    outside_limits: Annotated[str | None, typer.Option(help="Samples far outside the limits: refuse or note.")] = None,
+    *,
+    options: ReadOptions,
     points: Annotated[int | None, typer.Option(help="Use at most this many samples of each trajectory.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap and of random starts.")] = 0,
     dask: Annotated[str | None, typer.Option(help="Scheduler address, or local: learn on a dask cluster.")] = None,
@@ -83,19 +78,7 @@ def learn(
 ) -> None:
     """Learn a constraint from recordings and report it."""
     from manip_learn.commands.learn import learn as run
-    from manip_learn.commands.learn import read_options
 
-    options = read_options(
-        degrees=degrees,
-        units=units,
-        time_unit=time_unit,
-        ignore_column=ignore_column,
-        rename=rename,
-        joint_names=joint_names,
-        topic=topic,
-        rate=rate,
-        outside_limits=outside_limits,
-    )
     with progress(as_json) as report:
         learnt = run(
             robot,

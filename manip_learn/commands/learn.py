@@ -11,7 +11,7 @@ from typing import Any, final, get_args
 from manip_learn.commands.robot_loading import load_for_recordings, source_for_recordings
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.errors import FeatureError, ManipLearnError, RecordingError
+from manip_learn.errors import FeatureError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.candidate import EstimatorName
 from manip_learn.learning.learner import ESTIMATORS
@@ -115,42 +115,3 @@ def _estimator(name: str) -> EstimatorName:
         if name == known:
             return known
     raise FeatureError(f"--estimator must be one of {', '.join(ESTIMATORS)}, not {name!r}")
-
-
-def read_options(
-    *,
-    degrees: bool = False,
-    units: str | None = None,
-    time_unit: str | None = None,
-    ignore_column: list[str] | None = None,
-    rename: list[str] | None = None,
-    joint_names: str | None = None,
-    topic: list[str] | None = None,
-    rate: float | None = None,
-    outside_limits: str | None = None,
-) -> ReadOptions:
-    """Keywords of `load_demonstrations`; what was not given is left out. The reader checks the values.
-
-    Raises:
-        ManipLearnError: A renaming that is not FILE_NAME=ROBOT_NAME.
-    """
-    given: dict[str, Any] = {
-        "degrees": degrees or None,
-        "units": units,
-        "time_unit": time_unit,
-        "ignore_columns": ignore_column,
-        "rename": dict(_pair(r) for r in rename) if rename else None,
-        "joint_names": joint_names.replace(",", " ").split() if joint_names else None,
-        "topics": topic,
-        "rate": rate,
-        "outside_limits": outside_limits,
-    }
-    options: Any = {key: value for key, value in given.items() if value}
-    return options
-
-
-def _pair(text: str) -> tuple[str, str]:
-    file_name, _, robot_name = text.partition("=")
-    if not file_name or not robot_name:
-        raise ManipLearnError(f"--rename must be NAME_IN_FILE=NAME_IN_ROBOT, got {text!r}")
-    return file_name, robot_name
