@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from manip_learn.control.tasks import Hold, PointAttractor, Task, Track
     from manip_learn.errors import ManipLearnError
     from manip_learn.learning import ConstraintLearner
+    from manip_learn.learning.audit import audit_episodes
     from manip_learn.playback import LiveViewer, replay
     from manip_learn.recordings import RecordingSource, iter_demonstrations, load_demonstrations
     from manip_learn.recordings.demonstrations import Demonstrations
@@ -79,6 +80,7 @@ _HOMES = {
     "Track": "control.tasks",
     "Trajectory": "recordings.trajectory",
     "ZeroPolicy": "control.policies",
+    "audit_episodes": "learning.audit",
     "derive_velocities": "recordings.velocities",
     "iter_demonstrations": "recordings",
     "load_demonstrations": "recordings",
@@ -121,6 +123,7 @@ __all__ = [
     "Track",
     "Trajectory",
     "ZeroPolicy",
+    "audit_episodes",
     "derive_velocities",
     "inspect_robot",
     "iter_demonstrations",

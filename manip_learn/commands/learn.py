@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final, get_args
 
+from manip_learn.commands.cluster import cluster_client
 from manip_learn.commands.robot_loading import load_for_recordings, source_for_recordings
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
@@ -92,22 +91,10 @@ def learn(
     if n_constraints is not None and not 1 <= n_constraints <= most:
         raise FeatureError(f"--constraints must be between 1 and {most} for the axes {axes!r}, got {n_constraints}")
     learner = ConstraintLearner(candidates, n_constraints, _estimator(estimator), seed=seed)
-    with _client(dask) as client:
+    with cluster_client(dask) as client:
         learner.fit(demos, client=client, progress=progress)
     written = learner.constraint_.save(out) if out is not None else None
     return Learnt(learner.constraint_, learner.report_, chosen, written, tuple(notes))
-
-
-@contextmanager
-def _client(dask: str | None) -> Iterator[Any]:
-    """A dask client, or None."""
-    if dask is None:
-        yield None
-        return
-    from manip_learn.learning.streaming.dask_executor import dask_client
-
-    with dask_client(dask) as client:
-        yield client
 
 
 def _estimator(name: str) -> EstimatorName:

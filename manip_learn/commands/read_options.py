@@ -29,7 +29,7 @@ def read_options(
         str | None, typer.Option(help="Which to read, from 0, e.g. 0:50,60,75: LeRobot episodes, or files in order.")
     ] = None,
     task: Annotated[str | None, typer.Option(help="Read only the LeRobot episodes that show this task.")] = None,
-) -> ReadOptions:
+) -> dict[str, Any]:
     """Keywords of `load_demonstrations`; what was not given is left out. The reader checks the values.
 
     Raises:
