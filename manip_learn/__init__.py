@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from manip_learn.control.tasks import Hold, PointAttractor, Task, Track
     from manip_learn.errors import ManipLearnError
     from manip_learn.learning import ConstraintLearner
+    from manip_learn.learning.audit import audit_episodes
     from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_mechanism
     from manip_learn.learning.mechanisms.mechanism import Mechanism
     from manip_learn.playback import LiveViewer, replay
@@ -86,6 +87,7 @@ _HOMES = {
     "Track": "control.tasks",
     "Trajectory": "recordings.trajectory",
     "ZeroPolicy": "control.policies",
+    "audit_episodes": "learning.audit",
     "derive_velocities": "recordings.velocities",
     "iter_demonstrations": "recordings",
     "load_demonstrations": "recordings",
@@ -131,6 +133,7 @@ __all__ = [
     "Track",
     "Trajectory",
     "ZeroPolicy",
+    "audit_episodes",
     "derive_velocities",
     "find_mechanism",
     "inspect_robot",

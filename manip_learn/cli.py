@@ -30,6 +30,10 @@ RobotName = Annotated[str, typer.Argument(metavar="ROBOT", help="A name (sawyer,
 Lock = Annotated[list[str] | None, typer.Option("--lock", help="Joint to hold still; may be given several times.")]
 Packages = Annotated[list[str] | None, typer.Option("--package-dir", help="Folder that contains mesh packages.")]
 
+Recordings = Annotated[list[str], typer.Argument(metavar="RECORDING...", help="Files, or a folder of them.")]
+ConstraintFile = Annotated[str, typer.Argument(metavar="CONSTRAINT.JSON", help="Written by `learn --out`.")]
+Dask = Annotated[str | None, typer.Option(help="Scheduler address, or local: work on a dask cluster.")]
+
 
 @app.command()
 def demo(
@@ -60,7 +64,7 @@ def inspect(robot: RobotName, lock: Lock = None, package_dir: Packages = None, a
 @takes_read_options
 def learn(
     robot: RobotName,
-    recordings: Annotated[list[str], typer.Argument(metavar="RECORDING...", help="Files, or a folder of them.")],
+    recordings: Recordings,
     frame: Annotated[str | None, typer.Option(help="The frame that was guided, e.g. the tool's tip.")] = None,
     axes: Annotated[str, typer.Option(help="xyz, pose, planar, rotation, or any of 'x y z rx ry rz'.")] = "xyz",
     reference: Annotated[str, typer.Option(help="world, local, or auto (the larger gap).")] = "auto",
@@ -79,7 +83,7 @@ def learn(
     until: Annotated[float | None, typer.Option(help="Leave out what was recorded after [s].")] = None,
     points: Annotated[int | None, typer.Option(help="Use at most this many samples of each trajectory.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap and of random starts.")] = 0,
-    dask: Annotated[str | None, typer.Option(help="Scheduler address, or local: learn on a dask cluster.")] = None,
+    dask: Dask = None,
     as_json: Json = False,
 ) -> None:
     """Learn a constraint from recordings and report it."""
@@ -111,9 +115,39 @@ def learn(
 
 
 @app.command()
+@takes_read_options
+def audit(
+    robot: RobotName,
+    constraint: ConstraintFile,
+    recordings: Recordings,
+    csv: Annotated[Path | None, typer.Option(help="Table to write, one line per episode (CSV).")] = None,
+    package_dir: Packages = None,
+    *,
+    options: ReadOptions,
+    dask: Dask = None,
+    as_json: Json = False,
+) -> None:
+    """Judge recorded episodes by a constraint: rank them, and name those to leave out."""
+    from manip_learn.commands.audit import audit as run
+
+    with progress(as_json) as report:
+        audited = run(
+            robot,
+            constraint,
+            recordings,
+            csv=csv,
+            package_dirs=package_dir,
+            options=options,
+            dask=dask,
+            progress=report,
+        )
+    _answer(as_json, audited.to_dict(), "print_audit", audited)
+
+
+@app.command()
 def control(
     robot: RobotName,
-    constraint: Annotated[str, typer.Argument(metavar="CONSTRAINT.JSON", help="Written by `learn --out`.")],
+    constraint: ConstraintFile,
     start: Annotated[
         str | None, typer.Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the rest posture.")
     ] = None,

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final, get_args
 
+from manip_learn.commands.cluster import cluster_client
 from manip_learn.commands.robot_loading import load_for_recordings, source_for_recordings
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
@@ -125,22 +124,10 @@ def learn(
         mechanism=_switch("--mechanism", mechanism),
         seed=seed,
     )
-    with _client(dask) as client:
+    with cluster_client(dask) as client:
         learner.fit(demos, client=client, progress=progress)
     written = learner.constraint_.save(out) if out is not None else None
     return Learnt(learner.constraints_, learner.reports_, chosen, written, tuple(notes))
-
-
-@contextmanager
-def _client(dask: str | None) -> Iterator[Any]:
-    """A dask client, or None."""
-    if dask is None:
-        yield None
-        return
-    from manip_learn.learning.streaming.dask_executor import dask_client
-
-    with dask_client(dask) as client:
-        yield client
 
 
 def _switch(option: str, value: str) -> Switch:

@@ -5,17 +5,14 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import Annotated, Any
 
 import typer
 
 from manip_learn.errors import ManipLearnError
 
 # the keywords of `load_demonstrations`; their own type is not imported here, so that `--help` stays quick
-if TYPE_CHECKING:
-    from manip_learn.recordings.load_demonstrations import ReadOptions
-else:
-    ReadOptions = dict[str, Any]
+ReadOptions = Any
 
 
 def read_options(
@@ -32,7 +29,7 @@ def read_options(
         str | None, typer.Option(help="Which to read, from 0, e.g. 0:50,60,75: LeRobot episodes, or files in order.")
     ] = None,
     task: Annotated[str | None, typer.Option(help="Read only the LeRobot episodes that show this task.")] = None,
-) -> ReadOptions:
+) -> dict[str, Any]:
     """Keywords of `load_demonstrations`; what was not given is left out. The reader checks the values.
 
     Raises:
@@ -51,7 +48,7 @@ def read_options(
         "episodes": episodes,
         "task": task,
     }
-    return cast(ReadOptions, {key: value for key, value in given.items() if value is not None and value != []})
+    return {key: value for key, value in given.items() if value is not None and value != []}
 
 
 def takes_read_options(command: Callable[..., None]) -> Callable[..., None]:

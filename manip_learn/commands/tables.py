@@ -16,12 +16,14 @@ from manip_learn.learning.mechanisms.mechanism import Mechanism
 from manip_learn.learning.overview import RecordingOverview
 
 if TYPE_CHECKING:  # so that printing one command's answer does not load the others
+    from manip_learn.commands.audit import Audited
     from manip_learn.commands.control import Controlled
     from manip_learn.commands.demo import Demo
     from manip_learn.commands.learn import Learnt
     from manip_learn.commands.reproduce import Reproduction
     from manip_learn.robot.robot_summary import RobotSummary
 
+MOST_ROWS = 20  # of an audit on a terminal
 UNDER_WAY = 0.1  # the nearly singular start is not due to the policy: evaluated from here on [s]
 
 
@@ -147,6 +149,49 @@ def print_controlled(console: Console, controlled: Controlled) -> None:
         )
     if controlled.out is not None:
         console.print(f"written: {escape(str(controlled.out))}", highlight=False, soft_wrap=True)
+
+
+def print_audit(console: Console, audited: Audited) -> None:
+    """The worst episodes, and what to leave out and why."""
+    report = audited.report
+    table = Table(header_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    for name in ("episode", "score", "sigma", "broken", "mm", "deg", "margin", "speed", "jerk", "rest", "s"):
+        is_name = name == "episode"
+        table.add_column(name, justify="left" if is_name else "right", no_wrap=True, min_width=12 if is_name else None)
+    for e in report.episodes[:MOST_ROWS]:
+        cells = (
+            _number(e.score, ".1f"),
+            _number(e.sigma_min, ".3f"),
+            _number(100 * e.residual, ".1f", " %"),
+            _number(e.displacement_mm, ".1f"),
+            _number(e.displacement_deg, ".1f"),
+            _number(100 * e.limit_margin, ".0f", " %"),
+            _number(100 * e.peak_speed, ".0f", " %"),
+            _number(e.jerk_rms, ".1f"),
+            _number(100 * e.rest_share, ".0f", " %"),
+            _number(e.duration, ".1f"),
+        )
+        table.add_row(escape(e.episode), *cells, style="red" if e.leave_out else None)
+    console.print(table)
+    if len(report.episodes) > MOST_ROWS:
+        console.print(f"and {len(report.episodes) - MOST_ROWS} better episodes (--csv FILE lists all)", highlight=False)
+    left = report.leave_out
+    threshold = f"robust z above {report.threshold:.1f}" if math.isfinite(report.threshold) else "too few to tell"
+    console.print(
+        f"[bold]leave out {len(left)} of {len(report.episodes)} episodes[/bold] ({threshold})", highlight=False
+    )
+    for e in left:
+        console.print(
+            f"[red]{escape(e.episode)}[/red]: {escape('; '.join(e.reasons))}", highlight=False, soft_wrap=True
+        )
+    for note in report.notes:
+        console.print(f"[dim]note: {escape(note)}[/dim]", highlight=False)
+    if audited.out is not None:
+        console.print(f"written: {escape(str(audited.out))}", highlight=False, soft_wrap=True)
+
+
+def _number(value: float, form: str, unit: str = "") -> str:
+    return f"{value:{form}}{unit}" if math.isfinite(value) else "-"
 
 
 def print_reproduction(console: Console, reproduction: Reproduction) -> None:
