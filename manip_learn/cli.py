@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
+from manip_learn.commands.arguments import ConstraintFile, Dask, Json, Lock, Packages, Recordings, RobotName
 from manip_learn.commands.output import console, finite, progress, waiting
 from manip_learn.commands.read_options import ReadOptions, takes_read_options
 from manip_learn.commands.vectors import joined_vectors, vector
@@ -24,15 +25,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
-RobotName = Annotated[str, typer.Argument(metavar="ROBOT", help="A name (sawyer, planar3, panda, ...) or a URDF file.")]
-Lock = Annotated[list[str] | None, typer.Option("--lock", help="Joint to hold still; may be given several times.")]
-Packages = Annotated[list[str] | None, typer.Option("--package-dir", help="Folder that contains mesh packages.")]
-
-Recordings = Annotated[list[str], typer.Argument(metavar="RECORDING...", help="Files, or a folder of them.")]
-ConstraintFile = Annotated[str, typer.Argument(metavar="CONSTRAINT.JSON", help="Written by `learn --out`.")]
-Dask = Annotated[str | None, typer.Option(help="Scheduler address, or local: work on a dask cluster.")]
 
 
 @app.command()

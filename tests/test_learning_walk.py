@@ -18,7 +18,7 @@ STEPS = ("evidence", "phases", "agreement", "mechanisms")
 
 
 def test_a_fit_in_memory_walks_few_functions():
-    """A null-space fit calls at most 80 functions in 12 files of learning/ beside the steps' rooms, none in streaming/."""
+    """A null-space fit calls at most 80 functions in 12 files of learning/ (steps aside), none in streaming/."""
     robot = ml.load_robot("sawyer")
     demos = ml.load_demonstrations([RECORDINGS / "sawyer_drawer"], robot)[:6]
     features = ml.FrameJacobian(robot, "right_gripper_tip", "xyz")
