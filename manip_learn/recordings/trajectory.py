@@ -74,7 +74,7 @@ class Trajectory:
     def _check_shapes(self) -> None:
         T = self.time.shape[0]
         nv = len(self.joint_names) or (self.q if self.u is None else self.u).shape[1]
-        if len(set(self.joint_names)) != nv:
+        if self.joint_names and len(set(self.joint_names)) != nv:
             raise RecordingError(
                 f"{self.name}: joint names must differ, got {self.joint_names}", code="duplicate-joint"
             )
