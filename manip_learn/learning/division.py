@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.learning.agreement.agreement import Agreement, judge_agreement
 from manip_learn.learning.agreement.reason import reason
 from manip_learn.learning.phases.decoding import TRIM
@@ -16,6 +17,7 @@ from manip_learn.learning.phases.find_phases import find_phases, one_constraint_
 from manip_learn.learning.phases.result import PhaseConstraint, PhaseResult, Stretch
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.robot import Reference
 
 # share of the trajectories that must show a constraint before one that does not show it is called odd
 MOST = 0.6
@@ -98,6 +100,9 @@ def divide(
     fitting = tuple(f for f in usable if one_constraint_fits(f, demonstrations))
     if len(demonstrations) < 2 or (not fitting and too_short(demonstrations)):
         return Division(undivided(demonstrations, feature_maps).parts, one_fits=bool(fitting))
+    elsewhere = () if fitting else _held_elsewhere(demonstrations, usable)
+    if elsewhere:
+        return Division(undivided(demonstrations, feature_maps).parts, one_fits=False, warnings=elsewhere)
     agreed = _by_agreement(demonstrations, fitting or usable, feature_maps, bool(fitting))
     if agreed is not None:
         return agreed
@@ -108,6 +113,20 @@ def divide(
         if found.constraints:
             return _by_phases(demonstrations, usable, found)
     return Division(undivided(demonstrations, feature_maps).parts, one_fits=False)
+
+
+def _held_elsewhere(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> tuple[str, ...]:
+    """A warning if one constraint holds in the other reference: what disagrees in this one is no other task then."""
+    tried = {f.reference for f in feature_maps if isinstance(f, FrameJacobian)}
+    for f in feature_maps:
+        if isinstance(f, FrameJacobian) and len(tried) == 1:
+            other: Reference = "local" if f.reference == "world" else "world"
+            if one_constraint_fits(FrameJacobian(f.robot, f.frame.name, f.row_names, other), demonstrations):
+                return (
+                    f"in the {f.reference} reference no constraint fits all recordings, in the {other} one does: the "
+                    f"rows are held there (reference {other!r})",
+                )
+    return ()
 
 
 def _moves(features: FeatureMap, demonstrations: Demonstrations) -> bool:
