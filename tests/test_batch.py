@@ -77,8 +77,8 @@ def test_compiled_kernels_give_the_same_numbers(
         plain, derivative = features.batch_with_derivative(q, compiled=False)
         scale = 1.0 + float(np.max(np.abs(derivative)))
         np.testing.assert_allclose(features.batch(q, compiled=True), plain, rtol=0, atol=TOLERANCE * scale)
-        for got, wanted in zip(features.batch_with_derivative(q, compiled=True), (plain, derivative), strict=True):
-            np.testing.assert_allclose(got, wanted, rtol=0, atol=TOLERANCE * scale)
+        for got, expected in zip(features.batch_with_derivative(q, compiled=True), (plain, derivative), strict=True):
+            np.testing.assert_allclose(got, expected, rtol=0, atol=TOLERANCE * scale)
 
 
 def test_compiled_kernels_are_taken_by_number_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -141,7 +141,7 @@ def test_mimic_joints_move_with_their_leaders(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("n", [0, 1, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK + 3])
 def test_chunks_leave_no_seam(n: int, robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """Any number of postures, also none: each row is the result of its own posture."""
+    """Any number of postures, including zero: each row is the result of its own posture."""
     robot = robot_of("sawyer")
     q = rng.uniform(-2.0, 2.0, (n, robot.nv))
     features = FrameJacobian(robot, "right_hand", "x rz")
@@ -205,7 +205,7 @@ def test_not_finite_names_row_and_joint(value: float, robot_of: RobotOf) -> None
 
 
 def test_wrong_tables_are_refused(robot_of: RobotOf) -> None:
-    """One posture, a wrong number of columns, text, and a (cos, sin) without direction: each says what is wanted."""
+    """One posture, a wrong number of columns, text, a (cos, sin) of length zero: each error says what is expected."""
     robot = robot_of("wrist")
     features = FrameJacobian(robot, "tip")
     for wrong in (np.zeros(4), np.zeros((3, 5)), np.zeros((2, 2, 4)), [["a"] * 4], [[1.0], [1.0, 2.0]]):

@@ -77,9 +77,9 @@ def test_near_singularities_nothing_is_lost(distance: float, robot_of: RobotOf) 
                 constraint = Constraint(np.eye(features.n_rows), features)
                 batch = manipulability_batch(constraint, q)
                 for i, x in enumerate(q):
-                    wanted = manipulability_gradient(constraint, x)
-                    scale = float(np.max(np.abs(wanted)))
-                    np.testing.assert_allclose(batch.gradient[i], wanted, rtol=0, atol=1e-9 * scale)
+                    expected = manipulability_gradient(constraint, x)
+                    scale = float(np.max(np.abs(expected)))
+                    np.testing.assert_allclose(batch.gradient[i], expected, rtol=0, atol=1e-9 * scale)
 
 
 def test_exact_singularities(robot_of: RobotOf) -> None:

@@ -1,4 +1,4 @@
-"""The command line: answers, one JSON document, and one sentence with exit code 2 for whatever is wrong."""
+"""The command line: results, one JSON document, and one sentence with exit code 2 for any invalid input."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_replay_shows_what_was_learnt(run, learnt):
 
 
 def test_inspect_answers(run):
-    """Joints with their limits, frames, warnings, and a second opinion."""
+    """Joints with their limits, frames, warnings, and the comparison with yourdfpy."""
     code, out, err = run("inspect", "sawyer", "--json")
     answer = json.loads(out)
     assert code == 0, err
@@ -242,7 +242,7 @@ def test_vectors_may_be_written_with_spaces():
 
 
 def test_our_own_failure_is_no_traceback(run, monkeypatch):
-    """A bug of ours gives exit code 1 and a sentence."""
+    """An internal error gives exit code 1 and one sentence."""
 
     def broken(*_arguments, **_options):
         raise ZeroDivisionError("oh")

@@ -86,7 +86,7 @@ def test_a_killed_worker_changes_nothing(client, features):
     np.testing.assert_array_equal(disturbed.selection, quiet.selection)
 
 
-def test_nobody_else_can_reach_the_cluster(client):
+def test_only_this_machine_can_reach_the_cluster(client):
     """Scheduler, workers and dashboard listen on the loopback address only."""
     info = client.scheduler_info(n_workers=-1)
     addresses = [info["address"], *info["workers"], *(w["nanny"] for w in info["workers"].values())]
@@ -149,7 +149,7 @@ def test_a_folder_of_episodes(client, features, tmp_path, monkeypatch):
 
 
 def test_command_line(client, features, tmp_path, capsys):
-    """`--dask ADDRESS` learns on that scheduler; an address where nobody answers is one sentence and exit code 2."""
+    """`--dask ADDRESS` learns on that scheduler; an address without a scheduler gives one sentence and exit code 2."""
     demos = motions(features, TWO, np.random.default_rng(6), 20, noise=0.02, held=True)
     for i, t in enumerate(demos):
         np.savez(tmp_path / f"demo_{i}.npz", time=t.time, q=t.q, u=t.u, joint_names=np.array(t.joint_names))

@@ -1,4 +1,4 @@
-"""Trajectories and demonstrations refuse what cannot be used, and never change under the caller's hands."""
+"""Trajectories and demonstrations reject invalid data and are immutable."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ def test_the_papers_reaching_leaves_one_row_alone(rows):
 
 
 def test_dual_rows_undo_the_transpose():
-    """(Phi Phi^T)^-1 Phi takes Phi^T c back to c; there is no derivative to be had."""
+    """(Phi Phi^T)^-1 Phi maps Phi^T c back to c; the derivative is not available."""
     features = planar_features()
     dual, q, c = DualFeatures(features), np.array([0.3, 0.9, -0.4]), np.array([1.0, -2.0, 0.5])
     np.testing.assert_allclose(dual(q) @ features(q).T @ c, c, atol=1e-12)

@@ -50,7 +50,7 @@ def test_locked_branches_have_no_tips():
 
 
 def test_summary_of_a_real_robot():
-    """Names, kinds, units, limits, mimics, meshes and the second opinion are all there."""
+    """Names, kinds, units, limits, mimics, meshes and the comparison with yourdfpy are all there."""
     summary = inspect_robot(load_robot("panda"))
     assert (summary.name, summary.nq, summary.nv) == ("panda", 8, 8)
     assert [j.unit for j in summary.joints] == ["rad"] * 7 + ["m"]

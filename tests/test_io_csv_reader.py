@@ -87,7 +87,7 @@ def test_several_bad_rows_are_counted(planar3: Robot, tmp_path: Path) -> None:
 
 
 def test_ignored_columns_may_hold_anything(planar3: Robot, tmp_path: Path) -> None:
-    """A column of words that is to be ignored does no harm; rows must still have all fields."""
+    """An ignored column may contain text; rows must still have all fields."""
     rows = csv(TABLE).splitlines()
     content = "\n".join([rows[0] + ",phase", *(r + ",reach out" for r in rows[1:])])
     path = written(tmp_path / "demo.csv", content)
@@ -140,7 +140,7 @@ def test_a_joint_may_be_called_like_a_velocity(tmp_path: Path) -> None:
 
 @given(st.text(alphabet="time,joint123_velocity;\t\n\r 0.5e-+#%\"'\u00e4\x00", max_size=200))
 def test_any_text_is_read_or_refused(content: str) -> None:
-    """Whatever stands in a text file, the answer is a recording or a refusal in one line."""
+    """For any content of a text file, the result is a recording or a one-line error."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:

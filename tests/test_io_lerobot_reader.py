@@ -27,7 +27,7 @@ def motion(episode: int, n: int = 80) -> np.ndarray:
 
 
 def table(episodes: dict[int, np.ndarray], kind: str = "fixed", **more: Any):
-    """Frames of some episodes as LeRobot stores them, with a column that nobody needs."""
+    """Frames of some episodes as LeRobot stores them, with a column that is not needed."""
     state = np.concatenate(list(episodes.values())).astype(np.float32)
     frames = np.concatenate([np.arange(len(q)) for q in episodes.values()])
     flat = pa.array(state.ravel())
@@ -82,7 +82,7 @@ def planar3() -> Robot:
 
 @pytest.mark.parametrize("kind", ["fixed", "list", "large"])
 def test_version_2_round_trip(kind: str, planar3: Robot, tmp_path: Path) -> None:
-    """One trajectory a file, in natural order, float32 as it was stored."""
+    """One trajectory per file, in natural order, float32 as stored."""
     demos = load_demonstrations(version_2(tmp_path / "set", kind=kind), planar3, units="radians")
     assert [t.name for t in demos] == [f"set episode {i}" for i in (0, 1, 2, 10)]
     for t, i in zip(demos, (0, 1, 2, 10), strict=True):

@@ -69,7 +69,7 @@ def test_arrays_under_other_names(planar3: Robot, tmp_path: Path) -> None:
 
 
 def test_surplus_joints_are_refused_like_in_a_table(planar3: Robot, tmp_path: Path) -> None:
-    """People write these names: a stranger among them is a mistake."""
+    """Users write these names themselves, so an unknown one is a mistake."""
     q = np.column_stack([Q, TIME])
     path = saved(tmp_path / "a.npz", q=q, u=None, joint_names=np.array([*JOINTS, "gripper"]))
     with pytest.raises(RecordingError) as caught:

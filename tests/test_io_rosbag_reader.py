@@ -1,4 +1,4 @@
-"""ROS bags, written by the rosbags library: what was published comes back, whoever published it."""
+"""ROS bags, written by the rosbags library: what was published comes back, for any publisher."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_round_trip(kind: str, planar3: Robot, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bag_is_recognised_by_content(kind: str, planar3: Robot, tmp_path: Path) -> None:
-    """A single bag file with a misleading name, and odd characters in its path, is read."""
+    """A single bag file with a misleading name, and unusual characters in its path, is read."""
     bag = write_bag(tmp_path / "bag", kind, all_in_one())
     file = bag if bag.is_file() else next(p for p in bag.iterdir() if p.suffix in (".db3", ".mcap"))
     odd = tmp_path / "a b?#%20&x.csv"
@@ -158,22 +158,22 @@ def test_two_kinds_of_messages_on_one_topic_are_merged(planar3: Robot, tmp_path:
 
 def test_measured_and_commanded_states_are_not_mixed(planar3: Robot, tmp_path: Path) -> None:
     """Two topics with the same joints: a question; topics=[...] answers it; /joint_states is preferred, said aloud."""
-    messages = sorted([*all_in_one(topic="/real"), *all_in_one(q=Q + 0.1, topic="/wanted")], key=lambda m: m[1])
+    messages = sorted([*all_in_one(topic="/real"), *all_in_one(q=Q + 0.1, topic="/command")], key=lambda m: m[1])
     bag = write_bag(tmp_path / "bag", "mcap", messages)
     with pytest.raises(RecordingError, match=r"topics=\['/real'\]") as caught:
         load_demonstrations(bag, planar3)
     assert caught.value.code == "ambiguous-topic"
-    np.testing.assert_array_equal(load_demonstrations(bag, planar3, topics=["/wanted"])[0].q, Q + 0.1)
-    with pytest.raises(RecordingError, match="/wanted"):
+    np.testing.assert_array_equal(load_demonstrations(bag, planar3, topics=["/command"])[0].q, Q + 0.1)
+    with pytest.raises(RecordingError, match="/command"):
         load_demonstrations(bag, planar3, topics=["/wnted"])
-    messages = sorted([*all_in_one(), *all_in_one(q=Q + 0.1, topic="/wanted")], key=lambda m: m[1])
+    messages = sorted([*all_in_one(), *all_in_one(q=Q + 0.1, topic="/command")], key=lambda m: m[1])
     demos = load_demonstrations(write_bag(tmp_path / "usual", "mcap", messages), planar3)
     np.testing.assert_array_equal(demos[0].q, Q)
-    assert "/wanted" in " ".join(demos.notes)
+    assert "/command" in " ".join(demos.notes)
 
 
 def test_missing_joints_are_named_with_near_matches(planar3: Robot, tmp_path: Path) -> None:
-    """A joint that nobody publishes is refused with the near name and the two ways out."""
+    """A joint that is not published is rejected, with the closest name and the two remedies."""
     messages = [(t, r, (s, ("joint1", "joint2", "joint_3"), q)) for t, r, (s, _, q, _) in all_in_one()]
     bag = write_bag(tmp_path / "bag", "ros1", messages)
     with pytest.raises(RecordingError, match="'joint_3'.*--lock joint3") as caught:

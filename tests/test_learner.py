@@ -143,7 +143,7 @@ def test_the_planar_reach():
 
 
 def test_asking_for_another_number_of_rows():
-    """A number of rows that the data do not speak for is used, and the report says what they speak for."""
+    """A given number of rows that the data do not support is used, and the report says which number they support."""
     rng = np.random.default_rng(73)
     demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, noise=0.01)
     learner = ConstraintLearner(truth.features, n_constraints=1).fit(demos)

@@ -79,7 +79,7 @@ def test_no_name(name):
 
 
 def test_missing_file_and_folder(tmp_path, arm):
-    """A path that is none, and a folder, which tells what is in it."""
+    """A path that does not exist, and a folder, for which the error lists its contents."""
     with pytest.raises(RobotError, match="no such file") as caught:
         load_robot(tmp_path / "gone.urdf")
     assert caught.value.code == "missing"

@@ -1,4 +1,4 @@
-"""Mesh files: found inside the robot's folders only, parsed where they cannot harm."""
+"""Mesh files: found inside the robot's folders only, parsed in a process of limited resources."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_given_folders_come_first(urdf, tmp_path):
     ],
 )
 def test_nothing_outside_is_found(urdf, tmp_path, uri):
-    """However the way out is written, a file outside the robot's folders is not used, and the reason is given."""
+    """However the path is written, a file outside the robot's folders is not used, and the reason is given."""
     write(urdf.parents[1] / "meshes" / "a.stl")
     write(tmp_path / "secret.stl")
     with pytest.raises(RobotError, match="package_dirs") as caught:

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.browser
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-POSES = 1e-9  # wanted is 1e-6; the page computes in double precision
+POSES = 1e-9  # 1e-6 is required; the page computes in double precision
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def links_of(robot):
 
 @pytest.mark.parametrize("robot_name", ["planar3", "sawyer", "wrist", "humanoid", "rover", "mimic", "panda"])
 def test_links_are_where_kinematics_puts_them(robot_of, tmp_path, opened, robot_name):
-    """At key frames every link of every rollout is drawn within 1e-9 of forward kinematics (1e-6 is wanted)."""
+    """At key frames every link of every rollout is drawn within 1e-9 of forward kinematics (1e-6 is required)."""
     robot = robot_of(robot_name)
     rollouts = {"one": waving(robot), "two": waving(robot, phase=1.0)}
     page = opened(replay(robot, rollouts, tmp_path / "a.html").html.as_uri())

@@ -79,7 +79,7 @@ def test_page_and_stream(viewer):
     connection.close()
 
 
-def test_strangers_are_refused(viewer):
+def test_other_hosts_and_addresses_are_refused(viewer):
     """Another host name (DNS rebinding), a wrong address and other methods get nothing of the page."""
     port = urlsplit(viewer.url).port
     for host in ("evil.example", f"evil.example:{port}", "127.0.0.1", f"127.0.0.1:{port + 1}", f"[::1]:{port}"):
@@ -128,7 +128,7 @@ def test_show_does_not_wait(robot_of, monkeypatch):
     assert is_gone(pid)
 
 
-def test_dead_server_disturbs_nobody(viewer):
+def test_dead_server_does_not_stop_the_program(viewer):
     """When the server dies the program goes on; showing and closing raise nothing."""
     os.kill(server_pid(viewer), signal.SIGKILL)
     for _ in range(20):
@@ -186,7 +186,7 @@ def test_server_ends_with_the_program(then):
 
 
 def test_many_page_loads_do_no_harm(viewer):
-    """Hundreds of page loads, and streams that nobody reads, leave the server answering."""
+    """Hundreds of page loads, and streams that are not read, leave the server responsive."""
     idle = [request(viewer.url, urlsplit(viewer.url).path + "events")[0] for _ in range(10)]
     for _ in range(600):
         assert answer(viewer.url, path="/x")[0] == 404

@@ -62,7 +62,7 @@ def moved(features) -> Demonstrations:
 
 
 def from_few(monkeypatch, few: int) -> None:
-    """The learner begins with so many samples."""
+    """The number of samples that the learner starts from."""
     monkeypatch.setattr(learner, "IN_MEMORY_SAMPLES", few)
 
 
@@ -88,7 +88,7 @@ def test_row_spaces(s, rng):
 
 
 def test_row_spaces_without_rank():
-    """A sample whose rows depend on each other, or vanish, has no say in the multipliers."""
+    """A sample whose rows are linearly dependent, or zero, does not affect the multipliers."""
     A = np.zeros((2, 3, 3))
     A[:, 0, 0] = A[:, 0, 1] = 1.0  # the same row twice; all zero; fine
     A[0, 0, 2] = A[1, 1, 2] = 1.0
@@ -174,7 +174,7 @@ def test_sums_are_taken_in_one_order(n):
 
 
 def test_parts_without_samples_add_nothing():
-    """A file without demonstrations does not disturb the sum."""
+    """A file without demonstrations does not change the sum."""
     assert merge_tree(Brackets(), [None, (1,), None, (2,), None]) == (3,)
     assert merge_tree(Brackets(), [None, None]) is None
 
@@ -233,7 +233,7 @@ def test_summary_counts_trajectories_on_over_parts(features, held, monkeypatch):
 
 @pytest.mark.parametrize(("kind", "settings"), [("held", HELD), ("moved", JOINT)])
 def test_all_samples_count(request, features, monkeypatch, kind, settings):
-    """Begun with a sixth of the samples and carried on with all, the answer is that of all at once, to 1e-10; so is its
+    """Started from a sixth of the samples and refined with all, the answer is that of all at once, to 1e-10; so is its
     uncertainty, to a few per cent.
     """
     demos = request.getfixturevalue(kind)
@@ -278,7 +278,7 @@ def test_an_outlier_among_many_is_found(features, held, monkeypatch):
 
 
 def test_a_stream_is_learnt_from(features, monkeypatch):
-    """An object that yields trajectories anew gives the answer of the same trajectories in a list."""
+    """An object that yields the trajectories in each pass gives the same answer as a list of them."""
     from_few(monkeypatch, 1000)
     stream = Stream(features, TWO, 60, 10, held=True)
     learnt = ConstraintLearner(features, **HELD).fit(stream)
@@ -351,14 +351,14 @@ def test_streams_are_checked(features, held):
     ("kind", "settings", "few"), [("held", HELD, 1000), ("moved", JOINT, 1000), ("held", HELD, 10**6)]
 )
 def test_partial_fit_is_one_fit(request, features, monkeypatch, kind, settings, few):
-    """Demonstrations that arrive in three lots give the same Lambda and evidence as all at once, bit by bit."""
+    """Demonstrations that arrive in three batches give the same Lambda and evidence as all at once, bit for bit."""
     demos = request.getfixturevalue(kind)
     from_few(monkeypatch, few)
     monkeypatch.setattr(trajectory_source, "PART", 900)
     whole = ConstraintLearner(features, **settings).fit(demos)
     arriving = ConstraintLearner(features, **settings)
-    for lot in (demos[:10], iter(demos[10:35]), list(demos[35:])):
-        arriving.partial_fit(lot)
+    for batch in (demos[:10], iter(demos[10:35]), list(demos[35:])):
+        arriving.partial_fit(batch)
     np.testing.assert_array_equal(arriving.constraint_.selection, whole.constraint_.selection)
     assert arriving.report_.uncertainty_deg == whole.report_.uncertainty_deg
     assert arriving.report_.n_samples == 6000
@@ -379,7 +379,7 @@ def test_partial_fit_spills_to_a_file(features, held):
 
 
 def test_partial_fit_keeps_what_is_usable(features, held):
-    """Too little is refused but kept; a lot with a bad recording is refused and nothing of it kept; fit forgets."""
+    """Too few samples are refused but kept; a batch with an invalid recording is not kept; fit discards all."""
     learning = ConstraintLearner(features, 2)
     with pytest.raises(NotIdentifiableError):
         learning.partial_fit([held[0].part(slice(0, 4))])

@@ -169,7 +169,7 @@ def test_the_simulated_grip_holds(part, kind: str, robot: str) -> None:
 
 
 def test_the_command_writes_recordings_that_can_be_loaded(part, tmp_path: Path) -> None:
-    """One CSV a demonstration with the robot's joints and a truth.json; thinned on request."""
+    """One CSV file per demonstration with the robot's joints and a truth.json; thinned on request."""
     arguments = f"door_firm --robot xarm7 --seed 3 --demos 2 --out {tmp_path} --kinematic --thin 2"
     part("record_tasks_physics").main(arguments.split())
     truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Hostile and odd robot descriptions: every one gets the verdict that is written beside it, and harms nobody."""
+"""Hostile and unusual robot descriptions: each gets its expected verdict, and none harms the process."""
 
 from __future__ import annotations
 

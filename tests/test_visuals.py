@@ -1,4 +1,4 @@
-"""Shapes to draw: where the file puts them, and plain ones where it cannot be had."""
+"""Shapes to draw: where the file puts them, and primitive ones where a mesh is unavailable."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def test_without_meshes_no_file_is_opened(monkeypatch):
 
 
 def test_arrays_cannot_be_changed():
-    """What is handed out is read-only."""
+    """What is returned is read-only."""
     for v in visual_shapes(load_robot("xarm7")):
         assert not v.placement.flags.writeable
         assert isinstance(v.shape, Triangles) and not v.shape.vertices.flags.writeable
