@@ -48,8 +48,19 @@ def advise(
         *_too_slow(demonstrations),
     ]
     if not causes:
-        return refusal
+        return advise_in_general(refusal)
     return NotIdentifiableError(f"{refusal}; what the data show: {'; '.join(causes)}", code=refusal.code)
+
+
+def advise_in_general(refusal: NotIdentifiableError) -> NotIdentifiableError:
+    """The refusal with what usually helps, where nothing of the data is known."""
+    if refusal.code != "weak-gap":
+        return refusal
+    return NotIdentifiableError(
+        f"{refusal}; record more varied motions, try other axes or the other reference, or give the number of rows if "
+        "you know it",
+        code=refusal.code,
+    )
 
 
 def _too_few(demonstrations: Demonstrations) -> list[str]:

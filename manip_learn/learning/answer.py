@@ -87,6 +87,7 @@ def find_answer(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
     Raises:
         NotIdentifiableError: The part determines no constraint.
     """
+    asked = settings.n_constraints
     if part.is_held:
         settings = dataclasses.replace(
             settings, estimator="null-space", n_constraints=settings.n_constraints or part.n_constraints
@@ -99,12 +100,14 @@ def find_answer(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
         return Answer(part, candidate, data, None, None, ())
     rng = np.random.default_rng(settings.seed)
     evidence = recombination_test(candidate.samples.features, part.demonstrations, rng)
-    answer = _with_rows(Answer(part, candidate, data, evidence, None, ()), settings, fit)
-    return _with_mechanism(dataclasses.replace(answer, mechanism=_mechanism(part, settings)), settings, fit)
+    answer = _with_rows(Answer(part, candidate, data, evidence, None, ()), settings, fit, asked)
+    if evidence.n_rows == 0:
+        return answer  # a path that lies on something by chance is no mechanism
+    return _with_mechanism(dataclasses.replace(answer, mechanism=_mechanism(part, settings)), settings, fit, asked)
 
 
-def _with_rows(answer: Answer, settings: LearnerSettings, fit: Fit) -> Answer:
-    """The number of rows that gap and evidence together support.
+def _with_rows(answer: Answer, settings: LearnerSettings, fit: Fit, asked: int | None) -> Answer:
+    """The number of rows that gap and evidence together support, unless the user asked for one.
 
     Raises:
         NotIdentifiableError: The evidence supports none, and there are trajectories enough to tell.
@@ -113,7 +116,7 @@ def _with_rows(answer: Answer, settings: LearnerSettings, fit: Fit) -> Answer:
     if evidence is None or not evidence.strengths:
         return answer
     supported, s = evidence.n_rows, candidate.n_constraints
-    if settings.n_constraints is not None:
+    if asked is not None:
         return dataclasses.replace(answer, warnings=_doubt_given_rows(evidence, s))
     if supported == s:
         weak = () if evidence.verdict == "clear" else (f"weak evidence: {evidence.sentence()}",)
@@ -177,14 +180,16 @@ def _evenly(n: int) -> list[int]:
     return np.unique(np.linspace(0, n - 1, min(n, MOST_PATHS)).round().astype(int)).tolist()
 
 
-def _with_mechanism(answer: Answer, settings: LearnerSettings, fit: Fit) -> Answer:
+def _with_mechanism(answer: Answer, settings: LearnerSettings, fit: Fit, asked: int | None) -> Answer:
     """Rows that depend on the place, if they hold more than constant ones."""
     features = _place_rows(answer.part, answer.mechanism)
-    if features is None or settings.n_constraints is not None:
+    if features is None or asked is not None:
         return answer
     constant = answer.candidate
     if constant.n_constraints >= features.n_rows and constant.gap >= CLEAR_GAP:
         return answer  # the place adds nothing to rows that are constant
+    if not _all_held(features, answer.part, settings):
+        return answer
     candidate, data = _fit_rows(features, answer.part, settings, fit)
     return dataclasses.replace(
         answer, candidate=candidate, data=data, evidence=_evidence(features, answer.part, settings), warnings=()
@@ -201,7 +206,7 @@ def _despite(refusal: NotIdentifiableError, part: Part, settings: LearnerSetting
         raise refusal
     mechanism = _mechanism(part, settings)
     features = _place_rows(part, mechanism)
-    if features is not None:
+    if features is not None and _all_held(features, part, settings):
         candidate, data = _fit_rows(features, part, settings, fit)
         return Answer(part, candidate, data, _evidence(features, part, settings), mechanism, ())
     if refusal.code == "weak-gap":
@@ -214,6 +219,12 @@ def _despite(refusal: NotIdentifiableError, part: Part, settings: LearnerSetting
                 said = f"no gap shows the number of rows, the recombination test does: {evidence.sentence()}"
                 return Answer(part, candidate, data, evidence, mechanism, (said,))
     raise refusal
+
+
+def _all_held(features: MechanismRows, part: Part, settings: LearnerSettings) -> bool:
+    """Whether the recombination test, too, finds every row of the mechanism held."""
+    evidence = _evidence(features, part, settings)
+    return evidence.enough and evidence.n_rows == features.n_rows
 
 
 def _evidence(features: FeatureMap, part: Part, settings: LearnerSettings) -> RowEvidence:

@@ -12,7 +12,7 @@ import numpy as np
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import FeatureError, NotIdentifiableError, NumberOfConstraintsError
-from manip_learn.learning.advice import advise
+from manip_learn.learning.advice import advise, advise_in_general
 from manip_learn.learning.answer import Answer, Fit, find_answer
 from manip_learn.learning.bootstrap import bootstrap_angle_deg
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
@@ -209,7 +209,10 @@ class ConstraintLearner:
         """One constraint from recordings that are not held in memory together."""
         with one_thread():
             started = time.perf_counter()
-            best, data, names = self._refined(source, self._feature_maps, self._settings, client, progress)
+            try:
+                best, data, names = self._refined(source, self._feature_maps, self._settings, client, progress)
+            except NotIdentifiableError as refusal:
+                raise advise_in_general(refusal) from refusal
             constraint, report = build_report(best, data, names, self._uncertainty(best), time.perf_counter() - started)
             self._set((constraint,), (report,))
 

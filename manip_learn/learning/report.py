@@ -156,6 +156,8 @@ def build_report(
     samples, estimate, warnings = best.samples, best.estimate, list(best.warnings)
     features = samples.features
     selection = samples.selection(estimate.whitened_selection)
+    if isinstance(features, MechanismRows) and len(selection) == features.n_rows:
+        selection = np.eye(features.n_rows)  # all of the rows: any basis of theirs will do, so the plainest
     used = np.linalg.norm(samples.whitening, axis=0) > 0.0
     unused = [n for n, u in zip(features.row_names, used, strict=True) if not u]
     if unused:

@@ -113,7 +113,8 @@ class RowEvidence:
                 f"used row {self.strengths[0]:.2g} times as much (p = {self.p_values[0]:.2g})"
             )
         times = ", ".join(f"{s:.3g}" for s in self.strengths[:n])
-        firmly = "held" if self.verdict == "clear" else "held softly, or by the way of moving only"
+        softly = "held softly, or by the way of moving only" if self.enough else "seem to be held"
+        firmly = "held" if self.verdict == "clear" else softly
         return (
             f"{n} row(s) {firmly}: with the joints exchanged between trajectories the motion uses them {times} times "
             f"as much (p = {max(self.p_values[:n]):.2g})"
