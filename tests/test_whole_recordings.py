@@ -47,7 +47,7 @@ def check_windows(
     order: list[int],
     allowed: float = 0.03,
 ):
-    """Of the time in which the tip moves, 95 % of each contact is found and hardly any of what is found lies outside."""
+    """Of the time in which the tip moves, 95 % of each contact is found and hardly anything outside it."""
     features = ml.FrameJacobian(learner.constraint_.robot, truth["tip"], "xyz")
     for k, number in enumerate(order):
         inside = outside = total = 0
