@@ -1,6 +1,6 @@
 # Two commands are enough for a fresh machine with Python 3.11 or newer:
 #   make demo    learn from the shipped recordings, compare the policies, open the replay
-#   make test    what the continuous integration runs: lint, types, tests, examples
+#   make test    lint, types, tests, examples; .ci/run adds the documentation, the package and the lowest versions
 # Either makes .venv first if it is missing, and installs again when pyproject.toml has changed.
 
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
@@ -17,8 +17,8 @@ PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
 # what touches other libraries: files in and out, robots, the command line, compiled code; pytest refuses a missing file
 QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli compiled_controller mjcf loading load_demonstrations \
-	playback playback_motion meshes rollout_file linalg axioms examples experiments io_csv_reader io_lerobot_reader \
-	io_npz_reader io_robomimic_reader io_rosbag_reader))
+	playback playback_motion meshes rollout_file linalg axioms examples experiments csv_reader lerobot_reader \
+	npz_reader robomimic_reader rosbag_reader))
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test lint types check lowest package docs bench fuzz proofs format clean distclean

@@ -46,7 +46,7 @@ def hdf5_file(path: Path) -> None:
 def bag_file(kind: str, **options: Any) -> Callable[[Path], None]:
     def write(path: Path) -> None:
         pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
-        import test_io_rosbag_reader as bags
+        import test_rosbag_reader as bags
 
         bag = bags.write_bag(path.with_name("bag"), kind, bags.all_in_one()[:40], **options)
         file = bag if bag.is_file() else next(p for p in bag.iterdir() if p.suffix in (".db3", ".mcap"))
