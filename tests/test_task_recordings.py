@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manip_learn.io import load_demonstrations
+from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import Robot, load_robot
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
