@@ -21,16 +21,19 @@ from manip_learn.learning.estimators.estimate import CLEAR_GAP
 from manip_learn.learning.evidence.recombination import recombination_test
 from manip_learn.learning.evidence.row_evidence import RowEvidence
 from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_mechanism
+from manip_learn.recordings.demonstrations import Demonstrations
 
 # (what to learn from, which Phi, with which settings) -> the best candidate, and a summary of all samples
 Fit = Callable[[Part, LearnerSettings], tuple[Candidate, DataSummary]]
-# rows of a mechanism that concern the position of the frame alone, for features without rotations
 # trajectories beyond this number add nothing to a mechanism but time
 MOST_PATHS = 16
 # rows of Phi below this are ones that the arm cannot move
 BLIND = 1e-6
+# rows about an axis replace as many constant ones that leave so many times the energy unexplained
+TIGHTER = 1.1
 # refusals that rows which depend on the place, or the evidence alone, may answer
 RESCUED = ("weak-gap", "no-freedom")
+# rows of a mechanism that concern the position of the frame alone, for features without rotations
 POSITION_ROWS = {
     "hinge": ("radial", "axial"),
     "screw": ("radial", "helical"),
@@ -77,12 +80,38 @@ def find_answer(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
 
     The gap of the fit and the recombination test both count rows. Where they differ, the test decides if it is clear,
     since a gap cannot tell what is held from what was never tried; the difference is said. Rows that depend on the
-    place, as those of a door that is held loosely, replace constant ones if they hold more.
+    place, as those of a door that is held loosely, replace constant ones if they hold more. Trajectories in which the
+    mechanism of the others does not hold are left out.
 
     Args:
         part: Recordings or stretches.
         settings: What the user asked for.
         fit: Makes an estimate from a part.
+
+    Raises:
+        NotIdentifiableError: The part determines no constraint.
+    """
+    answer = _learnt(part, settings, fit)
+    if not answer.odd or answer.mechanism is None:
+        return answer
+    kept = [i for i in range(len(part.demonstrations)) if i not in answer.mechanism.odd]
+    rest = dataclasses.replace(
+        part,
+        demonstrations=Demonstrations([part.demonstrations[i] for i in kept], part.demonstrations.notes),
+        stretches=tuple(part.stretches[i] for i in kept),
+    )
+    try:
+        again = _learnt(rest, settings, fit)
+    except NotIdentifiableError:
+        return answer
+    if again.mechanism is None or again.mechanism.mechanism is None:
+        return answer
+    odd = sorted({*answer.mechanism.odd, *(kept[i] for i in again.mechanism.odd)})
+    return dataclasses.replace(again, part=part, mechanism=dataclasses.replace(again.mechanism, odd=tuple(odd)))
+
+
+def _learnt(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
+    """`find_answer` from all trajectories of the part.
 
     Raises:
         NotIdentifiableError: The part determines no constraint.
@@ -119,8 +148,7 @@ def _with_rows(answer: Answer, settings: LearnerSettings, fit: Fit, asked: int |
     if asked is not None:
         return dataclasses.replace(answer, warnings=_doubt_given_rows(evidence, s))
     if supported == s:
-        weak = () if evidence.verdict == "clear" else (f"weak evidence: {evidence.sentence()}",)
-        return dataclasses.replace(answer, warnings=weak)
+        return dataclasses.replace(answer, warnings=_doubt(evidence))
     if supported == 0:
         return _unsupported(answer)
     if evidence.verdict == "clear" or supported < s:
@@ -155,9 +183,13 @@ def _unsupported(answer: Answer) -> Answer:
 
 
 def _doubt_given_rows(evidence: RowEvidence, s: int) -> tuple[str, ...]:
-    if evidence.n_rows == s and evidence.verdict == "clear":
-        return ()
+    if evidence.n_rows == s:
+        return _doubt(evidence)
     return (f"you asked for {s} row(s); the recombination test supports {evidence.n_rows}: {evidence.sentence()}",)
+
+
+def _doubt(evidence: RowEvidence) -> tuple[str, ...]:
+    return () if evidence.verdict == "clear" else (f"weak evidence: {evidence.sentence()}",)
 
 
 def _mechanism(part: Part, settings: LearnerSettings) -> MechanismFit | None:
@@ -186,14 +218,16 @@ def _with_mechanism(answer: Answer, settings: LearnerSettings, fit: Fit, asked: 
     if features is None or asked is not None:
         return answer
     constant = answer.candidate
-    if constant.n_constraints >= features.n_rows and constant.gap >= CLEAR_GAP:
-        return answer  # the place adds nothing to rows that are constant
-    if not _all_held(features, answer.part, settings):
-        return answer
     candidate, data = _fit_rows(features, answer.part, settings, fit)
-    return dataclasses.replace(
-        answer, candidate=candidate, data=data, evidence=_evidence(features, answer.part, settings), warnings=()
-    )
+    if constant.n_constraints >= features.n_rows and constant.gap >= CLEAR_GAP:
+        # a short arc is nearly a line: constant rows are right only if they hold as firmly as those about the axis
+        firmly = constant.estimate.unexplained <= TIGHTER * candidate.estimate.unexplained
+        if constant.n_constraints > features.n_rows or firmly:
+            return answer
+    evidence = _evidence(features, answer.part, settings)
+    if not _all_held(features, evidence):
+        return answer
+    return dataclasses.replace(answer, candidate=candidate, data=data, evidence=evidence, warnings=_doubt(evidence))
 
 
 def _despite(refusal: NotIdentifiableError, part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
@@ -206,9 +240,9 @@ def _despite(refusal: NotIdentifiableError, part: Part, settings: LearnerSetting
         raise refusal
     mechanism = _mechanism(part, settings)
     features = _place_rows(part, mechanism)
-    if features is not None and _all_held(features, part, settings):
+    if features is not None and _all_held(features, evidence := _evidence(features, part, settings)):
         candidate, data = _fit_rows(features, part, settings, fit)
-        return Answer(part, candidate, data, _evidence(features, part, settings), mechanism, ())
+        return Answer(part, candidate, data, evidence, mechanism, _doubt(evidence))
     if refusal.code == "weak-gap":
         for rows in part.feature_maps:
             evidence = _evidence(rows, part, settings)
@@ -221,9 +255,8 @@ def _despite(refusal: NotIdentifiableError, part: Part, settings: LearnerSetting
     raise refusal
 
 
-def _all_held(features: MechanismRows, part: Part, settings: LearnerSettings) -> bool:
+def _all_held(features: MechanismRows, evidence: RowEvidence) -> bool:
     """Whether the recombination test, too, finds every row of the mechanism held."""
-    evidence = _evidence(features, part, settings)
     return evidence.enough and evidence.n_rows == features.n_rows
 
 
