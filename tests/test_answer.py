@@ -50,3 +50,11 @@ def test_a_door_elsewhere_is_left_out_of_the_rows_too():
     named = {odd.trajectory for odd in learner.report_.odd_trajectories}
     assert {trajectories[i].name for i in truth["contaminated"]} <= named
     assert learner.constraint_.n_constraints == 2
+
+
+def test_a_tether_is_found_where_constant_rows_are_none():
+    """The gap shows two weak constant rows that nothing holds; the sphere is the answer all the same."""
+    learner = learnt("tether", "sawyer", 1007, 6, whole=False)
+    assert learner.report_.mechanism is not None
+    assert learner.report_.mechanism.type == "ball"
+    assert learner.constraint_.features.row_names == ("spherical",)

@@ -32,7 +32,7 @@ BLIND = 1e-6
 # rows about an axis replace as many constant ones that leave so many times the energy unexplained
 TIGHTER = 1.1
 # refusals that rows which depend on the place, or the evidence alone, may answer
-RESCUED = ("weak-gap", "no-freedom")
+RESCUED = ("weak-gap", "no-freedom", "no-evidence")
 # rows of a mechanism that concern the position of the frame alone, for features without rotations
 POSITION_ROWS = {
     "hinge": ("radial", "axial"),
@@ -116,7 +116,7 @@ def _learnt(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
     Raises:
         NotIdentifiableError: The part determines no constraint.
     """
-    asked = settings.n_constraints
+    user, asked = settings, settings.n_constraints
     if part.is_held:
         settings = dataclasses.replace(
             settings, estimator="null-space", n_constraints=settings.n_constraints or part.n_constraints
@@ -124,12 +124,15 @@ def _learnt(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
     try:
         candidate, data = fit(part, settings)
     except NotIdentifiableError as refusal:
-        return _despite(refusal, part, settings, fit)
+        return _despite(refusal, part, user, fit)
     if candidate.estimate.name != "null-space":
         return Answer(part, candidate, data, None, None, ())
     rng = np.random.default_rng(settings.seed)
     evidence = recombination_test(candidate.samples.features, part.demonstrations, rng)
-    answer = _with_rows(Answer(part, candidate, data, evidence, None, ()), settings, fit, asked)
+    try:
+        answer = _with_rows(Answer(part, candidate, data, evidence, None, ()), settings, fit, asked)
+    except NotIdentifiableError as refusal:
+        return _despite(refusal, part, user, fit)
     if evidence.n_rows == 0:
         return answer  # a path that lies on something by chance is no mechanism
     return _with_mechanism(dataclasses.replace(answer, mechanism=_mechanism(part, settings)), settings, fit, asked)
@@ -279,11 +282,8 @@ def _place_rows(part: Part, found: MechanismFit | None) -> MechanismRows | None:
     names = tuple(n for n, unit in zip(features.row_names, features.row_units, strict=True) if unit in units)
     if units == {"m/s"}:
         names = POSITION_ROWS.get(found.mechanism.type, ())
-    names = (
-        tuple(n for n, moves in zip(names, _movable(_only(features, names), part), strict=True) if moves)
-        if names
-        else ()
-    )
+    if names:
+        names = tuple(n for n, moves in zip(names, _movable(_only(features, names), part), strict=True) if moves)
     return _only(features, names) if names else None
 
 
