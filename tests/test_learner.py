@@ -148,7 +148,7 @@ def test_asking_for_another_number_of_rows():
     demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, noise=0.01)
     learner = ConstraintLearner(truth.features, n_constraints=1).fit(demos)
     assert learner.constraint_.n_constraints == 1
-    assert any("you asked for 1 row(s); the data support 2" in w for w in learner.report_.warnings)
+    assert any("1 row(s) are learnt, the gap supports 2" in w for w in learner.report_.warnings)
 
 
 def test_refusal_of_the_last_candidate_does_not_hide_an_answer():

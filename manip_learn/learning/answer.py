@@ -21,16 +21,19 @@ from manip_learn.learning.estimators.estimate import CLEAR_GAP
 from manip_learn.learning.evidence.recombination import recombination_test
 from manip_learn.learning.evidence.row_evidence import RowEvidence
 from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_mechanism
+from manip_learn.recordings.demonstrations import Demonstrations
 
 # (what to learn from, which Phi, with which settings) -> the best candidate, and a summary of all samples
 Fit = Callable[[Part, LearnerSettings], tuple[Candidate, DataSummary]]
-# rows of a mechanism that concern the position of the frame alone, for features without rotations
 # trajectories beyond this number add nothing to a mechanism but time
 MOST_PATHS = 16
 # rows of Phi below this are ones that the arm cannot move
 BLIND = 1e-6
+# rows about an axis replace as many constant ones that leave so many times the energy unexplained
+TIGHTER = 1.1
 # refusals that rows which depend on the place, or the evidence alone, may answer
-RESCUED = ("weak-gap", "no-freedom")
+RESCUED = ("weak-gap", "no-freedom", "no-evidence")
+# rows of a mechanism that concern the position of the frame alone, for features without rotations
 POSITION_ROWS = {
     "hinge": ("radial", "axial"),
     "screw": ("radial", "helical"),
@@ -77,7 +80,8 @@ def find_answer(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
 
     The gap of the fit and the recombination test both count rows. Where they differ, the test decides if it is clear,
     since a gap cannot tell what is held from what was never tried; the difference is said. Rows that depend on the
-    place, as those of a door that is held loosely, replace constant ones if they hold more.
+    place, as those of a door that is held loosely, replace constant ones if they hold more. Trajectories in which the
+    mechanism of the others does not hold are left out.
 
     Args:
         part: Recordings or stretches.
@@ -87,7 +91,32 @@ def find_answer(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
     Raises:
         NotIdentifiableError: The part determines no constraint.
     """
-    asked = settings.n_constraints
+    answer = _learnt(part, settings, fit)
+    if not answer.odd or answer.mechanism is None:
+        return answer
+    kept = [i for i in range(len(part.demonstrations)) if i not in answer.mechanism.odd]
+    rest = dataclasses.replace(
+        part,
+        demonstrations=Demonstrations([part.demonstrations[i] for i in kept], part.demonstrations.notes),
+        stretches=tuple(part.stretches[i] for i in kept),
+    )
+    try:
+        again = _learnt(rest, settings, fit)
+    except NotIdentifiableError:
+        return answer
+    if again.mechanism is None or again.mechanism.mechanism is None:
+        return answer
+    odd = sorted({*answer.mechanism.odd, *(kept[i] for i in again.mechanism.odd)})
+    return dataclasses.replace(again, part=part, mechanism=dataclasses.replace(again.mechanism, odd=tuple(odd)))
+
+
+def _learnt(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
+    """`find_answer` from all trajectories of the part.
+
+    Raises:
+        NotIdentifiableError: The part determines no constraint.
+    """
+    user, asked = settings, settings.n_constraints
     if part.is_held:
         settings = dataclasses.replace(
             settings, estimator="null-space", n_constraints=settings.n_constraints or part.n_constraints
@@ -95,12 +124,15 @@ def find_answer(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
     try:
         candidate, data = fit(part, settings)
     except NotIdentifiableError as refusal:
-        return _despite(refusal, part, settings, fit)
+        return _despite(refusal, part, user, fit)
     if candidate.estimate.name != "null-space":
         return Answer(part, candidate, data, None, None, ())
     rng = np.random.default_rng(settings.seed)
     evidence = recombination_test(candidate.samples.features, part.demonstrations, rng)
-    answer = _with_rows(Answer(part, candidate, data, evidence, None, ()), settings, fit, asked)
+    try:
+        answer = _with_rows(Answer(part, candidate, data, evidence, None, ()), settings, fit, asked)
+    except NotIdentifiableError as refusal:
+        return _despite(refusal, part, user, fit)
     if evidence.n_rows == 0:
         return answer  # a path that lies on something by chance is no mechanism
     return _with_mechanism(dataclasses.replace(answer, mechanism=_mechanism(part, settings)), settings, fit, asked)
@@ -119,8 +151,7 @@ def _with_rows(answer: Answer, settings: LearnerSettings, fit: Fit, asked: int |
     if asked is not None:
         return dataclasses.replace(answer, warnings=_doubt_given_rows(evidence, s))
     if supported == s:
-        weak = () if evidence.verdict == "clear" else (f"weak evidence: {evidence.sentence()}",)
-        return dataclasses.replace(answer, warnings=weak)
+        return dataclasses.replace(answer, warnings=_doubt(evidence))
     if supported == 0:
         return _unsupported(answer)
     if evidence.verdict == "clear" or supported < s:
@@ -155,9 +186,13 @@ def _unsupported(answer: Answer) -> Answer:
 
 
 def _doubt_given_rows(evidence: RowEvidence, s: int) -> tuple[str, ...]:
-    if evidence.n_rows == s and evidence.verdict == "clear":
-        return ()
+    if evidence.n_rows == s:
+        return _doubt(evidence)
     return (f"you asked for {s} row(s); the recombination test supports {evidence.n_rows}: {evidence.sentence()}",)
+
+
+def _doubt(evidence: RowEvidence) -> tuple[str, ...]:
+    return () if evidence.verdict == "clear" else (f"weak evidence: {evidence.sentence()}",)
 
 
 def _mechanism(part: Part, settings: LearnerSettings) -> MechanismFit | None:
@@ -186,14 +221,16 @@ def _with_mechanism(answer: Answer, settings: LearnerSettings, fit: Fit, asked: 
     if features is None or asked is not None:
         return answer
     constant = answer.candidate
-    if constant.n_constraints >= features.n_rows and constant.gap >= CLEAR_GAP:
-        return answer  # the place adds nothing to rows that are constant
-    if not _all_held(features, answer.part, settings):
-        return answer
     candidate, data = _fit_rows(features, answer.part, settings, fit)
-    return dataclasses.replace(
-        answer, candidate=candidate, data=data, evidence=_evidence(features, answer.part, settings), warnings=()
-    )
+    if constant.n_constraints >= features.n_rows and constant.gap >= CLEAR_GAP:
+        # a short arc is nearly a line: constant rows are right only if they hold as firmly as those about the axis
+        firmly = constant.estimate.unexplained <= TIGHTER * candidate.estimate.unexplained
+        if constant.n_constraints > features.n_rows or firmly:
+            return answer
+    evidence = _evidence(features, answer.part, settings)
+    if not _all_held(features, evidence):
+        return answer
+    return dataclasses.replace(answer, candidate=candidate, data=data, evidence=evidence, warnings=_doubt(evidence))
 
 
 def _despite(refusal: NotIdentifiableError, part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
@@ -206,9 +243,9 @@ def _despite(refusal: NotIdentifiableError, part: Part, settings: LearnerSetting
         raise refusal
     mechanism = _mechanism(part, settings)
     features = _place_rows(part, mechanism)
-    if features is not None and _all_held(features, part, settings):
+    if features is not None and _all_held(features, evidence := _evidence(features, part, settings)):
         candidate, data = _fit_rows(features, part, settings, fit)
-        return Answer(part, candidate, data, _evidence(features, part, settings), mechanism, ())
+        return Answer(part, candidate, data, evidence, mechanism, _doubt(evidence))
     if refusal.code == "weak-gap":
         for rows in part.feature_maps:
             evidence = _evidence(rows, part, settings)
@@ -221,9 +258,8 @@ def _despite(refusal: NotIdentifiableError, part: Part, settings: LearnerSetting
     raise refusal
 
 
-def _all_held(features: MechanismRows, part: Part, settings: LearnerSettings) -> bool:
+def _all_held(features: MechanismRows, evidence: RowEvidence) -> bool:
     """Whether the recombination test, too, finds every row of the mechanism held."""
-    evidence = _evidence(features, part, settings)
     return evidence.enough and evidence.n_rows == features.n_rows
 
 
@@ -246,11 +282,8 @@ def _place_rows(part: Part, found: MechanismFit | None) -> MechanismRows | None:
     names = tuple(n for n, unit in zip(features.row_names, features.row_units, strict=True) if unit in units)
     if units == {"m/s"}:
         names = POSITION_ROWS.get(found.mechanism.type, ())
-    names = (
-        tuple(n for n, moves in zip(names, _movable(_only(features, names), part), strict=True) if moves)
-        if names
-        else ()
-    )
+    if names:
+        names = tuple(n for n, moves in zip(names, _movable(_only(features, names), part), strict=True) if moves)
     return _only(features, names) if names else None
 
 

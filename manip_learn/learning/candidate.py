@@ -208,8 +208,7 @@ def _check_number_of_rows(estimate: Estimate, nv: int, n_constraints: int | None
         )
     if n_constraints is not None and table.best != s and table.verdict(table.best) != "none":
         warnings.append(
-            f"you asked for {s} row(s); the data support {table.best} (gap {table.gap(table.best):.3g} against "
-            f"{gap:.3g})"
+            f"{s} row(s) are learnt, the gap supports {table.best} (gap {table.gap(table.best):.3g} against {gap:.3g})"
         )
     return warnings
 

@@ -31,7 +31,7 @@ class Part:
 
     Attributes:
         demonstrations: Whole recordings, or stretches of them.
-        stretches: Where they lie; trajectories are counted from 0 in what was given to the learner.
+        stretches: Where each of them lies; trajectories are counted from 0 in what was given to the learner.
         feature_maps: The candidates for Phi.
         n_constraints: Number of rows that the phases show; None: from the data.
         is_held: Whether the division showed already that the world holds the rows (b = 0).
@@ -182,18 +182,19 @@ def _all_of(number: int, trajectory: Trajectory) -> Stretch:
 
 def _by_phases(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap], found: PhaseResult) -> Division:
     """One part for each constraint that the phases show, without the stretches that do not agree."""
-    parts, odd = [], dict[int, str]()
+    parts, odd, apart = [], dict[int, str](), list[Stretch]()
     for number, constraint in enumerate(found.constraints, start=1):
         features = feature_maps[constraint.features]
         cut = [(s, c) for s in constraint.stretches if (c := _trimmed(demonstrations[s.trajectory], s)) is not None]
         if len(cut) > 2:
             agreement = judge_agreement(features, [c for _, c in cut], constraint.n_rows)
             odd |= {cut[i][0].trajectory: why for i, why in agreement.odd}
+            apart += [cut[i][0] for i, _ in agreement.odd]
             cut = [cut[i] for i in agreement.members]
         odd |= _missing(demonstrations, features, constraint, number)
         members = Demonstrations([c for _, c in cut], demonstrations.notes)
-        parts.append(Part(members, constraint.stretches, (features,), constraint.n_rows, True))
-    return Division(tuple(parts), found.free, tuple(sorted(odd.items())), False, found.warnings)
+        parts.append(Part(members, tuple(s for s, _ in cut), (features,), constraint.n_rows, True))
+    return Division(tuple(parts), (*found.free, *apart), tuple(sorted(odd.items())), False, found.warnings)
 
 
 def _missing(
