@@ -12,7 +12,8 @@ from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.estimators.conditional_pca import conditional_pca
 from manip_learn.learning.estimators.estimate import Estimate, GapTable, gaps_of_residuals
 from manip_learn.learning.estimators.per_trajectory_offsets import estimate_with_offsets, offsets_if_clear
-from manip_learn.learning.estimators.policy_model import PolicyModel, PolynomialModel, RadialModel
+from manip_learn.learning.estimators.model_choice import choose_model, judge_models
+from manip_learn.learning.estimators.policy_model import HarmonicModel, PolicyModel, PolynomialModel, RadialModel
 from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, held_out_cost, scores
 from manip_learn.learning.samples import Samples
 
@@ -27,7 +28,9 @@ VANISHING = 1e-16
 POOR = 0.03
 # models are compared on at most this many samples, and fitted with at most this many columns unless asked for
 COMPARE_LIMIT = 1_500
-MAX_COLUMNS = 120
+MAX_COLUMNS = 260
+ROUNDS = 4
+SCAN_COLUMNS = 120
 # enough steps to compare
 COMPARE: dict[str, Any] = {"max_iterations": 8, "gain": 1e-4}
 
@@ -71,7 +74,7 @@ def estimate_joint(
         return estimate_with_offsets(samples, n_constraints, rng)
     few = _subsample(samples)
     models = _list_models(few, rng, policy_model)
-    usable = _scan_counts(few, models[:2])
+    usable = _scan_counts(few, [one for one in models[:2] if one.n_terms * few.nv <= SCAN_COLUMNS] or models[:1])
     if n_constraints is None and len(usable) < 2 or (n_constraints is not None and n_constraints not in usable):
         raise NotIdentifiableError(
             f"{len(samples)} samples are too few for the joint estimator on {samples.n_rows} rows and {samples.nv} "
@@ -130,7 +133,9 @@ def _list_models(samples: Samples, rng: np.random.Generator, name: str) -> list[
                 code="policy-model",
             )
         return [PolynomialModel(PolynomialModel.NAMES.index(name), m)]
-    models = [PolynomialModel(1, m), PolynomialModel(2, m), PolynomialModel(3, m), _make_radial(samples, rng)]
+    models: list[PolicyModel] = [PolynomialModel(degree, m) for degree in range(1, 6)]
+    models += [HarmonicModel(samples.spread, 1), HarmonicModel(samples.spread, 2), _make_radial(samples, rng)]
+    models.sort(key=lambda model: model.n_terms)
     return [models[0]] + [model for model in models[1:] if model.n_terms * samples.nv <= MAX_COLUMNS]
 
 
@@ -186,18 +191,48 @@ def _build_table(samples: Samples, scan: dict[int, CrossValidatedFit]) -> GapTab
 def _climb_models(
     samples: Samples, s: int, models: list[PolicyModel], first: CrossValidatedFit
 ) -> tuple[CrossValidatedFit, dict[str, float]]:
-    """Climb to richer models as long as they are worth it; held-out share of every model that was tried."""
+    """The model that lets expect the least error; held-out share of every model that was tried.
+
+    All models are judged at the Lambda of the best so far, and again at that of the one chosen.
+    """
     best, residuals = first, {first.fit.model.name: first.held_out / _null_energy(samples, first.fit)}
-    for model in models:
-        if model.name in residuals or best.held_out <= ROUNDING * best.fit.energy:
-            continue
-        if not _has_enough(samples, s, model):
-            continue
-        candidate = _cross_validate(samples, model, best.fit.whitened_selection)
-        residuals[model.name] = candidate.held_out / _null_energy(samples, candidate.fit)
-        if candidate.held_out < WORTH * best.held_out:
-            best = candidate
+    usable = [model for model in models if _has_enough(samples, s, model)]
+    folds = min(N_FOLDS, samples.n_trajectories)
+    if s == 0 or s == samples.n_rows or len(usable) < 2:
+        return best, residuals
+    if best.held_out > POOR * _null_energy(samples, best.fit):
+        best = _fit_from_other_starts(samples, s, usable, best)
+    for _ in range(ROUNDS):
+        if best.held_out <= ROUNDING * best.fit.energy:
+            return best, residuals
+        judged = judge_models(samples, best.fit.whitened_selection, usable, folds)
+        energy = len(samples) * _null_energy(samples, best.fit)
+        residuals |= {one.model.name: one.held_out / energy for one in judged}
+        predicts_best = min(judged, key=lambda one: one.held_out)
+        settled = predicts_best.model.name == best.fit.model.name
+        # a model that is too rich bends Lambda while that is far off: first the model that predicts best
+        chosen = choose_model(judged) if settled else predicts_best
+        if chosen.model.name != best.fit.model.name:
+            trial = _cross_validate(samples, chosen.model, best.fit.whitened_selection)
+            if not settled and trial.held_out >= best.held_out:
+                break
+            best = trial
+        if settled:
+            break
     return best, residuals
+
+
+def _fit_from_other_starts(
+    samples: Samples, s: int, models: list[PolicyModel], best: CrossValidatedFit
+) -> CrossValidatedFit:
+    """The best of fits with each model, from the closed-form start with that model: a poor one has led astray."""
+    for model in models:
+        if model.n_terms * samples.nv > len(samples):
+            continue
+        trial = _cross_validate(samples, model, conditional_pca(samples, model)[1][:s])
+        if trial.held_out < best.held_out:
+            best = trial
+    return best
 
 
 def _fit_from_random_starts(samples: Samples, chosen: JointFit, rng: np.random.Generator) -> JointFit:
