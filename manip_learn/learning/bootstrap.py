@@ -8,6 +8,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float, Int
 
+from manip_learn.learning.calibration import JointOffsets
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import complement_rows, row_space_angles
 
@@ -24,6 +25,7 @@ def bootstrap_angle_deg(
     rng: np.random.Generator,
     repetitions: int = 200,
     quantile: float = 0.68,
+    offsets: JointOffsets | None = None,
 ) -> float | None:
     """Angle [deg] within which a share of the repetitions keeps the row space of Lambda.
 
@@ -41,6 +43,7 @@ def bootstrap_angle_deg(
         rng: For the draws.
         repetitions: How many.
         quantile: Share of the repetitions.
+        offsets: What the residual says about the joints' offsets, whose error comes on top.
 
     Returns:
         The angle; None with fewer than two trajectories or no freedom.
@@ -56,6 +59,8 @@ def bootstrap_angle_deg(
     freedom = max(float(energy.sum() ** 2 / np.sum(energy**2)), 2.0)
     spread = np.sqrt(rng.chisquare(freedom, size=repetitions) / freedom)
     steps = (-weights @ influence) / spread[:, None]
+    if offsets is not None:
+        steps = steps + offsets.errors(repetitions, rng)
     turns = steps.reshape(repetitions, s, r - s) @ complement_rows(whitened_selection)
     angles = row_space_angles((whitened_selection + turns) @ samples.whitening, samples.selection(whitened_selection))
     return float(np.degrees(np.quantile(angles, quantile)))

@@ -10,6 +10,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import FeatureError, NumberOfConstraintsError
 from manip_learn.learning.bootstrap import bootstrap_angle_deg
+from manip_learn.learning.calibration import JointOffsets
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
 from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, check_joints
 from manip_learn.learning.report import LearningReport, build_report
@@ -163,8 +164,14 @@ class ConstraintLearner:
     def _conclude(self, best: Candidate, data: DataSummary, joint_names: tuple[str, ...], started: float) -> None:
         """Uncertainty -> report."""
         estimate = best.estimate
+        held = estimate.name == "null-space"
         uncertainty_deg = bootstrap_angle_deg(
-            best.samples, estimate.whitened_selection, estimate.gradients, estimate.hessians, best.rng
+            best.samples,
+            estimate.whitened_selection,
+            estimate.gradients,
+            estimate.hessians,
+            best.rng,
+            offsets=JointOffsets.of(best.samples, estimate.whitened_selection) if held else None,
         )
         seconds = time.perf_counter() - started
         self.constraint_, self.report_ = build_report(best, data, joint_names, uncertainty_deg, seconds)
