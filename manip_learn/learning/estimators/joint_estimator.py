@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import stdtrit
 
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.estimators.conditional_pca import conditional_pca
-from manip_learn.learning.estimators.estimate import Estimate, GapTable, gaps_of_residuals
+from manip_learn.learning.estimators.estimate import CLEAR_GAP, Estimate, GapTable, gaps_of_residuals
+from manip_learn.learning.estimators.model_choice import CHEAP, choose_model, judge_models
 from manip_learn.learning.estimators.per_trajectory_offsets import estimate_with_offsets, offsets_if_clear
-from manip_learn.learning.estimators.model_choice import choose_model, judge_models
 from manip_learn.learning.estimators.policy_model import HarmonicModel, PolicyModel, PolynomialModel, RadialModel
-from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, held_out_cost, scores
+from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, held_out_costs, scores
 from manip_learn.learning.samples import Samples
 
 N_FOLDS = 5
@@ -31,6 +33,9 @@ COMPARE_LIMIT = 1_500
 MAX_COLUMNS = 260
 ROUNDS = 4
 SCAN_COLUMNS = 120
+# chance of one row too many by luck, and share of the energy below which a residual is rounding
+CHANCE = 0.02
+NOTHING = 1e-20
 # enough steps to compare
 COMPARE: dict[str, Any] = {"max_iterations": 8, "gain": 1e-4}
 
@@ -42,6 +47,7 @@ class CrossValidatedFit:
 
     fit: JointFit
     held_out: float  # mean |Z^T (u - pi)|^2 on left-out trajectories
+    folds: Float[np.ndarray, " f"]  # the same for each fold
 
 
 def estimate_joint(
@@ -82,6 +88,9 @@ def estimate_joint(
             code="too-few-samples",
         )
     table = _build_table(few, usable)
+    doubts: tuple[str, ...] = ()
+    if n_constraints is None:
+        table, doubts = _drop_doubtful_rows(few, table, usable)
     s = n_constraints or table.best
     chosen, residuals = _climb_models(few, s, models, usable[s])
     if policy_model == "auto" and chosen.held_out > POOR * _null_energy(samples, chosen.fit):
@@ -103,6 +112,7 @@ def estimate_joint(
         fit.model.name,
         residuals,
         noise=chosen.held_out / (samples.nv - s),
+        warnings=doubts,
         joint=fit,
     )
 
@@ -173,7 +183,8 @@ def _has_enough(samples: Samples, s: int, model: PolicyModel) -> bool:
 def _cross_validate(samples: Samples, model: PolicyModel, start: np.ndarray) -> CrossValidatedFit:
     fit = fit_joint(samples, start, model, **COMPARE)
     folds = min(N_FOLDS, samples.n_trajectories)
-    return CrossValidatedFit(fit, held_out_cost(samples, fit.whitened_selection, model, folds))
+    costs = held_out_costs(samples, fit.whitened_selection, model, folds)
+    return CrossValidatedFit(fit, float(costs.sum()), costs * len(costs))
 
 
 def _choose_start_degree(samples: Samples) -> int:
@@ -186,6 +197,40 @@ def _build_table(samples: Samples, scan: dict[int, CrossValidatedFit]) -> GapTab
     floor = 1e-15 * float(np.sqrt(samples.energy))
     present = {s: r for s, r in residuals.items() if s == 0 or s - 1 in residuals}
     return gaps_of_residuals(present, floor, len(samples))
+
+
+def _drop_doubtful_rows(
+    samples: Samples, table: GapTable, scan: dict[int, CrossValidatedFit]
+) -> tuple[GapTable, tuple[str, ...]]:
+    """Fewer rows where the last of them is not told from chance, or from what no policy model explains.
+
+    Samples of one trajectory are not independent, so that few trajectories can make a row look commanded: the residual
+    a degree of freedom must fall in the folds of trajectories by more than Student's distribution lets expect. Where
+    the motion is poorly explained anyway, a weak gap may be the policy's.
+    """
+    best = table.best
+    floor = NOTHING * samples.energy
+    while best > 1 and best - 1 in scan and table.gap(best - 1) >= table.weak_from:
+        more, fewer = (np.maximum(scan[k].folds / (samples.nv - k), floor) for k in (best, best - 1))
+        poor = scan[best].held_out > POOR * _null_energy(samples, scan[best].fit)
+        if _is_gain(fewer - more) and not (poor and table.gap(best) < CLEAR_GAP):
+            break
+        best -= 1
+    if best == table.best:
+        return table, ()
+    doubt = (
+        f"{table.best} rows fit a little better than {best}, which {samples.n_trajectories} trajectories do not tell "
+        f"from chance: {best} are answered; record more trajectories, or give n_constraints if you know it"
+    )
+    return dataclasses.replace(table, best=best), (doubt,)
+
+
+def _is_gain(differences: Float[np.ndarray, " f"]) -> bool:
+    """Whether the mean of some differences is above zero beyond chance (one-sided, Student)."""
+    n, spread = len(differences), float(np.std(differences, ddof=1)) if len(differences) > 1 else 0.0
+    if n < 2 or spread == 0.0:
+        return bool(np.mean(differences) > 0.0)
+    return bool(np.mean(differences) * np.sqrt(n) / spread > stdtrit(n - 1, 1.0 - CHANCE))
 
 
 def _climb_models(
@@ -211,7 +256,9 @@ def _climb_models(
         predicts_best = min(judged, key=lambda one: one.held_out)
         settled = predicts_best.model.name == best.fit.model.name
         # a model that is too rich bends Lambda while that is far off: first the model that predicts best
-        chosen = choose_model(judged) if settled else predicts_best
+        chosen = (
+            choose_model(judged, len(samples) * (samples.nv - s) / (CHEAP * samples.nv)) if settled else predicts_best
+        )
         if chosen.model.name != best.fit.model.name:
             trial = _cross_validate(samples, chosen.model, best.fit.whitened_selection)
             if not settled and trial.held_out >= best.held_out:

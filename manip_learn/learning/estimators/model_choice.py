@@ -27,6 +27,8 @@ from manip_learn.learning.samples import Samples
 WORSE = 2.0
 # how many times the regressors of the best a richer model may have
 ONE_DEGREE = 3.0
+# residuals for each of its parameters that make a richer model cheap
+CHEAP = 25.0
 
 
 @final
@@ -56,10 +58,15 @@ def judge_models(
     return [_judged(samples, projections, model, n_folds) for model in models]
 
 
-def choose_model(judged: Sequence[JudgedModel]) -> JudgedModel:
-    """The richest of the models that predict no worse than the best."""
+def choose_model(judged: Sequence[JudgedModel], most_parameters: float) -> JudgedModel:
+    """The richest of the cheap models that predict no worse than the best.
+
+    Args:
+        judged: All models at one Lambda.
+        most_parameters: Regressors that the residuals are many enough for, see `CHEAP`.
+    """
     best = min(judged, key=lambda one: one.held_out)
-    most = ONE_DEGREE * best.model.n_terms
+    most = max(min(ONE_DEGREE * best.model.n_terms, most_parameters), best.model.n_terms)
     near = [one for one in judged if one.model.n_terms <= most and not _is_worse(one.costs, best.costs)]
     return max(near, key=lambda one: one.model.n_terms)
 

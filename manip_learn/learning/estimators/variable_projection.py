@@ -177,7 +177,14 @@ def scores(samples: Samples, fit: JointFit) -> tuple[Float[np.ndarray, "g d"], F
 def held_out_cost(
     samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel, n_folds: int, *, by_sample: bool = False
 ) -> float:
-    """Mean of |Z^T (u - pi)|^2 on trajectories that pi was not fitted to, Lambda kept: cross-validation of the model.
+    """Mean of |Z^T (u - pi)|^2 on trajectories that pi was not fitted to, Lambda kept: cross-validation of the model."""
+    return float(held_out_costs(samples, Lambda, model, n_folds, by_sample=by_sample).sum())
+
+
+def held_out_costs(
+    samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel, n_folds: int, *, by_sample: bool = False
+) -> Float[np.ndarray, " f"]:
+    """What each fold contributes to `held_out_cost`; a single infinity where there are fewer than two folds.
 
     `by_sample` leaves out every n-th sample instead, for models with parameters of each trajectory. Each fold is boiled
     down to a triangle once; leaving it out means solving with the others'.
@@ -195,12 +202,12 @@ def held_out_cost(
             triangles[fold] = _triangle(iter([new] if before is None else [before, new]))
     present = [R for R in triangles if R is not None]
     if len(present) < 2:
-        return np.inf
-    total = 0.0
+        return np.array([np.inf])
+    total = np.zeros(len(present))
     for i, held in enumerate(present):
         rest = _triangle(iter([R for j, R in enumerate(present) if j != i]))
         theta = _solve(rest[:, :-1], rest[:, -1:])
-        total += float(np.sum((held[:, -1:] - held[:, :-1] @ theta) ** 2))
+        total[i] = float(np.sum((held[:, -1:] - held[:, :-1] @ theta) ** 2))
     return total / len(samples)
 
 
