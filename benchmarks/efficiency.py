@@ -127,9 +127,8 @@ def motion_of(arm: str, policy_name: str, n_trajectories: int, n_points: int, rn
 def bound(motion: Motion, covariance: np.ndarray) -> np.ndarray:
     """Cramer-Rao bound on the covariance of B, for noise on u of a covariance (nv, nv): whitened by its factor."""
     q, u = motion.q.reshape(-1, motion.q.shape[2]), motion.u.reshape(-1, motion.u.shape[2])
-    L = np.linalg.cholesky(covariance)
-    back = np.linalg.inv(L)
-    Phi = motion.features.batch(q) @ L
+    back = np.linalg.inv(np.linalg.cholesky(covariance))
+    Phi = motion.features.batch(q) @ back.T
     perp = np.linalg.svd(motion.selection)[2][len(motion.selection) :]
     A = motion.selection @ Phi
     Z = np.linalg.svd(A)[2][:, len(motion.selection) :].transpose(0, 2, 1)

@@ -1,11 +1,12 @@
 """Joint offsets: what a constant error of each joint's zero does to a Lambda learnt from A(q) u = 0.
 
-Recorded q + delta in place of q leaves the residual e_n = R_n^{-T} Lambda Phi_n u_n, with A^T = Q R, a pattern: to first order
+Recorded q + delta in place of q leaves a pattern in the residual e_n = R_n^{-T} Lambda Phi_n u_n, A^T = Q R:
 
     e = J B + K delta + noise,    K_n,k = R_n^{-T} Lambda (dPhi/dq_k) u_n
 
-of which B takes up what it can: an error -(J^T J)^-1 J^T K delta of Lambda. What is left of the pattern tells how large the
-offsets are. With delta ~ N(0, tau^2 I), S = K^T (I - J J^+) K = V diag(lambda) V^T and h = V^T K^T e the likelihood of tau is
+to first order, of which B takes up what it can: an error -(J^T J)^-1 J^T K delta of Lambda. What is left of the
+pattern tells how large the offsets are. With delta ~ N(0, tau^2 I), S = K^T (I - J J^+) K = V diag(lambda) V^T and h =
+V^T K^T e the likelihood of tau is
 
     h_i ~ N(0, lambda_i sigma^2 + lambda_i^2 tau^2)       (restricted maximum likelihood: B is eliminated)
 

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import stdtrit
 
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.estimators.conditional_pca import conditional_pca
-from manip_learn.learning.estimators.estimate import CLEAR_GAP, Estimate, GapTable, gaps_of_residuals
+from manip_learn.learning.estimators.estimate import Estimate, GapTable, gaps_of_residuals
 from manip_learn.learning.estimators.model_choice import CHEAP, choose_model, judge_models
+from manip_learn.learning.estimators.noise_covariance import whitened, whitening_factor
 from manip_learn.learning.estimators.per_trajectory_offsets import estimate_with_offsets, offsets_if_clear
 from manip_learn.learning.estimators.policy_model import HarmonicModel, PolicyModel, PolynomialModel, RadialModel
+from manip_learn.learning.estimators.row_count import POOR, drop_doubtful_rows
 from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, held_out_costs, scores
 from manip_learn.learning.samples import Samples
 
@@ -26,15 +26,14 @@ RANDOM_STARTS = 2
 WORTH = 0.8
 ROUNDING = 1e-24
 VANISHING = 1e-16
-# share of left-out motion that no model explains from which it is worth asking whether each trajectory has its own
-POOR = 0.03
 # models are compared on at most this many samples, and fitted with at most this many columns unless asked for
 COMPARE_LIMIT = 1_500
 MAX_COLUMNS = 260
-ROUNDS = 4
+# the number of rows is found with models of at most this many columns
 SCAN_COLUMNS = 120
-# chance of one row too many by luck, and share of the energy below which a residual is rounding
-CHANCE = 0.02
+# changes of the model
+ROUNDS = 4
+# share of the energy below which a residual is rounding
 NOTHING = 1e-20
 # enough steps to compare
 COMPARE: dict[str, Any] = {"max_iterations": 8, "gain": 1e-4}
@@ -56,6 +55,8 @@ def estimate_joint(
     rng: np.random.Generator,
     policy_model: str = "auto",
     unexplained: float = np.inf,
+    *,
+    isotropic: bool = False,
 ) -> Estimate:
     """Number of rows and policy model by cross-validation over trajectories, then variable projection on all data.
 
@@ -66,6 +67,7 @@ def estimate_joint(
         policy_model: `"auto"` (tries them all), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"` or `"rbf"`; or
             `"affine-offset"`: affine, with an offset per trajectory, where demonstrators rest in different postures.
         unexplained: Held-out share of the energy above which to give up before the expensive part.
+        isotropic: Take the noise as equally strong in all joints, whatever the residual says: for a fit that goes on.
 
     Raises:
         NotIdentifiableError: One trajectory only, too few samples for even the smallest model, or given up.
@@ -90,7 +92,12 @@ def estimate_joint(
     table = _build_table(few, usable)
     doubts: tuple[str, ...] = ()
     if n_constraints is None:
-        table, doubts = _drop_doubtful_rows(few, table, usable)
+        table, doubts = drop_doubtful_rows(
+            table,
+            {k: v.folds / (few.nv - k) for k, v in usable.items()},
+            {k: v.held_out / _null_energy(few, v.fit) for k, v in usable.items()},
+            NOTHING * few.energy,
+        )
     s = n_constraints or table.best
     chosen, residuals = _climb_models(few, s, models, usable[s])
     if policy_model == "auto" and chosen.held_out > POOR * _null_energy(samples, chosen.fit):
@@ -100,12 +107,13 @@ def estimate_joint(
     if chosen.held_out > unexplained * _null_energy(samples, chosen.fit):
         raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
     fit = _fit_from_random_starts(samples, chosen.fit, rng)
-    gradients, hessians = scores(samples, fit)
+    own_samples, fit = (samples, fit) if isotropic else _fit_whitened(samples, fit)
+    gradients, hessians = scores(own_samples, fit)
     return Estimate(
         "joint",
         fit.whitened_selection,
         table,
-        fit.cost / _null_energy(samples, fit),
+        fit.cost / _null_energy(own_samples, fit),
         chosen.held_out / _null_energy(samples, chosen.fit),
         gradients,
         hessians,
@@ -199,40 +207,6 @@ def _build_table(samples: Samples, scan: dict[int, CrossValidatedFit]) -> GapTab
     return gaps_of_residuals(present, floor, len(samples))
 
 
-def _drop_doubtful_rows(
-    samples: Samples, table: GapTable, scan: dict[int, CrossValidatedFit]
-) -> tuple[GapTable, tuple[str, ...]]:
-    """Fewer rows where the last of them is not told from chance, or from what no policy model explains.
-
-    Samples of one trajectory are not independent, so that few trajectories can make a row look commanded: the residual
-    a degree of freedom must fall in the folds of trajectories by more than Student's distribution lets expect. Where
-    the motion is poorly explained anyway, a weak gap may be the policy's.
-    """
-    best = table.best
-    floor = NOTHING * samples.energy
-    while best > 1 and best - 1 in scan and table.gap(best - 1) >= table.weak_from:
-        more, fewer = (np.maximum(scan[k].folds / (samples.nv - k), floor) for k in (best, best - 1))
-        poor = scan[best].held_out > POOR * _null_energy(samples, scan[best].fit)
-        if _is_gain(fewer - more) and not (poor and table.gap(best) < CLEAR_GAP):
-            break
-        best -= 1
-    if best == table.best:
-        return table, ()
-    doubt = (
-        f"{table.best} rows fit a little better than {best}, which {samples.n_trajectories} trajectories do not tell "
-        f"from chance: {best} are answered; record more trajectories, or give n_constraints if you know it"
-    )
-    return dataclasses.replace(table, best=best), (doubt,)
-
-
-def _is_gain(differences: Float[np.ndarray, " f"]) -> bool:
-    """Whether the mean of some differences is above zero beyond chance (one-sided, Student)."""
-    n, spread = len(differences), float(np.std(differences, ddof=1)) if len(differences) > 1 else 0.0
-    if n < 2 or spread == 0.0:
-        return bool(np.mean(differences) > 0.0)
-    return bool(np.mean(differences) * np.sqrt(n) / spread > stdtrit(n - 1, 1.0 - CHANCE))
-
-
 def _climb_models(
     samples: Samples, s: int, models: list[PolicyModel], first: CrossValidatedFit
 ) -> tuple[CrossValidatedFit, dict[str, float]]:
@@ -280,6 +254,20 @@ def _fit_from_other_starts(
         if trial.held_out < best.held_out:
             best = trial
     return best
+
+
+def _fit_whitened(samples: Samples, fit: JointFit) -> tuple[Samples, JointFit]:
+    """The fit by generalised least squares where the noise is not the same in all joints, and its samples."""
+    if fit.cost <= ROUNDING * fit.energy:
+        return samples, fit
+    for _ in range(2):
+        pi = np.concatenate([fit.model(block.x, block.trajectory) for block in samples.blocks()]) @ fit.theta
+        L = whitening_factor(samples, fit.whitened_selection, samples.u - pi)
+        if L is None:
+            break
+        samples = whitened(samples, L)
+        fit = fit_joint(samples, fit.whitened_selection, fit.model)
+    return samples, fit
 
 
 def _fit_from_random_starts(samples: Samples, chosen: JointFit, rng: np.random.Generator) -> JointFit:

@@ -177,7 +177,7 @@ def scores(samples: Samples, fit: JointFit) -> tuple[Float[np.ndarray, "g d"], F
 def held_out_cost(
     samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel, n_folds: int, *, by_sample: bool = False
 ) -> float:
-    """Mean of |Z^T (u - pi)|^2 on trajectories that pi was not fitted to, Lambda kept: cross-validation of the model."""
+    """Mean of |Z^T (u - pi)|^2 on trajectories that pi was not fitted to, Lambda kept: cross-validation of pi."""
     return float(held_out_costs(samples, Lambda, model, n_folds, by_sample=by_sample).sum())
 
 
