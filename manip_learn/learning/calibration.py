@@ -24,9 +24,9 @@ from jaxtyping import Float
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import batch_row_spaces, complement_rows, inverse_triangles
 
-# offsets that robots have [rad]: from a good calibration to one that the eye sees
-TAU_RANGE = (1e-4, 3e-2)
-TAU_STEPS = 40
+# offsets to be thought of [rad]: from an encoder's rounding to what the eye sees
+TAU_RANGE = (1e-6, 3e-2)
+TAU_STEPS = 60
 MOST_SAMPLES = 2000  # enough to see offsets
 UNSEEN = 1e-12  # share of the largest curvature below which a combination of offsets shows nowhere
 

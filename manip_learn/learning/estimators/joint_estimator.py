@@ -2,51 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, final
-
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.estimators.conditional_pca import conditional_pca
 from manip_learn.learning.estimators.estimate import Estimate, GapTable, gaps_of_residuals
-from manip_learn.learning.estimators.model_choice import CHEAP, choose_model, judge_models
+from manip_learn.learning.estimators.model_search import (
+    COMPARE,
+    ROUNDING,
+    SCAN_COLUMNS,
+    WORTH,
+    CrossValidatedFit,
+    cross_validate,
+    has_enough,
+    null_energy,
+    search_model,
+)
 from manip_learn.learning.estimators.noise_covariance import whitened, whitening_factor
 from manip_learn.learning.estimators.per_trajectory_offsets import estimate_with_offsets, offsets_if_clear
 from manip_learn.learning.estimators.policy_model import HarmonicModel, PolicyModel, PolynomialModel, RadialModel
 from manip_learn.learning.estimators.row_count import POOR, drop_doubtful_rows
-from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, held_out_costs, scores
+from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, scores
 from manip_learn.learning.samples import Samples
 
-N_FOLDS = 5
 N_CENTRES = 32
 RANDOM_STARTS = 2
-# a richer model must lower the held-out cost by this factor to be worth its parameters
-WORTH = 0.8
-ROUNDING = 1e-24
-VANISHING = 1e-16
 # models are compared on at most this many samples, and fitted with at most this many columns unless asked for
 COMPARE_LIMIT = 1_500
 MAX_COLUMNS = 260
-# the number of rows is found with models of at most this many columns
-SCAN_COLUMNS = 120
-# changes of the model
-ROUNDS = 4
 # share of the energy below which a residual is rounding
 NOTHING = 1e-20
-# enough steps to compare
-COMPARE: dict[str, Any] = {"max_iterations": 8, "gain": 1e-4}
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class CrossValidatedFit:
-    """A fit with its cross-validated cost."""
-
-    fit: JointFit
-    held_out: float  # mean |Z^T (u - pi)|^2 on left-out trajectories
-    folds: Float[np.ndarray, " f"]  # the same for each fold
 
 
 def estimate_joint(
@@ -95,16 +81,16 @@ def estimate_joint(
         table, doubts = drop_doubtful_rows(
             table,
             {k: v.folds / (few.nv - k) for k, v in usable.items()},
-            {k: v.held_out / _null_energy(few, v.fit) for k, v in usable.items()},
+            {k: v.held_out / null_energy(few, v.fit) for k, v in usable.items()},
             NOTHING * few.energy,
         )
     s = n_constraints or table.best
-    chosen, residuals = _climb_models(few, s, models, usable[s])
-    if policy_model == "auto" and chosen.held_out > POOR * _null_energy(samples, chosen.fit):
+    chosen, residuals = search_model(few, s, models, usable[s])
+    if policy_model == "auto" and chosen.held_out > POOR * null_energy(samples, chosen.fit):
         own = offsets_if_clear(samples, n_constraints, rng, chosen.fit.whitened_selection)
         if own is not None:
             return own
-    if chosen.held_out > unexplained * _null_energy(samples, chosen.fit):
+    if chosen.held_out > unexplained * null_energy(samples, chosen.fit):
         raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
     fit = _fit_from_random_starts(samples, chosen.fit, rng)
     own_samples, fit = (samples, fit) if isotropic else _fit_whitened(samples, fit)
@@ -113,8 +99,8 @@ def estimate_joint(
         "joint",
         fit.whitened_selection,
         table,
-        fit.cost / _null_energy(own_samples, fit),
-        chosen.held_out / _null_energy(samples, chosen.fit),
+        fit.cost / null_energy(own_samples, fit),
+        chosen.held_out / null_energy(samples, chosen.fit),
         gradients,
         hessians,
         fit.model.name,
@@ -123,11 +109,6 @@ def estimate_joint(
         warnings=doubts,
         joint=fit,
     )
-
-
-def _null_energy(samples: Samples, fit: JointFit) -> float:
-    """Energy that there is to explain; without any null-space motion, rounding is not held against the model."""
-    return max(fit.energy, VANISHING * samples.energy)
 
 
 def _subsample(samples: Samples) -> Samples:
@@ -167,7 +148,7 @@ def _list_counts(samples: Samples) -> range:
 
 def _scan_counts(samples: Samples, models: list[PolicyModel]) -> dict[int, CrossValidatedFit]:
     """Best of the models for each number of rows that there are samples enough for, all from one closed-form start."""
-    fitting = {s: [m for m in models if _has_enough(samples, s, m)] for s in _list_counts(samples)}
+    fitting = {s: [m for m in models if has_enough(samples, s, m)] for s in _list_counts(samples)}
     if not any(fitting.values()):
         return {}
     _, directions = conditional_pca(samples, PolynomialModel(_choose_start_degree(samples), samples.q.shape[1]))
@@ -176,23 +157,12 @@ def _scan_counts(samples: Samples, models: list[PolicyModel]) -> dict[int, Cross
 
 def _select_model(samples: Samples, models: list[PolicyModel], start: np.ndarray) -> CrossValidatedFit:
     """Best of the models from a start; a richer one only if it is worth its parameters."""
-    best = _cross_validate(samples, models[0], start)
+    best = cross_validate(samples, models[0], start)
     for model in models[1:]:
-        candidate = _cross_validate(samples, model, start)
+        candidate = cross_validate(samples, model, start)
         if candidate.held_out < WORTH * best.held_out:
             best = candidate
     return best
-
-
-def _has_enough(samples: Samples, s: int, model: PolicyModel) -> bool:
-    return len(samples) * (samples.nv - s) * (1.0 - 1.0 / N_FOLDS) >= 2.0 * model.n_terms * samples.nv
-
-
-def _cross_validate(samples: Samples, model: PolicyModel, start: np.ndarray) -> CrossValidatedFit:
-    fit = fit_joint(samples, start, model, **COMPARE)
-    folds = min(N_FOLDS, samples.n_trajectories)
-    costs = held_out_costs(samples, fit.whitened_selection, model, folds)
-    return CrossValidatedFit(fit, float(costs.sum()), costs * len(costs))
 
 
 def _choose_start_degree(samples: Samples) -> int:
@@ -205,55 +175,6 @@ def _build_table(samples: Samples, scan: dict[int, CrossValidatedFit]) -> GapTab
     floor = 1e-15 * float(np.sqrt(samples.energy))
     present = {s: r for s, r in residuals.items() if s == 0 or s - 1 in residuals}
     return gaps_of_residuals(present, floor, len(samples))
-
-
-def _climb_models(
-    samples: Samples, s: int, models: list[PolicyModel], first: CrossValidatedFit
-) -> tuple[CrossValidatedFit, dict[str, float]]:
-    """The model that lets expect the least error; held-out share of every model that was tried.
-
-    All models are judged at the Lambda of the best so far, and again at that of the one chosen.
-    """
-    best, residuals = first, {first.fit.model.name: first.held_out / _null_energy(samples, first.fit)}
-    usable = [model for model in models if _has_enough(samples, s, model)]
-    folds = min(N_FOLDS, samples.n_trajectories)
-    if s == 0 or s == samples.n_rows or len(usable) < 2:
-        return best, residuals
-    if best.held_out > POOR * _null_energy(samples, best.fit):
-        best = _fit_from_other_starts(samples, s, usable, best)
-    for _ in range(ROUNDS):
-        if best.held_out <= ROUNDING * best.fit.energy:
-            return best, residuals
-        judged = judge_models(samples, best.fit.whitened_selection, usable, folds)
-        energy = len(samples) * _null_energy(samples, best.fit)
-        residuals |= {one.model.name: one.held_out / energy for one in judged}
-        predicts_best = min(judged, key=lambda one: one.held_out)
-        settled = predicts_best.model.name == best.fit.model.name
-        # a model that is too rich bends Lambda while that is far off: first the model that predicts best
-        chosen = (
-            choose_model(judged, len(samples) * (samples.nv - s) / (CHEAP * samples.nv)) if settled else predicts_best
-        )
-        if chosen.model.name != best.fit.model.name:
-            trial = _cross_validate(samples, chosen.model, best.fit.whitened_selection)
-            if not settled and trial.held_out >= best.held_out:
-                break
-            best = trial
-        if settled:
-            break
-    return best, residuals
-
-
-def _fit_from_other_starts(
-    samples: Samples, s: int, models: list[PolicyModel], best: CrossValidatedFit
-) -> CrossValidatedFit:
-    """The best of fits with each model, from the closed-form start with that model: a poor one has led astray."""
-    for model in models:
-        if model.n_terms * samples.nv > len(samples):
-            continue
-        trial = _cross_validate(samples, model, conditional_pca(samples, model)[1][:s])
-        if trial.held_out < best.held_out:
-            best = trial
-    return best
 
 
 def _fit_whitened(samples: Samples, fit: JointFit) -> tuple[Samples, JointFit]:

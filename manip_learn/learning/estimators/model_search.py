@@ -1,0 +1,129 @@
+"""The search for the policy model of the joint estimator, by cross-validation over trajectories."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.learning.estimators.conditional_pca import conditional_pca
+from manip_learn.learning.estimators.model_choice import CHEAP, choose_model, judge_models
+from manip_learn.learning.estimators.policy_model import PolicyModel
+from manip_learn.learning.estimators.row_count import POOR
+from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, held_out_costs
+from manip_learn.learning.samples import Samples
+
+N_FOLDS = 5
+# a richer model must lower the held-out cost by this factor to be worth its parameters
+WORTH = 0.8
+ROUNDING = 1e-24
+# share of the energy below which normal equations are not exact enough to compare models
+EXACT = 1e-10
+VANISHING = 1e-16
+# the number of rows is found with models of at most this many columns
+SCAN_COLUMNS = 120
+# changes of the model
+ROUNDS = 4
+# enough steps to compare
+COMPARE: dict[str, Any] = {"max_iterations": 8, "gain": 1e-4}
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class CrossValidatedFit:
+    """A fit with its cross-validated cost."""
+
+    fit: JointFit
+    held_out: float  # mean |Z^T (u - pi)|^2 on left-out trajectories
+    folds: Float[np.ndarray, " f"]  # the same for each fold
+
+
+def cross_validate(samples: Samples, model: PolicyModel, start: np.ndarray) -> CrossValidatedFit:
+    """A fit in a few steps from a start, and its cost on trajectories that the policy was not fitted to."""
+    fit = fit_joint(samples, start, model, **COMPARE)
+    folds = min(N_FOLDS, samples.n_trajectories)
+    costs = held_out_costs(samples, fit.whitened_selection, model, folds)
+    return CrossValidatedFit(fit, float(costs.sum()), costs * len(costs))
+
+
+def has_enough(samples: Samples, s: int, model: PolicyModel) -> bool:
+    """Whether there are two residuals for each parameter of a model, one fold left out."""
+    return len(samples) * (samples.nv - s) * (1.0 - 1.0 / N_FOLDS) >= 2.0 * model.n_terms * samples.nv
+
+
+def null_energy(samples: Samples, fit: JointFit) -> float:
+    """Energy that there is to explain; without any null-space motion, rounding is not held against the model."""
+    return max(fit.energy, VANISHING * samples.energy)
+
+
+def search_model(
+    samples: Samples, s: int, models: list[PolicyModel], first: CrossValidatedFit
+) -> tuple[CrossValidatedFit, dict[str, float]]:
+    """The model that predicts best or one degree more; held-out share of every model that was tried.
+
+    All models are judged at the Lambda of the best so far, and again at that of the one chosen.
+    """
+    best, residuals = first, {first.fit.model.name: first.held_out / null_energy(samples, first.fit)}
+    usable = [model for model in models if has_enough(samples, s, model)]
+    folds = min(N_FOLDS, samples.n_trajectories)
+    if s == 0 or s == samples.n_rows or len(usable) < 2:
+        return best, residuals
+    if best.held_out > POOR * null_energy(samples, best.fit):
+        best = _fit_from_other_starts(samples, s, usable, best)
+    for _ in range(ROUNDS):
+        if best.held_out <= EXACT * best.fit.energy:
+            return _climb_exact_models(samples, models, usable, best, residuals)
+        judged = judge_models(samples, best.fit.whitened_selection, usable, folds)
+        energy = len(samples) * null_energy(samples, best.fit)
+        residuals |= {one.model.name: one.held_out / energy for one in judged}
+        predicts_best = min(judged, key=lambda one: one.held_out)
+        settled = predicts_best.model.name == best.fit.model.name
+        # a model that is too rich bends Lambda while that is far off: first the model that predicts best
+        chosen = (
+            choose_model(judged, len(samples) * (samples.nv - s) / (CHEAP * samples.nv)) if settled else predicts_best
+        )
+        if chosen.model.name != best.fit.model.name:
+            trial = cross_validate(samples, chosen.model, best.fit.whitened_selection)
+            if not settled and trial.held_out >= best.held_out:
+                break
+            best = trial
+        if settled:
+            break
+    return best, residuals
+
+
+def _climb_exact_models(
+    samples: Samples,
+    models: list[PolicyModel],
+    usable: list[PolicyModel],
+    best: CrossValidatedFit,
+    residuals: dict[str, float],
+) -> tuple[CrossValidatedFit, dict[str, float]]:
+    """The same where next to nothing is left, and normal equations would compare rounding: fits by QR, one by one."""
+    for model in models:
+        if model.name in residuals or best.held_out <= ROUNDING * best.fit.energy:
+            continue
+        if model not in usable or model.n_terms * samples.nv > SCAN_COLUMNS:
+            continue
+        candidate = cross_validate(samples, model, best.fit.whitened_selection)
+        residuals[model.name] = candidate.held_out / null_energy(samples, candidate.fit)
+        if candidate.held_out < WORTH * best.held_out:
+            best = candidate
+    return best, residuals
+
+
+def _fit_from_other_starts(
+    samples: Samples, s: int, models: list[PolicyModel], best: CrossValidatedFit
+) -> CrossValidatedFit:
+    """The best of the fits with each model from its own closed-form start, for a poor model has led Lambda astray."""
+    for model in models:
+        if model.n_terms * samples.nv > len(samples):
+            continue
+        trial = cross_validate(samples, model, conditional_pca(samples, model)[1][:s])
+        # a Lambda that takes up the motion leaves little, explained or not: less must be left of what is there, too
+        shares = (one.held_out / null_energy(samples, one.fit) for one in (trial, best))
+        if trial.held_out < best.held_out and next(shares) < next(shares):
+            best = trial
+    return best
