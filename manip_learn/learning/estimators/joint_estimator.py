@@ -16,6 +16,7 @@ from manip_learn.learning.estimators.model_search import (
     CrossValidatedFit,
     cross_validate,
     has_enough,
+    is_better,
     null_energy,
     search_model,
 )
@@ -50,7 +51,8 @@ def estimate_joint(
         samples: What was recorded.
         n_constraints: Number of rows; found from the data by default.
         rng: For k-means and the random starts.
-        policy_model: `"auto"` (tries them all), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"` or `"rbf"`; or
+        policy_model: `"auto"` (tries them all), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"`, `"quartic"`,
+            `"quintic"` or `"rbf"`; or
             `"affine-offset"`: affine, with an offset per trajectory, where demonstrators rest in different postures.
         unexplained: Held-out share of the energy above which to give up before the expensive part.
         isotropic: Take the noise as equally strong in all joints, whatever the residual says: for a fit that goes on.
@@ -160,7 +162,7 @@ def _select_model(samples: Samples, models: list[PolicyModel], start: np.ndarray
     best = cross_validate(samples, models[0], start)
     for model in models[1:]:
         candidate = cross_validate(samples, model, start)
-        if candidate.held_out < WORTH * best.held_out:
+        if is_better(samples, candidate, best, WORTH):
             best = candidate
     return best
 

@@ -48,6 +48,15 @@ def cross_validate(samples: Samples, model: PolicyModel, start: np.ndarray) -> C
     return CrossValidatedFit(fit, float(costs.sum()), costs * len(costs))
 
 
+def is_better(samples: Samples, trial: CrossValidatedFit, best: CrossValidatedFit, factor: float) -> bool:
+    """Whether a fit costs less by a factor on left-out trajectories, and leaves less of the motion that there is.
+
+    A Lambda that takes up all motion leaves little, explained or not.
+    """
+    shares = [one.held_out / null_energy(samples, one.fit) for one in (trial, best)]
+    return trial.held_out < factor * best.held_out and shares[0] < shares[1]
+
+
 def has_enough(samples: Samples, s: int, model: PolicyModel) -> bool:
     """Whether there are two residuals for each parameter of a model, one fold left out."""
     return len(samples) * (samples.nv - s) * (1.0 - 1.0 / N_FOLDS) >= 2.0 * model.n_terms * samples.nv
@@ -68,7 +77,7 @@ def search_model(
     best, residuals = first, {first.fit.model.name: first.held_out / null_energy(samples, first.fit)}
     usable = [model for model in models if has_enough(samples, s, model)]
     folds = min(N_FOLDS, samples.n_trajectories)
-    if s == 0 or s == samples.n_rows or len(usable) < 2:
+    if s == 0 or len(usable) < 2:
         return best, residuals
     if best.held_out > POOR * null_energy(samples, best.fit):
         best = _fit_from_other_starts(samples, s, usable, best)
@@ -109,7 +118,7 @@ def _climb_exact_models(
             continue
         candidate = cross_validate(samples, model, best.fit.whitened_selection)
         residuals[model.name] = candidate.held_out / null_energy(samples, candidate.fit)
-        if candidate.held_out < WORTH * best.held_out:
+        if is_better(samples, candidate, best, WORTH):
             best = candidate
     return best, residuals
 
@@ -122,8 +131,6 @@ def _fit_from_other_starts(
         if model.n_terms * samples.nv > len(samples):
             continue
         trial = cross_validate(samples, model, conditional_pca(samples, model)[1][:s])
-        # a Lambda that takes up the motion leaves little, explained or not: less must be left of what is there, too
-        shares = (one.held_out / null_energy(samples, one.fit) for one in (trial, best))
-        if trial.held_out < best.held_out and next(shares) < next(shares):
+        if is_better(samples, trial, best, 1.0):
             best = trial
     return best
