@@ -77,15 +77,7 @@ def estimate_joint(
             "joints: record more trajectories, or name fewer axes",
             code="too-few-samples",
         )
-    table = _build_table(few, usable)
-    doubts: tuple[str, ...] = ()
-    if n_constraints is None:
-        table, doubts = drop_doubtful_rows(
-            table,
-            {k: v.folds / (few.nv - k) for k, v in usable.items()},
-            {k: v.held_out / null_energy(few, v.fit) for k, v in usable.items()},
-            NOTHING * few.energy,
-        )
+    table, doubts = _count_rows(few, usable) if n_constraints is None else (_build_table(few, usable), ())
     s = n_constraints or table.best
     chosen, residuals = search_model(few, s, models, usable[s])
     if policy_model == "auto" and chosen.held_out > POOR * null_energy(samples, chosen.fit):
@@ -170,6 +162,16 @@ def _select_model(samples: Samples, models: list[PolicyModel], start: np.ndarray
 def _choose_start_degree(samples: Samples) -> int:
     m = samples.q.shape[1]
     return 2 if len(samples) > 4 * (m + 1) * (m + 2) // 2 else 1 if len(samples) > 4 * (m + 1) else 0
+
+
+def _count_rows(samples: Samples, scan: dict[int, CrossValidatedFit]) -> tuple[GapTable, tuple[str, ...]]:
+    """The table with no more rows than the trajectories can tell, and a warning where these are fewer."""
+    return drop_doubtful_rows(
+        _build_table(samples, scan),
+        {s: one.folds / (samples.nv - s) for s, one in scan.items()},
+        {s: one.held_out / null_energy(samples, one.fit) for s, one in scan.items()},
+        NOTHING * samples.energy,
+    )
 
 
 def _build_table(samples: Samples, scan: dict[int, CrossValidatedFit]) -> GapTable:

@@ -95,7 +95,7 @@ def search_model(
         )
         if chosen.model.name != best.fit.model.name:
             trial = cross_validate(samples, chosen.model, best.fit.whitened_selection)
-            if not settled and trial.held_out >= best.held_out:
+            if not settled and not is_better(samples, trial, best, 1.0):
                 break
             best = trial
         if settled:
