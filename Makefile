@@ -1,6 +1,6 @@
 # Two commands are enough for a fresh machine with Python 3.11 or newer:
 #   make demo    learn from the shipped recordings, compare the policies, open the replay
-#   make test    what the continuous integration runs: lint, types, tests, examples
+#   make test    lint, types, tests, examples; .ci/run adds the documentation, the package and the lowest versions
 # Either makes .venv first if it is missing, and installs again when pyproject.toml has changed.
 
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
@@ -15,8 +15,10 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # two workers with one thread each: BLAS threads on these tiny matrices cost more than they bring
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
+# what touches other libraries: files in and out, robots, the command line, compiled code; pytest refuses a missing file
 QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli compiled_controller mjcf loading load_demonstrations \
-	playback playback_motion meshes rollout_file linalg axioms examples experiments)) $(wildcard tests/test_io_*_reader.py)
+	playback playback_motion meshes rollout_file linalg axioms examples experiments csv_reader lerobot_reader \
+	npz_reader robomimic_reader rosbag_reader))
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test lint types check lowest package docs bench fuzz proofs format clean distclean
@@ -69,7 +71,7 @@ format: $(VENV)/dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# what touches other libraries: files in and out, robots, the command line, compiled code, the demo
+# the demo and the quick tests at the lowest versions
 lowest: $(LOWEST)/made
 	$(LOWEST)/bin/manip-learn demo --no-browser --out $(LOWEST)/demo
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/python -m pytest -n 2 --dist worksteal --benchmark-disable \

@@ -2,9 +2,9 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn"]
 # ///
-"""Load a robot, look at its joints, and see how near a posture is to a singularity of a task.
+"""Load a robot, list its joints, and compute how close a posture is to a singularity of a task.
 
-Any URDF works: give a path instead of the name.
+Any URDF works: pass a path instead of a name.
 """
 
 import argparse

@@ -2,10 +2,10 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn"]
 # ///
-"""Read recordings, derive velocities, and see what was done to them.
+"""Read recordings, derive velocities, and list what was changed.
 
-A recording is a CSV file with a column `time` [s] and one column a joint [rad], or a ROS bag, or one of the other
-formats of the documentation.
+A recording is a CSV file with a column `time` [s] and one column per joint [rad], a ROS bag, or a file in one of the
+other formats described in the documentation.
 """
 
 import argparse

@@ -2,10 +2,10 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn"]
 # ///
-"""Learn which directions a task holds, from demonstrations of it, and look at the evidence.
+"""Learn which directions a task constrains, from demonstrations, and inspect the evidence.
 
-The shipped recordings are of a person who guides the arm's hand on a drawer. Nobody tells the learner how many
-directions the drawer holds, or which.
+The shipped recordings show a person guiding the hand of the arm on a drawer. The learner is not told how many
+directions the drawer constrains, or which.
 """
 
 import argparse
@@ -30,13 +30,13 @@ def main() -> None:
     print(learner.constraint_.selection.round(4))
     print("gap for each number of rows:", {s: round(g, 2) for s, g in learner.report_.gap_table.items()})
 
-    # a door holds the hand in its own frame: give both, and the one with the clearer evidence wins
+    # a door constrains the hand in the frame of the hand: of two references, the one with clearer evidence is selected
     demos = ml.load_demonstrations(RECORDINGS / "sawyer_door", robot)
     candidates = [ml.FrameJacobian(robot, "right_gripper_tip", "xyz", reference=r) for r in ("world", "local")]
     learner = ml.ConstraintLearner(candidates).fit(demos)
     print("door:", learner.report_)
 
-    # reaching: the demonstrator moves the held directions on purpose, and the learner finds that out
+    # reaching: the demonstrator moves along the constrained directions on purpose, which the learner detects
     robot = ml.load_robot("planar3")
     demos = ml.load_demonstrations(RECORDINGS / "planar3_reach", robot)
     learner = ml.ConstraintLearner(ml.FrameJacobian(robot, "tip", "planar")).fit(demos)

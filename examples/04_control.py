@@ -2,10 +2,10 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn"]
 # ///
-"""Do the learnt task, and stay away from its singularities.
+"""Perform the learnt task while staying away from its singularities.
 
-Three null-space policies from the same nearly singular start: nothing, a rest posture, and climbing the
-manipulability of the constraint that was learnt.
+Three null-space policies from the same nearly singular start: none, a rest posture, and the ascent of the
+manipulability of the learnt constraint.
 """
 
 import argparse
@@ -28,8 +28,8 @@ def main() -> None:
     features = ml.FrameJacobian(robot, frame="right_gripper_tip", axes="xyz", reference="world")
     constraint = ml.ConstraintLearner(features).fit(demos).constraint_
 
-    start = np.array([1.2, -1.57, 0, 0, 0, 0, 0])  # upright: the tip cannot go up or down
-    target = [0.6, 0.27, 0.35]  # a point on the drawer's rail; only the held directions count
+    start = np.array([1.2, -1.57, 0, 0, 0, 0, 0])  # upright: the tip cannot move up or down
+    target = [0.6, 0.27, 0.35]  # a point on the drawer's rail; only the constrained directions count
     policies = {
         "zero": ml.ZeroPolicy(robot.nv),
         "attractor": ml.JointAttractor(robot.neutral()),

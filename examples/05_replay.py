@@ -2,7 +2,7 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn"]
 # ///
-"""From recordings to a replay in the browser: the whole way in a few lines.
+"""From recordings to a replay in the browser in a few lines.
 
 The replay is one HTML file that needs no server and no network.
 """

@@ -71,10 +71,10 @@ def door_model(handle: np.ndarray, axes: Rotation) -> mujoco.MjModel:
 def record_one(number: int, robot: Robot) -> Recording:
     """Demonstration `number`, counted from 1; it depends on the seed and its number only.
 
-    A try in which the arm comes close to a limit, the door shuts or the handle is out of reach is done again.
+    An attempt in which the arm comes close to a limit, the door shuts or the handle is out of reach is repeated.
 
     Raises:
-        RuntimeError: 200 tries and none was good.
+        RuntimeError: None of 200 attempts was usable.
     """
     for attempt in range(200):
         rng = np.random.default_rng([SEED, number, attempt])

@@ -56,11 +56,11 @@ def drawer_model(handle: np.ndarray) -> mujoco.MjModel:
 def record_one(number: int, robot: Robot) -> Recording:
     """Demonstration `number`, counted from 1; it depends on the seed and its number only.
 
-    A try in which the arm comes close to a limit or the drawer shuts is done again, as a person would; so is one in
-    which the handle is out of reach.
+    An attempt in which the arm comes close to a limit, the drawer shuts or the handle is out of reach is repeated, as a
+    person would do.
 
     Raises:
-        RuntimeError: 50 tries and none was good.
+        RuntimeError: None of 50 attempts was usable.
     """
     for attempt in range(50):
         rng = np.random.default_rng([SEED, number, attempt])

@@ -2,7 +2,7 @@
 
     python examples/record_planar_reaching.py examples/data/planar3_reach
 
-These are no physics recordings. The controller's law is the point, so the data come from it: u = A^+ b + N pi with
+These recordings are not from a physics simulation: they are generated directly by the control law u = A^+ b + N pi with
 A the rows x, y of the tip's Jacobian, b = target - tip, and pi = (10, -10, 10) degrees - q, all gains 1.
 """
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         CustomFeatures,
         FeatureMap,
         FrameJacobian,
+        MechanismRows,
         RelativeFrameJacobian,
         Stacked,
     )
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
     from manip_learn.control.tasks import Hold, PointAttractor, Task, Track
     from manip_learn.errors import ManipLearnError
     from manip_learn.learning import ConstraintLearner
+    from manip_learn.learning.audit import audit_episodes
+    from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_mechanism
+    from manip_learn.learning.mechanisms.mechanism import Mechanism
     from manip_learn.playback import LiveViewer, replay
     from manip_learn.recordings import RecordingSource, iter_demonstrations, load_demonstrations
     from manip_learn.recordings.demonstrations import Demonstrations
@@ -66,6 +70,10 @@ _HOMES = {
     "JointAttractor": "control.policies",
     "LiveViewer": "playback",
     "ManipLearnError": "errors",
+    "Mechanism": "learning.mechanisms.mechanism",
+    "MechanismFit": "learning.mechanisms.find_mechanism",
+    "MechanismRows": "constraint.features",
+    "find_mechanism": "learning.mechanisms.find_mechanism",
     "ManipulabilityAscent": "control.policies",
     "NullSpacePolicy": "control.policies",
     "PointAttractor": "control.tasks",
@@ -79,6 +87,7 @@ _HOMES = {
     "Track": "control.tasks",
     "Trajectory": "recordings.trajectory",
     "ZeroPolicy": "control.policies",
+    "audit_episodes": "learning.audit",
     "derive_velocities": "recordings.velocities",
     "iter_demonstrations": "recordings",
     "load_demonstrations": "recordings",
@@ -108,6 +117,9 @@ __all__ = [
     "LiveViewer",
     "ManipLearnError",
     "ManipulabilityAscent",
+    "Mechanism",
+    "MechanismFit",
+    "MechanismRows",
     "NullSpacePolicy",
     "PointAttractor",
     "RecordingSource",
@@ -121,7 +133,9 @@ __all__ = [
     "Track",
     "Trajectory",
     "ZeroPolicy",
+    "audit_episodes",
     "derive_velocities",
+    "find_mechanism",
     "inspect_robot",
     "iter_demonstrations",
     "likely_tips",

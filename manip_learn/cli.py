@@ -11,7 +11,9 @@ from typing import Annotated, Any
 
 import typer
 
+from manip_learn.commands.arguments import ConstraintFile, Dask, Json, Lock, Packages, Recordings, RobotName
 from manip_learn.commands.output import console, finite, progress, waiting
+from manip_learn.commands.read_options import ReadOptions, takes_read_options
 from manip_learn.commands.vectors import joined_vectors, vector
 from manip_learn.errors import ManipLearnError
 
@@ -23,11 +25,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
-RobotName = Annotated[str, typer.Argument(metavar="ROBOT", help="A name (sawyer, planar3, panda, ...) or a URDF file.")]
-Lock = Annotated[list[str] | None, typer.Option("--lock", help="Joint to hold still; may be given several times.")]
-Packages = Annotated[list[str] | None, typer.Option("--package-dir", help="Folder that contains mesh packages.")]
 
 
 @app.command()
@@ -56,9 +53,10 @@ def inspect(robot: RobotName, lock: Lock = None, package_dir: Packages = None, a
 
 
 @app.command()
+@takes_read_options
 def learn(
     robot: RobotName,
-    recordings: Annotated[list[str], typer.Argument(metavar="RECORDING...", help="Files, or a folder of them.")],
+    recordings: Recordings,
     frame: Annotated[str | None, typer.Option(help="The frame that was guided, e.g. the tool's tip.")] = None,
     axes: Annotated[str, typer.Option(help="xyz, pose, planar, rotation, or any of 'x y z rx ry rz'.")] = "xyz",
     reference: Annotated[str, typer.Option(help="world, local, or auto (the larger gap).")] = "auto",
@@ -67,35 +65,22 @@ def learn(
     out: Annotated[Path | None, typer.Option(help="Constraint file to write (JSON).")] = None,
     lock: Lock = None,
     package_dir: Packages = None,
-    degrees: Annotated[bool, typer.Option("--degrees", help="The recordings are in degrees.")] = False,
-    units: Annotated[str | None, typer.Option(help="Of the recorded angles: radians, degrees or normalised.")] = None,
-    time_unit: Annotated[str | None, typer.Option(help="Of the time stamps: s, ms, us or ns.")] = None,
-    ignore_column: Annotated[list[str] | None, typer.Option(help="Column to ignore; repeatable.")] = None,
-    rename: Annotated[list[str] | None, typer.Option(help="NAME_IN_FILE=NAME_IN_ROBOT of a joint.")] = None,
-    joint_names: Annotated[str | None, typer.Option(help="Column names, in order, for files without names.")] = None,
-    topic: Annotated[list[str] | None, typer.Option(help="Topic of a bag; default: all that hold joints.")] = None,
-    rate: Annotated[float | None, typer.Option(help="Samples per second, for files without time stamps.")] = None,
-    outside_limits: Annotated[str | None, typer.Option(help="Samples far outside the limits: refuse or note.")] = None,
+    *,
+    options: ReadOptions,
+    phases: Annotated[
+        str, typer.Option(help="auto: find the stretches in which a constraint holds; off: take recordings as a whole.")
+    ] = "auto",
+    mechanism: Annotated[str, typer.Option(help="auto: say what holds the hand (hinge, line, ...); off.")] = "auto",
+    start: Annotated[float | None, typer.Option("--from", help="Leave out what was recorded before [s].")] = None,
+    until: Annotated[float | None, typer.Option(help="Leave out what was recorded after [s].")] = None,
     points: Annotated[int | None, typer.Option(help="Use at most this many samples of each trajectory.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap and of random starts.")] = 0,
-    dask: Annotated[str | None, typer.Option(help="Scheduler address, or local: learn on a dask cluster.")] = None,
+    dask: Dask = None,
     as_json: Json = False,
 ) -> None:
     """Learn a constraint from recordings and report it."""
     from manip_learn.commands.learn import learn as run
-    from manip_learn.commands.learn import read_options
 
-    options = read_options(
-        degrees=degrees,
-        units=units,
-        time_unit=time_unit,
-        ignore_column=ignore_column,
-        rename=rename,
-        joint_names=joint_names,
-        topic=topic,
-        rate=rate,
-        outside_limits=outside_limits,
-    )
     with progress(as_json) as report:
         learnt = run(
             robot,
@@ -110,6 +95,10 @@ def learn(
             package_dirs=package_dir,
             seed=seed,
             points=points,
+            phases=phases,
+            mechanism=mechanism,
+            start=start,
+            until=until,
             options=options,
             dask=dask,
             progress=report,
@@ -118,9 +107,39 @@ def learn(
 
 
 @app.command()
+@takes_read_options
+def audit(
+    robot: RobotName,
+    constraint: ConstraintFile,
+    recordings: Recordings,
+    csv: Annotated[Path | None, typer.Option(help="Table to write, one line per episode (CSV).")] = None,
+    package_dir: Packages = None,
+    *,
+    options: ReadOptions,
+    dask: Dask = None,
+    as_json: Json = False,
+) -> None:
+    """Judge recorded episodes by a constraint: rank them, and name those to leave out."""
+    from manip_learn.commands.audit import audit as run
+
+    with progress(as_json) as report:
+        audited = run(
+            robot,
+            constraint,
+            recordings,
+            csv=csv,
+            package_dirs=package_dir,
+            options=options,
+            dask=dask,
+            progress=report,
+        )
+    _answer(as_json, audited.to_dict(), "print_audit", audited)
+
+
+@app.command()
 def control(
     robot: RobotName,
-    constraint: Annotated[str, typer.Argument(metavar="CONSTRAINT.JSON", help="Written by `learn --out`.")],
+    constraint: ConstraintFile,
     start: Annotated[
         str | None, typer.Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the rest posture.")
     ] = None,
@@ -172,6 +191,9 @@ def replay(
     html: Annotated[Path, typer.Option(help="File to write.")] = Path("replay.html"),
     open_browser: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
     tip: Annotated[str | None, typer.Option(help="Frame whose path is drawn.")] = None,
+    constraint: Annotated[
+        Path | None, typer.Option(help="Constraint file: show the phases and the mechanism that were learnt with it.")
+    ] = None,
     package_dir: Packages = None,
     as_json: Json = False,
 ) -> None:
@@ -179,7 +201,15 @@ def replay(
     from manip_learn.commands.replay import replay as run
 
     with waiting(as_json, "writing the replay"):
-        page = run(robot, rollouts, html=html, open_browser=open_browser, tip=tip, package_dirs=package_dir)
+        page = run(
+            robot,
+            rollouts,
+            html=html,
+            open_browser=open_browser,
+            tip=tip,
+            package_dirs=package_dir,
+            constraint_file=constraint,
+        )
     answer = {"html": str(page.html), "bytes": page.bytes, "notes": list(page.notes)}
     if as_json:
         _answer(True, answer)

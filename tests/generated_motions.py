@@ -77,7 +77,7 @@ def random_posture(robot: Robot, rng: np.random.Generator, share: float = 0.5) -
 
 
 def smooth_drive(n: int, rng: np.random.Generator, speed: float = 0.6) -> Callable[[float], np.ndarray]:
-    """Sums of three slow sines a joint [rad/s]: what an operator's hand does to an arm."""
+    """Sums of three slow sines per joint [rad/s]: what an operator's hand does to an arm."""
     rate = 2 * np.pi * rng.uniform(0.1, 0.7, (3, n))
     phase = rng.uniform(0, 2 * np.pi, (3, n))
     size = speed * rng.uniform(0.3, 1.0, (3, n))

@@ -1,4 +1,4 @@
-"""Writes a corpus of bad and odd recordings, each with the verdict that must not change.
+"""Writes a corpus of malformed and unusual recordings, each with its expected verdict.
 
     python tests/recording_corpus.py FOLDER
 

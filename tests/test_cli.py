@@ -1,4 +1,4 @@
-"""The command line: answers, one JSON document, and one sentence with exit code 2 for whatever is wrong."""
+"""The command line: results, one JSON document, and one sentence with exit code 2 for any invalid input."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_playback import data_in
 
 from manip_learn.cli import main
 from manip_learn.commands.vectors import joined_vectors
@@ -86,8 +87,27 @@ def test_replay_writes_one_file(run, learnt):
     assert Path(answer["html"]).stat().st_size == answer["bytes"] < 3e6
 
 
+def test_replay_shows_what_was_learnt(run, learnt):
+    """With the constraint file, the page has the phases and the mechanism that were saved with the constraint."""
+    content = json.loads(learnt[0].read_text(encoding="utf-8"))
+    name = Path(DRAWER[0]).name
+    phases = [[name, 0.2, 1.0, None], [name, 1.0, 2.5, 0], ["not shown", 0.0, 1.0, 0]]
+    line = {"type": "line", "axis": [1, 0, 0], "point": [0.6, 0.2, 0.3], "sentence": "a line along (1.00, 0.00, 0.00)"}
+    content["provenance"] |= {"phases": phases, "mechanism": line}
+    Path("held.json").write_text(json.dumps(content), encoding="utf-8")
+    code, _, err = run("replay", "sawyer", DRAWER[0], "--constraint", "held.json", "--html", "a.html", "--json")
+    assert (code, err) == (0, "")
+    data = data_in(Path("a.html"))
+    assert data["robot"]["tip"] == "right_gripper_tip"
+    assert data["rollouts"][0]["phases"] == [[0.2, 1.0, -1], [1.0, 2.5, 0]]
+    assert [k["label"] for k in data["phaseKinds"]] == ["constraint 1: line", "free motion"]
+    assert data["mechanism"]["sentence"] == line["sentence"]
+    code, _, err = run("replay", "sawyer", DRAWER[1], "--constraint", "held.json", "--html", "b.html", "--json")
+    assert code == 2 and name in err and len(err.splitlines()) == 1
+
+
 def test_inspect_answers(run):
-    """Joints with their limits, frames, warnings, and a second opinion."""
+    """Joints with their limits, frames, warnings, and the comparison with yourdfpy."""
     code, out, err = run("inspect", "sawyer", "--json")
     answer = json.loads(out)
     assert code == 0, err
@@ -222,7 +242,7 @@ def test_vectors_may_be_written_with_spaces():
 
 
 def test_our_own_failure_is_no_traceback(run, monkeypatch):
-    """A bug of ours gives exit code 1 and a sentence."""
+    """An internal error gives exit code 1 and one sentence."""
 
     def broken(*_arguments, **_options):
         raise ZeroDivisionError("oh")

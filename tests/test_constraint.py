@@ -95,7 +95,7 @@ def test_files_of_another_robot(robot_of, features, tmp_path):
 
 
 def test_every_damaged_file_is_refused(robot_of, features, tmp_path):
-    """Each key missing or nonsense, cut-off text, other JSON: an error of this library that names the file."""
+    """A missing or invalid key, truncated text, other JSON: an error of this library that names the file."""
     path = Constraint(np.eye(6)[:2], features).save(tmp_path / "c.json")
     text, good = path.read_text(), json.loads(path.read_text())
     bad = ["", "{", "[]", "null", '"x"', text[: len(text) // 2], "[" * 5000]

@@ -90,8 +90,8 @@ def test_svd_survives_a_failing_lapack(monkeypatch: pytest.MonkeyPatch, rng: np.
     A = rng.normal(size=(2, 5))
     expected = np.linalg.svd(A)
     monkeypatch.setattr(linalg, "dgesdd", lambda A: (np.nan, np.nan, np.nan, 1))
-    for got, wanted in zip(linalg.svd(A), expected, strict=True):
-        np.testing.assert_array_equal(got, wanted)
+    for got, factor in zip(linalg.svd(A), expected, strict=True):
+        np.testing.assert_array_equal(got, factor)
 
 
 def test_value_and_vjp_of_selected_rows(robot_of: RobotOf, rng: np.random.Generator) -> None:
@@ -113,8 +113,8 @@ def test_value_and_vjp_of_selected_rows(robot_of: RobotOf, rng: np.random.Genera
             A, vjp = constraint.value_and_vjp(q)
             np.testing.assert_allclose(A, constraint(q), rtol=0, atol=1e-13)
             weights = rng.normal(size=A.shape)
-            wanted = np.einsum("ij,ijk->k", weights, constraint.derivative(q))
-            np.testing.assert_allclose(vjp(weights), wanted, rtol=0, atol=1e-12)
+            expected = np.einsum("ij,ijk->k", weights, constraint.derivative(q))
+            np.testing.assert_allclose(vjp(weights), expected, rtol=0, atol=1e-12)
 
 
 def test_bad_postures_are_still_refused(robot_of: RobotOf) -> None:

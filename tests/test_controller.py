@@ -63,8 +63,8 @@ def test_every_command_keeps_the_promises(robot_of, rng, name: str, inverse: str
         scale = max(1.0, float(np.linalg.norm(A)) * float(np.linalg.norm(command.null_part)))
         assert np.max(np.abs(A @ command.null_part)) <= 1e-12 * scale
         if command.smallest_singular_value > 0.05:
-            wanted = command.task_scale * command.task_velocity
-            np.testing.assert_allclose(A @ command.velocity, wanted, rtol=0, atol=1e-11 * max(1.0, size))
+            expected = command.task_scale * command.task_velocity
+            np.testing.assert_allclose(A @ command.velocity, expected, rtol=0, atol=1e-11 * max(1.0, size))
         low, high = bounds_of(robot, robot.positions(q), controller.dt)
         assert np.all(command.velocity <= high + 1e-9) and np.all(command.velocity >= low - 1e-9)
         assert command.status in tuple(Status)
@@ -145,7 +145,7 @@ def test_velocity_limits_keep_the_direction_of_the_task(robot_of, rng):
 @pytest.mark.parametrize("inverse", INVERSES)
 @pytest.mark.parametrize("name", ["planar3", "sawyer", "ur5", "panda"])
 def test_singular_postures_give_finite_commands_or_a_reason(robot_of, rng, name: str, inverse: str):
-    """Stretched arms, and postures within 1e-14 ... 1e-3 of them: finite and within limits, or refused in words."""
+    """Stretched arms, and postures within 1e-14 ... 1e-3 of them: finite and within limits, or an error."""
     robot = robot_of(name)
     axes = "x y" if name == "planar3" else "pose"
     features = FrameJacobian(robot, tip_of(name), axes)

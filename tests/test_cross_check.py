@@ -1,4 +1,4 @@
-"""The second opinion on forward kinematics."""
+"""Forward kinematics compared with an independent implementation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trajectories and demonstrations refuse what cannot be used, and never change under the caller's hands."""
+"""Trajectories and demonstrations reject invalid data and are immutable."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import pickle
 import numpy as np
 import pytest
 
+import manip_learn as ml
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -152,3 +153,31 @@ def test_demonstrations_travel():
     assert copy.notes == ("note",)
     with pytest.raises(ValueError, match="read-only"):
         copy[0].q[0, 0] = 1.0
+
+
+def test_a_trajectory_is_cut_by_time():
+    """`trajectory[a:b]` keeps the samples from a to b on the recording's own clock; an empty span is refused."""
+    t = Trajectory(np.arange(100) * 0.1 + 5.0, np.zeros((100, 2)), None, ("a", "b"), "demo")
+    part = t[6.0:7.0]
+    assert part.time[0] == pytest.approx(6.0) and part.time[-1] == pytest.approx(7.0) and part.name == "demo"
+    assert len(t[:6.0]) == 11 and len(t[14.0:]) == 10
+    with pytest.raises(RecordingError, match=r"no sample lies between 100 s .* runs from 5 s to 14.9 s"):
+        t[100.0:]
+    with pytest.raises(RecordingError, match="span of time"):
+        t[3]  # type: ignore[index]
+
+
+def test_joint_names_are_those_of_the_robot_where_none_are_given():
+    """Positions alone make a trajectory; a learner takes its columns to be the robot's joints, in order."""
+    robot = ml.load_robot("planar3")
+    rng = np.random.default_rng(3)
+    time = np.arange(60) * 0.05
+    swing = rng.standard_normal((3, 3))
+    motions = [np.sin(np.outer(time, [0.7, 1.1, 1.3]) + 0.3 * i) @ swing * 0.3 + 0.5 for i in range(6)]
+    unnamed = [ml.Trajectory(time, q) for q in motions]
+    named = [ml.Trajectory(time, q, None, robot.joint_names) for q in motions]
+    features = ml.FrameJacobian(robot, "tip", "x y rz")
+    answers = [
+        ml.ConstraintLearner(features, 1, "null-space").fit(demos).constraint_.selection for demos in (unnamed, named)
+    ]
+    np.testing.assert_array_equal(*answers)

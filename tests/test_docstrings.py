@@ -73,7 +73,7 @@ def test_public_things_begin_with_a_sentence():
 
 
 def test_errors_named_under_raises_exist():
-    """`Raises:` names errors of ours, or Python's own."""
+    """`Raises:` names errors of this library, or Python's built-in ones."""
     faults = []
     for where, source, node in everything_public():
         named = section_entries(node, "Raises")

@@ -104,7 +104,7 @@ def test_interrupted_run_keeps_and_uses_its_parts(tmp_path):
 
 
 def test_parts_depend_on_their_settings(tmp_path):
-    """Other settings, another seed or a damaged file are never answered from the folder."""
+    """With other settings, another seed or a damaged file, stored results are not reused."""
     runner = TrialRunner(1, store=PartStore(tmp_path))
     a = runner.map("dice", throw, [Dice(10**9)], 2, seed=0)
     assert runner.map("dice", throw, [Dice(10**9)], 2, seed=1) != a
@@ -115,7 +115,7 @@ def test_parts_depend_on_their_settings(tmp_path):
 
 
 def test_folder_with_other_files_is_refused(tmp_path):
-    """A folder with a stranger's files is left alone, with a sentence; an empty one and one of ours are fine."""
+    """A folder with foreign files is left untouched, with an error; an empty one and earlier results are fine."""
     PartStore(tmp_path / "new" / "deep")
     PartStore(tmp_path / "new" / "deep")
     (tmp_path / "thesis.docx").write_text("mine")

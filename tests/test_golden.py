@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def test_results_are_those_that_were_written_down():
-    """Learning, kinematics, commands, rollouts and the command line give the stored numbers, whatever moved inside."""
+    """Learning, kinematics, commands, rollouts and the command line give the stored numbers."""
     # another Python, as a user's: here the library was imported with its shapes checked, several times as slow
     script = [sys.executable, str(ROOT / "tests" / "golden" / "make_golden.py"), "--check"]
     ran = subprocess.run(

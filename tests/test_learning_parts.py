@@ -65,7 +65,7 @@ def test_null_space_cost_is_equation_10():
 
 
 def test_joint_fit_is_an_optimum(reaching):
-    """No small turn of Lambda lowers the cost, however the policy follows; the trajectories' gradients cancel."""
+    """No small rotation of Lambda lowers the cost, with the policy refitted; the gradients sum to zero."""
     samples, truth = reaching
     model = PolynomialModel(1, 3)
     fit = fit_joint(samples, truth.selection @ np.linalg.pinv(samples.whitening), model)

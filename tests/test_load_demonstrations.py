@@ -176,7 +176,7 @@ def test_natural_order() -> None:
 
 
 def test_shipped_recordings_load(planar3: Robot) -> None:
-    """The recordings in examples/data are accepted without a word."""
+    """The recordings in examples/data are accepted without any note."""
     data = Path(__file__).resolve().parents[1] / "examples" / "data"
     for name, robot in (("planar3_reach", planar3), ("sawyer_drawer", load_robot("sawyer"))):
         demos = load_demonstrations(data / name, robot)

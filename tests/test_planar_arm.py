@@ -102,7 +102,7 @@ def test_an_awkward_name_is_escaped() -> None:
     ],
 )
 def test_lengths_that_make_no_arm_are_refused(lengths: object) -> None:
-    """No link, or a length that is no positive number, is an error of ours."""
+    """No link, or a length that is not a positive number, is an error of this library."""
     with pytest.raises(RobotError) as error:
         planar_arm_urdf(lengths)  # type: ignore[arg-type]
     assert error.value.code == "lengths"

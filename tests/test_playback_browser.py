@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ pytestmark = pytest.mark.browser
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-POSES = 1e-9  # wanted is 1e-6; the page computes in double precision
+POSES = 1e-9  # 1e-6 is required; the page computes in double precision
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +80,7 @@ def links_of(robot):
 
 @pytest.mark.parametrize("robot_name", ["planar3", "sawyer", "wrist", "humanoid", "rover", "mimic", "panda"])
 def test_links_are_where_kinematics_puts_them(robot_of, tmp_path, opened, robot_name):
-    """At key frames every link of every rollout is drawn within 1e-9 of forward kinematics (1e-6 is wanted)."""
+    """At key frames every link of every rollout is drawn within 1e-9 of forward kinematics (1e-6 is required)."""
     robot = robot_of(robot_name)
     rollouts = {"one": waving(robot), "two": waving(robot, phase=1.0)}
     page = opened(replay(robot, rollouts, tmp_path / "a.html").html.as_uri())
@@ -275,6 +276,135 @@ def test_curves_can_be_absent(robot_of, tmp_path, opened):
     page = opened(replay(robot, demo, tmp_path / "a.html").html.as_uri())
     assert not page.locator("#panel").is_visible()
     assert page.locator("#scene canvas").is_visible()
+
+
+PHASES = [("a", 0.5, 1.0, None), ("a", 1.0, 3.0, 0), ("a", 3.0, 3.5, 1), ("b", 0.0, 2.0, 1)]
+
+
+def phased_page(robot, folder, opened, **more):
+    """Two recordings of 4 s and 2 s with phases, opened."""
+    recordings = {"a": waving(robot, 4.0).trajectory("a"), "b": waving(robot, 2.0, phase=1.0).trajectory("b")}
+    return opened(replay(robot, recordings, folder / "a.html", phases=PHASES, **more).html.as_uri())
+
+
+def test_phases_are_bands_at_their_times(robot_of, tmp_path, opened):
+    """Each phase is a band from its start to its end on the chart's own axis, in the colour of the legend."""
+    page = phased_page(robot_of("planar3"), tmp_path, opened)
+    colours = dict(zip(["constraint 1", "constraint 2", "free motion"], ["#0072b2", "#d55e00", "#98a3ae"], strict=True))
+    bars = page.evaluate(
+        """() => [...document.querySelectorAll("#chart .bands rect")].map(r => {
+            const box = r.getBoundingClientRect();
+            return [box.left, box.right, r.getAttribute("fill"), r.querySelector("title").textContent];
+        })"""
+    )
+    expected = ["free motion", "constraint 1", "constraint 2", "constraint 2"]
+    assert len(bars) == len(PHASES)
+    for (left, right, fill, title), (name, start, end, _), label in zip(bars, PHASES, expected, strict=True):
+        assert (fill, title) == (colours[label], f"{name}: {label}, {start:.2f} s to {end:.2f} s")
+        for x, t in ((left, start), (right, end)):
+            page.evaluate("t => manipLearn.seek(t)", t)
+            cursor = page.locator("#chart line[stroke-width='1.5']").bounding_box()
+            assert x == pytest.approx(cursor["x"] + cursor["width"] / 2, abs=1.5)
+    key = page.locator("#status-key span").all_inner_texts()
+    assert [text.strip().split("\n")[-1] for text in key] == [*colours, "not classified"]
+    assert page.locator("#panel-title").inner_text() == "Phases"
+    assert not page.locator("#log").is_visible()
+
+
+def test_band_has_its_colour_on_the_screen(robot_of, tmp_path, opened):
+    """What is seen at the middle of a band and of the slider's band is the constraint's colour, in a screenshot."""
+    page = phased_page(robot_of("planar3"), tmp_path, opened)
+    for place in ("#chart .bands rect", "#scrub-bands rect"):
+        box = page.locator(place).nth(1).bounding_box()
+        assert pixel(page, box["x"] + box["width"] * 0.6, box["y"] + box["height"] / 2) == (0x00, 0x72, 0xB2)
+
+
+def pixel(page, x, y):
+    """Colour of one pixel of a screenshot, decoded by the browser."""
+    shot = page.screenshot(clip={"x": int(x), "y": int(y), "width": 1, "height": 1})
+    return tuple(decoded(shot))
+
+
+def decoded(png):
+    """The first pixel of a PNG of 8-bit RGB or RGBA: after its filter byte, which changes nothing in a first pixel."""
+    data, at = b"", 8
+    while at < len(png):
+        length = int.from_bytes(png[at : at + 4], "big")
+        if png[at + 4 : at + 8] == b"IDAT":
+            data += png[at + 8 : at + 8 + length]
+        at += 12 + length
+    return zlib.decompress(data)[1:4]
+
+
+def test_phase_is_named_while_playing(robot_of, tmp_path, opened):
+    """The phase at the cursor is named for the solid recording, and for each in the legend; none after the end."""
+    page = phased_page(robot_of("planar3"), tmp_path, opened)
+    expected = [
+        (0.2, "not classified", "constraint 2"),
+        (0.7, "free motion", "constraint 2"),
+        (1.0, "constraint 1", "constraint 2"),
+        (3.2, "constraint 2", "ended at 2.00 s"),
+    ]
+    for t, first, second in expected:
+        page.evaluate("t => manipLearn.seek(t)", t)
+        assert page.locator("#phase").inner_text() == f"a: {first}"
+        assert page.locator("#legend .state").all_inner_texts() == [first, second]
+    page.evaluate("manipLearn.seek(0.5)")
+    page.locator("#legend .pick").nth(1).click()
+    assert page.locator("#phase").inner_text() == "b: constraint 2"
+    assert page.locator("#scrub-bands rect").count() == 1
+
+
+def test_slider_bands_are_where_the_thumb_is(robot_of, tmp_path, opened):
+    """A click on the slider at the edge of a band moves the replay to the time of that edge."""
+    page = phased_page(robot_of("planar3"), tmp_path, opened)
+    band, slider = page.locator("#scrub-bands rect").nth(1).bounding_box(), page.locator("#scrub").bounding_box()
+    page.mouse.click(band["x"], slider["y"] + slider["height"] / 2)
+    assert page.evaluate("manipLearn.time") == pytest.approx(1.0, abs=0.03)
+
+
+def test_mechanism_is_drawn_and_told(robot_of, tmp_path, opened):
+    """The mechanism changes the picture, and its words are in the legend as text."""
+    hinge = {"type": "hinge", "axis": [0, 0, 1], "point": [0.5, 0.5, 0.1], "radius": 0.6, "sentence": f"a hinge {EVIL}"}
+    robot = robot_of("planar3")
+
+    def picture(page):
+        page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        return page.locator("#scene canvas").screenshot(style="#legend, #notes { visibility: hidden }")
+
+    without = picture(phased_page(robot, tmp_path, opened))
+    page = phased_page(robot, tmp_path, opened, mechanism=hinge)
+    assert picture(page) != without
+    assert page.locator("#mechanism").inner_text() == f"Mechanism: a hinge {EVIL}"
+    assert page.locator("#phase").inner_text() == "a: not classified"
+    assert "constraint 1: hinge" in page.locator("#status-key").inner_text()
+    assert page.locator("img").count() == 0 and page.evaluate("window.hacked") is None
+
+
+def test_hostile_names_of_recordings_with_phases(robot_of, tmp_path, opened):
+    """Markup in a recording's name is text in the bands, in the phase and in the tooltips."""
+    robot = robot_of("planar3")
+    recording = waving(robot).trajectory(EVIL)
+    page = opened(replay(robot, {EVIL: recording}, tmp_path / "a.html", phases=[(EVIL, 0.0, 2.0, 0)]).html.as_uri())
+    assert page.locator("#phase").inner_text() == f"{EVIL}: constraint 1"
+    titles = page.locator("#chart .bands title").all_text_contents()
+    assert titles == [EVIL, f"{EVIL}: constraint 1, 0.00 s to 2.00 s"]
+    assert page.locator("img").count() == 0 and page.evaluate("window.hacked") is None
+
+
+def test_many_bands_fit(robot_of, tmp_path, opened):
+    """Sixty recordings with phases leave every control inside the window, and the picked one has its band."""
+    robot = robot_of("planar3")
+    crowd = {f"recording number {i}": waving(robot, phase=0.1 * i).trajectory() for i in range(60)}
+    phases = [(name, 0.5, 1.5, i % 9) for i, name in enumerate(crowd)]
+    page = opened(replay(robot, crowd, tmp_path / "a.html", phases=phases).html.as_uri(), 800, 600)
+    assert page.evaluate("document.documentElement.scrollHeight") <= 600
+    for selector in ("#chart", "#play", "#scrub", "#speed", "#phase"):
+        box = page.locator(selector).bounding_box()
+        assert box["y"] + box["height"] <= 600 and box["x"] + box["width"] <= 800, selector
+    page.locator("#legend .pick").nth(59).click()
+    titles = page.locator("#chart .bands rect title").all_text_contents()
+    assert any(title.startswith("recording number 59:") for title in titles)
 
 
 def test_live_view_follows(robot_of, opened):

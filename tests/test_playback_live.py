@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import json
 import os
+import select
 import signal
 import socket
 import subprocess
@@ -78,7 +79,7 @@ def test_page_and_stream(viewer):
     connection.close()
 
 
-def test_strangers_are_refused(viewer):
+def test_other_hosts_and_addresses_are_refused(viewer):
     """Another host name (DNS rebinding), a wrong address and other methods get nothing of the page."""
     port = urlsplit(viewer.url).port
     for host in ("evil.example", f"evil.example:{port}", "127.0.0.1", f"127.0.0.1:{port + 1}", f"[::1]:{port}"):
@@ -104,27 +105,30 @@ def test_only_this_machine_can_connect(viewer):
         pass
 
 
-def test_show_does_not_wait(robot_of):
-    """Showing takes microseconds, even when the server is frozen and reads nothing; closing then takes seconds."""
+def is_full(pipe):
+    """True if a write to a pipe would wait."""
+    return select.select([], [pipe], [], 0.0)[1] == []
+
+
+@pytest.mark.timeout(60)  # a call that waits for the frozen server never returns
+def test_show_does_not_wait(robot_of, monkeypatch):
+    """Showing returns even when the server is frozen and its pipe is full; closing then ends the server."""
+    monkeypatch.setattr(live_viewer, "FRAMES_PER_SECOND", 1e5)
     robot = robot_of("sawyer")
     viewer = LiveViewer(robot, open_browser=False)
-    os.kill(server_pid(viewer), signal.SIGSTOP)
-    q, times = robot.neutral(), []
-    for _ in range(3000):
-        start = time.perf_counter()
+    pid, pipe = server_pid(viewer), viewer._process._process.stdin
+    os.kill(pid, signal.SIGSTOP)
+    q = robot.neutral()
+    while not is_full(pipe):
         viewer.show(q, manipulability=0.1)
-        times.append(time.perf_counter() - start)
-        time.sleep(0.0003)
-    assert np.median(times) < 1e-3
-    assert np.quantile(times, 0.95) < 5e-3  # the rest belongs to whoever shares this machine
-    assert max(times) < 1.0
-    pid, start = server_pid(viewer), time.monotonic()
+    for _ in range(1000):
+        viewer.show(q, manipulability=0.1)
+    assert is_full(pipe) and viewer.is_open
     viewer.close()
-    assert time.monotonic() - start < 8.0
     assert is_gone(pid)
 
 
-def test_dead_server_disturbs_nobody(viewer):
+def test_dead_server_does_not_stop_the_program(viewer):
     """When the server dies the program goes on; showing and closing raise nothing."""
     os.kill(server_pid(viewer), signal.SIGKILL)
     for _ in range(20):
@@ -182,7 +186,7 @@ def test_server_ends_with_the_program(then):
 
 
 def test_many_page_loads_do_no_harm(viewer):
-    """Hundreds of page loads, and streams that nobody reads, leave the server answering."""
+    """Hundreds of page loads, and streams that are not read, leave the server responsive."""
     idle = [request(viewer.url, urlsplit(viewer.url).path + "events")[0] for _ in range(10)]
     for _ in range(600):
         assert answer(viewer.url, path="/x")[0] == 404

@@ -13,7 +13,7 @@ from manip_learn.errors import ConfigurationError, TargetError
 
 
 def test_zero_policy():
-    """It wants nothing, and nobody can make it want something."""
+    """It is zero at every posture and time, and its array cannot be modified."""
     policy = ZeroPolicy(4)
     np.testing.assert_array_equal(policy(np.ones(4)), np.zeros(4))
     with pytest.raises(ValueError, match="read-only"):

@@ -1,4 +1,4 @@
-"""Every bad or odd recording of the corpus gets its frozen verdict: no traceback, no hang, no silence."""
+"""Every malformed or unusual recording of the corpus gets its expected verdict: no traceback, no hang."""
 
 from __future__ import annotations
 

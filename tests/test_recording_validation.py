@@ -1,4 +1,4 @@
-"""The doctor: faults are found by limits and slopes and named; real data pass; everything done is told."""
+"""Validation: faults are detected by limits and slopes and named; real data pass; every change is reported."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def test_useless_velocities_are_a_note(sawyer: Robot, rng, tmp_path: Path) -> No
 
 
 def test_slopes_survive_jitter_noise_and_gaps(sawyer: Robot, rng) -> None:
-    """The slope of a good recording is 1 within 5 % for every joint, whatever the stamps do."""
+    """The slope of a good recording is 1 within 5 % for every joint, with irregular time stamps."""
     time, q, u = guided(sawyer, rng)
     time[200:] += 30.0
     q[200:] = q[200:] + 0.5
@@ -153,7 +153,7 @@ def test_slow_stamps_are_taken_for_milliseconds(sawyer: Robot, rng, tmp_path: Pa
 
 
 def test_a_little_beyond_the_limits_is_a_note(sawyer: Robot, rng, tmp_path: Path) -> None:
-    """Two degrees are calibration: kept, and said. Twelve are another fault, unless the caller knows better."""
+    """An excess of two degrees is accepted with a note; twelve degrees are rejected, unless the caller allows it."""
     time, q, u = guided(sawyer, rng)
     q[:, 0] += sawyer.position_upper[0] + 0.035 - q[:, 0].max()
     demos = load(sawyer, tmp_path, time, q, u)

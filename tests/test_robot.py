@@ -63,7 +63,7 @@ def test_every_frame_and_joint_can_be_asked_for(robot_of, name):
 
 @pytest.mark.parametrize("wrong", ["", "tipp", "universe", "TIP", None, 3, "tip\x00", "a" * 10000])
 def test_unknown_names_never_reach_pinocchio(robot_of, wrong):
-    """Any other name, or no name at all, is an error of ours (Pinocchio would read foreign memory)."""
+    """Any other name, or none, is an error of this library (Pinocchio would read out of bounds)."""
     robot = robot_of("gantry")
     with pytest.raises(UnknownNameError):
         robot.frame(wrong)
@@ -73,7 +73,7 @@ def test_unknown_names_never_reach_pinocchio(robot_of, wrong):
 
 @pytest.mark.parametrize("name", ["one", "planar3", "wrist", "humanoid", "mimic"])
 def test_wrong_postures_are_refused(robot_of, name):
-    """Wrong sizes, NaN, infinity, text and nothing are refused wherever a posture or a velocity is taken."""
+    """Wrong sizes, NaN, infinity, text and None are rejected wherever a posture or a velocity is an argument."""
     robot = robot_of(name)
     frame = robot.frame(tip_of(name))
     n = robot.nv
@@ -212,7 +212,7 @@ def test_closed_form_hessian(robot_of, rng, name, reference):
 
 
 def test_mimic_joint_is_no_degree_of_freedom(robot_of):
-    """The follower has no place in the posture, moves as it is told, and its part of the motion is its leader's."""
+    """The follower is not part of the posture, is driven by its leader, and its motion counts as its leader's."""
     robot = robot_of("mimic")
     assert robot.joint_names == ("joint0", "joint1", "joint3")
     assert [(m.joint, m.leader, m.multiplier, m.offset) for m in robot.mimics] == [("joint2", "joint0", -0.7, 0.2)]

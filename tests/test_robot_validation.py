@@ -24,8 +24,8 @@ def refusal(content: bytes) -> RobotError:
     return caught.value
 
 
-def test_a_refusal_says_what_where_seen_wanted_and_fix():
-    """File, line, joint, value seen, value wanted and fix are all in the sentence; code, path and line beside it."""
+def test_an_error_says_what_where_found_expected_and_remedy():
+    """The message has file, line, joint, value found, value expected and remedy; the error has code, path and line."""
     error = refusal(edited(('lower="-2" upper="2.5"', 'lower="-180" upper="90"')))
     assert (error.code, error.path, error.line) == ("limit-degrees", PATH, 11)
     sentence = str(error)
@@ -81,7 +81,7 @@ def test_what_the_c_library_says_is_kept(monkeypatch):
 
 
 def test_what_the_c_library_says_is_in_the_error(monkeypatch, capfd):
-    """The reason of a refusal by Pinocchio is told, which its exception does not do."""
+    """The error gives Pinocchio's reason for rejecting a file, which its exception does not contain."""
 
     def failing(*arguments):
         import os
@@ -107,7 +107,7 @@ def test_a_model_that_lost_something_is_refused(monkeypatch):
 
 
 def test_warnings_have_an_end():
-    """A file full of oddities gives a hundred sentences and the number of the rest, at once."""
+    """A file with very many oddities gives a hundred warnings and the number of the others."""
     junk = "".join(f"<x{i}/>" for i in range(100_000))
     warnings = validate_urdf(edited(('<link name="base"/>', f'<link name="base">{junk}</link>')), PATH).warnings
     assert len(warnings) == 101 and warnings[-1] == "99900 more warnings are left out"

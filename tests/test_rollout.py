@@ -131,7 +131,7 @@ def test_evidence_of_a_rollout(robot_of, rng):
 
 
 def test_files(robot_of, rng, tmp_path):
-    """A rollout comes back from its file to the last bit; what is no rollout is refused in words."""
+    """A rollout comes back from its file to the last bit; what is not a rollout is rejected with a reason."""
     robot = robot_of("wrist")
     controller = reaching(robot, "tip", "xyz", [0.4, 0.2, 0.4])
     rollout = simulate(robot, controller, robot.random_configuration(rng), 0.1, 0.01)

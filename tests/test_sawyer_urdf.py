@@ -82,7 +82,7 @@ def test_limits_are_those_of_the_source(model: pin.Model) -> None:
 
 
 def test_masses_are_those_of_the_source_and_physical() -> None:
-    """Masses and centres of mass equal the table; every inertia belongs to a possible body."""
+    """Masses and centres of mass equal the table; every inertia is physically possible."""
     root = ElementTree.parse(URDF).getroot()
     links = {link.get("name"): link.find("inertial") for link in root.iter("link")}
     for name, (mass, centre) in INERTIAS.items():
@@ -114,6 +114,6 @@ def test_there_are_primitive_visuals_and_no_meshes() -> None:
 
 
 def test_the_source_and_its_licence_are_named_in_the_file() -> None:
-    """Whoever finds the file alone learns where its numbers come from."""
+    """The file itself states where its numbers come from."""
     text = URDF.read_text()
     assert "RethinkRobotics/sawyer_robot at 2fe61d91" in text and "Apache License, Version 2.0" in text

@@ -128,7 +128,7 @@ def test_constant_of_each_trajectory(rng):
 
 @pytest.mark.parametrize("rows", ["x y", "x rz", "y rz"])
 def test_demonstrators_with_postures_of_their_own(rng, rows):
-    """Each demonstrator rests elsewhere: told so or not, the learner finds the exact rows, and how many."""
+    """Each demonstrator has another rest posture: told so or not, the learner finds the exact rows and their number."""
     setup = Setup(rows, trajectories=40, policy="own")
     Lambda = setup.selection(rng)
     demos = demonstrate(setup, Lambda, rng)
@@ -139,7 +139,7 @@ def test_demonstrators_with_postures_of_their_own(rng, rows):
 
 
 def test_offsets_are_not_seen_where_there_are_none(rng):
-    """Noise, or a policy that is no polynomial, is not mistaken for demonstrators' own postures."""
+    """Noise, or a policy that is not a polynomial, is not mistaken for individual rest postures."""
     for setup in (Setup("x rz", noise=0.1), Setup("x y", policy="sinusoidal"), Setup("y rz", trajectories=20)):
         demos = demonstrate(setup, setup.selection(rng), rng)
         learner = ConstraintLearner(planar_features(), estimator="joint").fit(demos)

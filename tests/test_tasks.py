@@ -25,7 +25,7 @@ def test_hold(constraint, rng):
 
 
 def test_three_forms_of_a_target(constraint, robot_of, rng):
-    """All rows of the features, one number a constrained row, or a pose: the same displacement."""
+    """All rows of the features, one number per constrained row, or a pose: the same displacement."""
     q, goal = rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 7)
     robot, features = robot_of("sawyer"), constraint.features
     point = features.coordinates(goal)

@@ -91,7 +91,7 @@ def test_polynomials_on_uneven_stamps_are_exact():
 
 
 def test_uneven_stamps_do_not_spoil_the_choice():
-    """Jitter of the time stamps is known and does no harm; stamps since 1970 neither."""
+    """Neither jitter of the time stamps nor Unix time degrades the result."""
     true, noisy, _ = recorded(4, 1e-4)
     even = error_of(true[0], derive_velocities(noisy[0], ROBOT))
     later = derive_velocities(Trajectory(noisy[0].time + 1.7e9, noisy[0].q, None, ROBOT.joint_names), ROBOT)

@@ -1,4 +1,4 @@
-"""Loads cases in a process of its own: one JSON line `{"case", "verdict", "seconds", "megabytes"}` each.
+"""Loads cases in a process of its own: one JSON line `{"case", "verdict", "megabytes"}` each.
 
 `python tests/urdf_corpus_child.py FOLDER FIRST LAST` takes cases FIRST ... LAST - 1 of the corpus. An alarm ends a case
 that hangs, and the process with it.
@@ -10,7 +10,6 @@ import json
 import os
 import signal
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,7 @@ from manip_learn.robot.visuals.mesh_reader import read_meshes
 from manip_learn.robot.visuals.visual_elements import MeshElement, visual_elements
 from manip_learn.robot.visuals.visual_shapes import visual_shapes
 
-SECONDS = 5
+SECONDS = 30  # a hang, not a measurement: a neighbour may have the processor
 
 
 def verdict(case: Case, folder: Path) -> str:
@@ -79,15 +78,13 @@ def main() -> None:
         folder = root / str(index)
         folder.mkdir()
         signal.alarm(SECONDS)
-        start = time.perf_counter()
         try:
             answer = verdict(case, folder)
         except (ManipLearnError, ArithmeticError, ValueError, TypeError, KeyError, OSError, RuntimeError) as error:
             answer = f"{type(error).__name__}: {error}"
         signal.alarm(0)
         megabytes = peak_megabytes()
-        seconds = time.perf_counter() - start
-        print(json.dumps({"case": index, "verdict": answer, "seconds": seconds, "megabytes": megabytes}), flush=True)
+        print(json.dumps({"case": index, "verdict": answer, "megabytes": megabytes}), flush=True)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from manip_learn.errors import ManipLearnError, RobotError
 from manip_learn.robot.loading import robot_from_text
 from manip_learn.robot.visuals.visual_shapes import visual_shapes
 
-SECONDS_EACH = 5
+SECONDS_EACH = 30  # a hang, not a measurement: a neighbour may have the processor
 
 
 def outcome(content: bytes, rng: np.random.Generator) -> str:
@@ -46,24 +46,21 @@ def main() -> None:
     rng, end = np.random.default_rng(first), time.monotonic() + seconds
     seen: Counter[str] = Counter()
     faults: list[str] = []
-    slowest = 0.0
     for seed in range(first, last):
         if time.monotonic() > end:
             break
         sys.stdout.write(f"{seed}\n")
         sys.stdout.flush()
         signal.alarm(SECONDS_EACH)
-        start = time.perf_counter()
         try:
             seen[outcome(mutant(seed), rng)] += 1
         except ManipLearnError as error:
             faults.append(f"{seed}: {type(error).__name__} after loading: {error}")
         except (ArithmeticError, ValueError, TypeError, KeyError, IndexError, AttributeError, RuntimeError) as error:
             faults.append(f"{seed}: {type(error).__name__}: {error}")
-        slowest = max(slowest, time.perf_counter() - start)
         signal.alarm(0)
     megabytes = peak_megabytes()
-    print(json.dumps({"seen": seen, "faults": faults, "slowest": slowest, "megabytes": megabytes}))
+    print(json.dumps({"seen": seen, "faults": faults, "megabytes": megabytes}))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""One CSV file a demonstration."""
+"""One CSV file per demonstration."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def write_csv(
     columns: Mapping[str, Float[np.ndarray, " T"]],
     decimals: int = DECIMALS,
 ) -> None:
-    """One row a sample: time [s] with 2 decimals, then the columns with a fixed number of decimals."""
+    """One row per sample: time [s] with 2 decimals, then the columns with a fixed number of decimals."""
     lines = [",".join(["time", *columns])]
     rows = np.column_stack(list(columns.values()))
     lines += [f"{t:.2f}," + ",".join(f"{x:.{decimals}f}" for x in row) for t, row in zip(time, rows, strict=True)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -10,14 +9,14 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_learn.commands.robot_loading import load_for_joints
+from manip_learn.commands.robot_loading import robot_of_constraint
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.control.rollout import Progress, Rollout, simulate
 from manip_learn.control.tasks import Hold, PointAttractor, Task
-from manip_learn.errors import ConstraintMismatchError, ManipLearnError, TargetError, UnknownNameError
-from manip_learn.robot import Robot, load_robot
+from manip_learn.errors import ManipLearnError, TargetError
+from manip_learn.robot import Robot
 
 POLICIES = ("manipulability", "zero", "attractor")
 
@@ -98,28 +97,6 @@ def control(
     rollout = simulate(robot, controller, q0, duration, dt, progress=progress)
     written = rollout.save(out) if out is not None else None
     return Controlled(rollout, written, tolerance)
-
-
-def robot_of_constraint(robot_name: str, constraint_file: str, package_dirs: list[str]) -> Robot:
-    """The robot with the joints locked that were locked when the constraint was learnt.
-
-    Raises:
-        ConstraintMismatchError: The constraint was learnt on another robot.
-    """
-    try:
-        described = json.loads(Path(constraint_file).read_bytes()).get("robot") or {}
-        joints, locked = list(described["joint_names"]), dict(described.get("locked", {}))
-    except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError):
-        return load_robot(robot_name, package_dirs)  # Constraint.load says what is wrong with the file
-    try:
-        return load_for_joints(robot_name, joints, locked, package_dirs)
-    except UnknownNameError as error:
-        if error.kind != "joint":
-            raise
-        raise ConstraintMismatchError(
-            f"{constraint_file} was made for robot {described.get('name')!r} with the joints "
-            f"{', '.join(map(str, joints))}, {robot_name!r} lacks {error.name!r}: name the robot that it was learnt on"
-        ) from error
 
 
 def null_policy(

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final, get_args
 
+from manip_learn.commands.cluster import cluster_client
 from manip_learn.commands.robot_loading import load_for_recordings, source_for_recordings
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.errors import FeatureError, ManipLearnError, RecordingError
+from manip_learn.errors import FeatureError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.candidate import EstimatorName
-from manip_learn.learning.learner import ESTIMATORS
+from manip_learn.learning.learner import ESTIMATORS, Switch
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import ReadOptions
 from manip_learn.recordings.preprocessing import subsample
@@ -30,24 +29,40 @@ REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": ("
 class Learnt:
     """What was learnt, and where it was written."""
 
-    constraint: Constraint
-    report: LearningReport
+    constraints: tuple[Constraint, ...]
+    reports: tuple[LearningReport, ...]
     frame: str
     out: Path | None
     notes: tuple[str, ...]
 
+    @property
+    def constraint(self) -> Constraint:
+        """The best supported one."""
+        return self.constraints[0]
+
+    @property
+    def report(self) -> LearningReport:
+        """The evidence for it."""
+        return self.reports[0]
+
     def to_dict(self) -> dict[str, Any]:
-        """The JSON answer."""
-        content = self.report.to_dict()
+        """The JSON answer: the keys of the best supported constraint, and all constraints as a list."""
+        content = _described(self.constraint, self.report)
         content.update(
-            selection=self.constraint.selection.tolist(),
-            axes=list(self.report.row_names),
-            free_directions=[list(row) for row in self.report.free_directions],
+            constraints=[_described(c, r) for c, r in zip(self.constraints, self.reports, strict=True)],
             frame=self.frame,
             notes=[*self.notes, *self.report.notes],
             out=None if self.out is None else str(self.out),
         )
         return content
+
+
+def _described(constraint: Constraint, report: LearningReport) -> dict[str, Any]:
+    return report.to_dict() | {
+        "selection": constraint.selection.tolist(),
+        "axes": list(report.row_names),
+        "free_directions": [list(row) for row in report.free_directions],
+    }
 
 
 def learn(
@@ -64,6 +79,10 @@ def learn(
     package_dirs: list[str] | None = None,
     seed: int = 0,
     points: int | None = None,
+    phases: str = "auto",
+    mechanism: str = "auto",
+    start: float | None = None,
+    until: float | None = None,
     options: ReadOptions | None = None,
     dask: str | None = None,
     progress: Progress | None = None,
@@ -81,33 +100,41 @@ def learn(
         raise RecordingError(
             "--points works on recordings in memory, not with --dask: give one of the two", code="option"
         )
+    if dask is not None and not (start is None and until is None):
+        raise RecordingError(
+            "--from and --until cut recordings in memory, not with --dask: cut the files first", code="option"
+        )
     if progress is not None:
         progress("reading", 0.0)
     load = load_for_recordings if dask is None else source_for_recordings
     robot, demos, chosen, notes = load(robot_name, recordings, frame, locked or [], package_dirs or [], options)
+    if isinstance(demos, Demonstrations) and (start is not None or until is not None):
+        demos = Demonstrations([t[start:until] for t in demos], demos.notes)
     if points is not None and isinstance(demos, Demonstrations):
         demos = Demonstrations([subsample(t, points) for t in with_velocities(demos, robot)], demos.notes)
     candidates = [FrameJacobian(robot, chosen, axes, r) for r in REFERENCES[reference]]
     most = min(min(c.n_rows, c.nv) for c in candidates)
     if n_constraints is not None and not 1 <= n_constraints <= most:
         raise FeatureError(f"--constraints must be between 1 and {most} for the axes {axes!r}, got {n_constraints}")
-    learner = ConstraintLearner(candidates, n_constraints, _estimator(estimator), seed=seed)
-    with _client(dask) as client:
+    learner = ConstraintLearner(
+        candidates,
+        n_constraints,
+        _estimator(estimator),
+        phases=_switch("--phases", phases),
+        mechanism=_switch("--mechanism", mechanism),
+        seed=seed,
+    )
+    with cluster_client(dask) as client:
         learner.fit(demos, client=client, progress=progress)
     written = learner.constraint_.save(out) if out is not None else None
-    return Learnt(learner.constraint_, learner.report_, chosen, written, tuple(notes))
+    return Learnt(learner.constraints_, learner.reports_, chosen, written, tuple(notes))
 
 
-@contextmanager
-def _client(dask: str | None) -> Iterator[Any]:
-    """A dask client, or None."""
-    if dask is None:
-        yield None
-        return
-    from manip_learn.learning.streaming.dask_executor import dask_client
-
-    with dask_client(dask) as client:
-        yield client
+def _switch(option: str, value: str) -> Switch:
+    for known in get_args(Switch):
+        if value == known:
+            return known
+    raise FeatureError(f"{option} must be auto or off, not {value!r}")
 
 
 def _estimator(name: str) -> EstimatorName:
@@ -115,42 +142,3 @@ def _estimator(name: str) -> EstimatorName:
         if name == known:
             return known
     raise FeatureError(f"--estimator must be one of {', '.join(ESTIMATORS)}, not {name!r}")
-
-
-def read_options(
-    *,
-    degrees: bool = False,
-    units: str | None = None,
-    time_unit: str | None = None,
-    ignore_column: list[str] | None = None,
-    rename: list[str] | None = None,
-    joint_names: str | None = None,
-    topic: list[str] | None = None,
-    rate: float | None = None,
-    outside_limits: str | None = None,
-) -> ReadOptions:
-    """Keywords of `load_demonstrations`; what was not given is left out. The reader checks the values.
-
-    Raises:
-        ManipLearnError: A renaming that is not FILE_NAME=ROBOT_NAME.
-    """
-    given: dict[str, Any] = {
-        "degrees": degrees or None,
-        "units": units,
-        "time_unit": time_unit,
-        "ignore_columns": ignore_column,
-        "rename": dict(_pair(r) for r in rename) if rename else None,
-        "joint_names": joint_names.replace(",", " ").split() if joint_names else None,
-        "topics": topic,
-        "rate": rate,
-        "outside_limits": outside_limits,
-    }
-    options: Any = {key: value for key, value in given.items() if value}
-    return options
-
-
-def _pair(text: str) -> tuple[str, str]:
-    file_name, _, robot_name = text.partition("=")
-    if not file_name or not robot_name:
-        raise ManipLearnError(f"--rename must be NAME_IN_FILE=NAME_IN_ROBOT, got {text!r}")
-    return file_name, robot_name

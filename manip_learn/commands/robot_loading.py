@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TypeVar
 
-from manip_learn.errors import ManipLearnError, RecordingError, UnknownNameError
+from manip_learn.errors import ConstraintMismatchError, ManipLearnError, RecordingError, UnknownNameError
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import ReadOptions
@@ -116,3 +118,25 @@ def load_for_joints(
     if isinstance(locked, Mapping):
         return load_robot(name, package_dirs, {**locked, **dict.fromkeys(others, None)})
     return load_robot(name, package_dirs, [*locked, *others])
+
+
+def robot_of_constraint(robot_name: str, constraint_file: str, package_dirs: list[str]) -> Robot:
+    """The robot with the joints locked that were locked when the constraint was learnt.
+
+    Raises:
+        ConstraintMismatchError: The constraint was learnt on another robot.
+    """
+    try:
+        described = json.loads(Path(constraint_file).read_bytes()).get("robot") or {}
+        joints, locked = list(described["joint_names"]), dict(described.get("locked", {}))
+    except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError):
+        return load_robot(robot_name, package_dirs)  # Constraint.load says what is wrong with the file
+    try:
+        return load_for_joints(robot_name, joints, locked, package_dirs)
+    except UnknownNameError as error:
+        if error.kind != "joint":
+            raise
+        raise ConstraintMismatchError(
+            f"{constraint_file} was made for robot {described.get('name')!r} with the joints "
+            f"{', '.join(map(str, joints))}, {robot_name!r} lacks {error.name!r}: name the robot that it was learnt on"
+        ) from error

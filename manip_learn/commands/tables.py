@@ -12,14 +12,18 @@ from rich.markup import escape
 from rich.table import Table
 
 from manip_learn.learning.estimators.estimate import CLEAR_GAP
+from manip_learn.learning.mechanisms.mechanism import Mechanism
+from manip_learn.learning.overview import RecordingOverview
 
 if TYPE_CHECKING:  # so that printing one command's answer does not load the others
+    from manip_learn.commands.audit import Audited
     from manip_learn.commands.control import Controlled
     from manip_learn.commands.demo import Demo
     from manip_learn.commands.learn import Learnt
     from manip_learn.commands.reproduce import Reproduction
     from manip_learn.robot.robot_summary import RobotSummary
 
+MOST_ROWS = 20  # of an audit on a terminal
 UNDER_WAY = 0.1  # the nearly singular start is not due to the policy: evaluated from here on [s]
 
 
@@ -41,16 +45,34 @@ def print_learnt(console: Console, learnt: Learnt) -> None:
         table.add_row("left-out trajectories", f"{100 * report.held_out_residual:.2g} % of the motion unexplained")
     if report.uncertainty_deg is not None:
         table.add_row("uncertainty", f"{report.uncertainty_deg:.2g} degrees (68 %, bootstrap over trajectories)")
+    if report.row_evidence:
+        held = [row for row in report.row_evidence if row.state == "held"]
+        strengths = ", ".join(f"{row.strength:.3g}" for row in held) or "none"
+        p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
+        table.add_row("evidence per row", f"strength {strengths}{p_value} (recombination test)")
+    if report.mechanism is not None:
+        table.add_row("mechanism", f"{report.mechanism.sentence}{_spread(report.mechanism)}")
     table.add_row(
         "learnt from", f"{report.n_samples} samples of {report.n_trajectories} trajectories in {report.seconds:.2g} s"
     )
     console.print(table)
+    for number, other in enumerate(learnt.reports[1:], start=2):
+        console.print(f"constraint {number}: {escape(other.sentence)}", highlight=False)
+    for sentence in RecordingOverview(report.phases).sentences():
+        console.print(escape(sentence), highlight=False)
     for note in (*learnt.notes, *report.notes):
         console.print(f"[dim]note: {escape(note)}[/dim]", highlight=False)
     for warning in report.warnings:
         console.print(f"[yellow]warning: {escape(warning)}[/yellow]", highlight=False)
     if learnt.out is not None:
         console.print(f"written: {escape(str(learnt.out))}", highlight=False, soft_wrap=True)
+
+
+def _spread(mechanism: Mechanism) -> str:
+    """The uncertainty of each parameter, one standard deviation."""
+    units = {"axis": (1.0, "degrees"), "point": (1e3, "mm"), "radius": (1e3, "mm"), "pitch": (1e3, "mm/rad")}
+    parts = [f"{name} {units[name][0] * x:.2g} {units[name][1]}" for name, x in mechanism.uncertainty.items()]
+    return f" (+- {', '.join(parts)})" if parts else ""
 
 
 def rollout_table(rollouts: dict[str, Controlled]) -> Table:
@@ -127,6 +149,49 @@ def print_controlled(console: Console, controlled: Controlled) -> None:
         )
     if controlled.out is not None:
         console.print(f"written: {escape(str(controlled.out))}", highlight=False, soft_wrap=True)
+
+
+def print_audit(console: Console, audited: Audited) -> None:
+    """The worst episodes, and what to leave out and why."""
+    report = audited.report
+    table = Table(header_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    for name in ("episode", "score", "sigma", "broken", "mm", "deg", "margin", "speed", "jerk", "rest", "s"):
+        is_name = name == "episode"
+        table.add_column(name, justify="left" if is_name else "right", no_wrap=True, min_width=12 if is_name else None)
+    for e in report.episodes[:MOST_ROWS]:
+        cells = (
+            _number(e.score, ".1f"),
+            _number(e.sigma_min, ".3f"),
+            _number(100 * e.residual, ".1f", " %"),
+            _number(e.displacement_mm, ".1f"),
+            _number(e.displacement_deg, ".1f"),
+            _number(100 * e.limit_margin, ".0f", " %"),
+            _number(100 * e.peak_speed, ".0f", " %"),
+            _number(e.jerk_rms, ".1f"),
+            _number(100 * e.rest_share, ".0f", " %"),
+            _number(e.duration, ".1f"),
+        )
+        table.add_row(escape(e.episode), *cells, style="red" if e.leave_out else None)
+    console.print(table)
+    if len(report.episodes) > MOST_ROWS:
+        console.print(f"and {len(report.episodes) - MOST_ROWS} better episodes (--csv FILE lists all)", highlight=False)
+    left = report.leave_out
+    threshold = f"robust z above {report.threshold:.1f}" if math.isfinite(report.threshold) else "too few to tell"
+    console.print(
+        f"[bold]leave out {len(left)} of {len(report.episodes)} episodes[/bold] ({threshold})", highlight=False
+    )
+    for e in left:
+        console.print(
+            f"[red]{escape(e.episode)}[/red]: {escape('; '.join(e.reasons))}", highlight=False, soft_wrap=True
+        )
+    for note in report.notes:
+        console.print(f"[dim]note: {escape(note)}[/dim]", highlight=False)
+    if audited.out is not None:
+        console.print(f"written: {escape(str(audited.out))}", highlight=False, soft_wrap=True)
+
+
+def _number(value: float, form: str, unit: str = "") -> str:
+    return f"{value:{form}}{unit}" if math.isfinite(value) else "-"
 
 
 def print_reproduction(console: Console, reproduction: Reproduction) -> None:

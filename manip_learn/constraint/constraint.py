@@ -15,6 +15,7 @@ from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.features.centre_of_mass import CentreOfMass
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.features.stacked import Stacked
 from manip_learn.errors import ConstraintError, ConstraintMismatchError, ManipLearnError
@@ -268,6 +269,8 @@ def _build(described: dict[str, Any], robot: Robot) -> FeatureMap:
         return RelativeFrameJacobian(robot, described["frame"], described["relative_to"], described["axes"])
     if kind == "centre-of-mass":
         return CentreOfMass(robot, " ".join(described["axes"]))
+    if kind == "mechanism-rows":
+        return MechanismRows.from_description(robot, described)
     if kind == "stacked":
         return Stacked([_build(part, robot) for part in described["parts"]])
     raise ConstraintMismatchError(f"unknown kind of features {kind!r}: this file comes from a newer version")

@@ -45,12 +45,14 @@ class LearnerSettings:
         estimator: One of `EstimatorName`.
         policy_model: Of the joint estimator.
         seed: Of everything random.
+        mechanism: Whether to look for a mechanism.
     """
 
     n_constraints: int | None
     estimator: EstimatorName
     policy_model: str
     seed: int
+    mechanism: bool = True
 
 
 @final
@@ -196,8 +198,7 @@ def _check_number_of_rows(estimate: Estimate, nv: int, n_constraints: int | None
     if verdict == "none" and n_constraints is None:
         raise NotIdentifiableError(
             f"the demonstrations do not show a constraint: the largest gap, {gap:.2g} for {s} row(s), is below "
-            f"{table.weak_from:g}; record more varied motions, other axes or the other reference, or give "
-            "n_constraints if you know it",
+            f"{table.weak_from:g}",
             code="weak-gap",
         )
     if s >= nv:

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Literal, final
+
+import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.errors import FeatureError, NumberOfConstraintsError
+from manip_learn.errors import FeatureError, NotIdentifiableError, NumberOfConstraintsError
+from manip_learn.learning.advice import advise, advise_in_general
+from manip_learn.learning.answer import Answer, Fit, find_answer
 from manip_learn.learning.bootstrap import bootstrap_angle_deg
 from manip_learn.learning.calibration import JointOffsets
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
 from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, check_joints
+from manip_learn.learning.division import Division, Part, divide, undivided
+from manip_learn.learning.overview import RecordingOverview
 from manip_learn.learning.report import LearningReport, build_report
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -24,6 +31,8 @@ if TYPE_CHECKING:
     from manip_learn.learning.streaming.trajectory_buffer import TrajectoryBuffer
 
 ESTIMATORS = ("auto", "joint", "null-space", "separate")
+Switch = Literal["auto", "off"]
+SWITCHES = ("auto", "off")
 
 
 @final
@@ -40,18 +49,26 @@ class ConstraintLearner:
         policy_model: Joint estimator: `"auto"` (cross-validation), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"`,
             `"rbf"`, or `"affine-offset"` (affine, with a separate rest posture for each trajectory).
         velocities: How missing velocities are derived, see `derive_velocities`.
-        seed: Seed of everything random (bootstrap, random starts, k-means).
+        phases: `"auto"` looks for the stretches in which a constraint holds where no single one fits the recordings;
+            `"off"` takes every recording as a whole.
+        mechanism: `"auto"` looks for a mechanism (line, plane, hinge, ball, screw, held orientation) where Phi is a
+            `FrameJacobian`; `"off"` does not.
+        seed: Seed of everything random (bootstrap, recombination, random starts, k-means).
 
     Attributes:
-        constraint_: The learnt `Constraint`, after `fit`.
-        report_: The evidence, a `LearningReport`, after `fit`.
+        constraint_: The learnt `Constraint`, after `fit`: the best supported one.
+        constraints_: Every constraint that was found, best supported first.
+        report_: The evidence for the first, a `LearningReport`, after `fit`.
+        reports_: One report per constraint.
 
     Raises:
         FeatureError: No features, or settings out of range.
     """
 
     constraint_: Constraint
+    constraints_: tuple[Constraint, ...]
     report_: LearningReport
+    reports_: tuple[LearningReport, ...]
 
     def __init__(
         self,
@@ -61,8 +78,13 @@ class ConstraintLearner:
         *,
         policy_model: str = "auto",
         velocities: VelocityMethod = "auto",
+        phases: Switch = "auto",
+        mechanism: Switch = "auto",
         seed: int = 0,
     ):
+        for name, value in (("phases", phases), ("mechanism", mechanism)):
+            if value not in SWITCHES:
+                raise FeatureError(f"{name} must be 'auto' or 'off', not {value!r}")
         if estimator not in ESTIMATORS:
             raise FeatureError(f"estimator must be one of {', '.join(ESTIMATORS)}, not {estimator!r}")
         self.features = features
@@ -70,6 +92,8 @@ class ConstraintLearner:
         self.estimator: EstimatorName = estimator
         self.policy_model = policy_model
         self.velocities: VelocityMethod = velocities
+        self.phases: Switch = phases
+        self.mechanism: Switch = mechanism
         self.seed = seed
         candidates = [features] if isinstance(features, FeatureMap) else list(features)
         if not candidates:
@@ -110,8 +134,8 @@ class ConstraintLearner:
         self._buffer = None
         self._forget()
         data = self._with_velocities(demonstrations)
-        if client is None and isinstance(data, Demonstrations) and data.n_samples <= IN_MEMORY_SAMPLES:
-            self._fit_in_memory(data, progress)
+        if isinstance(data, Demonstrations):
+            self._fit_demonstrations(data, client, progress)
         else:
             self._fit_stream(source_of(data), client, progress)
         return self
@@ -135,50 +159,119 @@ class ConstraintLearner:
         self._fit_stream(buffer, None, None)
         return self
 
-    def _fit_in_memory(self, demonstrations: Demonstrations, progress: Progress | None) -> None:
-        """Samples -> estimate and number of rows -> uncertainty -> report."""
+    def _fit_demonstrations(self, demonstrations: Demonstrations, client: Any, progress: Progress | None) -> None:
+        """Parts of the recordings -> a constraint, its evidence and mechanism for each -> uncertainty -> report."""
+
+        def fit(part: Part, settings: LearnerSettings) -> tuple[Candidate, DataSummary]:
+            if client is None and part.demonstrations.n_samples <= IN_MEMORY_SAMPLES:
+                data = DataSummary.of(part.demonstrations)
+                return learn_best(part.feature_maps, data, demonstrations.joint_names, settings), data
+            source = source_of(part.demonstrations)
+            return self._refined(source, part.feature_maps, settings, client, progress)[:2]
+
         with one_thread():
             started = time.perf_counter()
-            data = DataSummary.of(demonstrations)
-            best = learn_best(self._feature_maps, data, demonstrations.joint_names, self._settings)
+            division = self._divide(demonstrations)
+            if progress is not None:
+                progress("learning", 0.5)
+            try:
+                answers, refusals = self._answers(division, fit)
+            except NotIdentifiableError as refusal:
+                raise advise(refusal, demonstrations, self._feature_maps, division, phases=self.phases) from refusal
+            warnings = (*division.warnings, *refusals)
             if progress is not None:
                 progress("learning", 1.0)
-            self._conclude(best, data, demonstrations.joint_names, started)
+            self._conclude(answers, dataclasses.replace(division, warnings=warnings), demonstrations, started)
+
+    def _divide(self, demonstrations: Demonstrations) -> Division:
+        if self.estimator in ("joint", "separate"):
+            return undivided(demonstrations, self._feature_maps)
+        rng = np.random.default_rng(self.seed)
+        return divide(demonstrations, self._feature_maps, rng, phases=self.phases == "auto")
+
+    def _answers(self, division: Division, fit: Fit) -> tuple[list[Answer], list[str]]:
+        """An answer for each part that determines a constraint, and why the others do not.
+
+        Raises:
+            NotIdentifiableError: None does; the reason for the first.
+        """
+        answers: list[Answer] = []
+        refusals: list[NotIdentifiableError] = []
+        for part in division.parts:
+            try:
+                answers.append(find_answer(part, self._settings, fit))
+            except NotIdentifiableError as refusal:
+                refusals.append(refusal)
+        if not answers:
+            raise refusals[0]
+        return answers, [f"a further constraint is not learnt: {refusal}" for refusal in refusals]
 
     def _fit_stream(self, source: TrajectorySource, client: Any, progress: Progress | None) -> None:
-        """The same from a choice of the samples, and the estimate refined on all of them before its uncertainty."""
+        """One constraint from recordings that are not held in memory together."""
+        with one_thread():
+            started = time.perf_counter()
+            try:
+                best, data, names = self._refined(source, self._feature_maps, self._settings, client, progress)
+            except NotIdentifiableError as refusal:
+                raise advise_in_general(refusal) from refusal
+            constraint, report = build_report(best, data, names, self._uncertainty(best), time.perf_counter() - started)
+            self._set((constraint,), (report,))
+
+    def _refined(
+        self,
+        source: TrajectorySource,
+        feature_maps: Sequence[FeatureMap],
+        settings: LearnerSettings,
+        client: Any,
+        progress: Progress | None,
+    ) -> tuple[Candidate, DataSummary, tuple[str, ...]]:
+        """The best candidate from a choice of the samples, refined on all of them."""
         from manip_learn.learning.streaming.executor import open_executor
         from manip_learn.learning.streaming.refinement import refine
         from manip_learn.learning.streaming.sample_stream import open_stream
         from manip_learn.learning.streaming.summary_pass import SummaryAccumulator
 
-        with one_thread():
-            started = time.perf_counter()
-            stream = open_stream(source, self._feature_maps, self.velocities)
-            with open_executor(client, stream, progress) as executor:
-                summary = executor.total(SummaryAccumulator(IN_MEMORY_SAMPLES), {}, "all samples, first pass")
-                chosen = learn_best(self._feature_maps, summary.data, stream.joint_names, self._settings)
-                best, data = refine(chosen, summary, executor)
-            self._conclude(best, data, stream.joint_names, started)
+        stream = open_stream(source, feature_maps, self.velocities)
+        with open_executor(client, stream, progress) as executor:
+            summary = executor.total(SummaryAccumulator(IN_MEMORY_SAMPLES), {}, "all samples, first pass")
+            chosen = learn_best(feature_maps, summary.data, stream.joint_names, settings)
+            best, data = refine(chosen, summary, executor)
+        return best, data, stream.joint_names
 
-    def _conclude(self, best: Candidate, data: DataSummary, joint_names: tuple[str, ...], started: float) -> None:
-        """Uncertainty -> report."""
-        estimate = best.estimate
-        held = estimate.name == "null-space"
-        uncertainty_deg = bootstrap_angle_deg(
-            best.samples,
-            estimate.whitened_selection,
-            estimate.gradients,
-            estimate.hessians,
-            best.rng,
-            offsets=JointOffsets.of(best.samples, estimate.whitened_selection) if held else None,
+    def _uncertainty(self, best: Candidate) -> float | None:
+        """Of the row space [deg]."""
+        e = best.estimate
+        constrained = e.name == "null-space"
+        offsets = JointOffsets.of(best.samples, e.whitened_selection) if constrained else None
+        return bootstrap_angle_deg(
+            best.samples, e.whitened_selection, e.gradients, e.hessians, best.rng, offsets=offsets
         )
-        seconds = time.perf_counter() - started
-        self.constraint_, self.report_ = build_report(best, data, joint_names, uncertainty_deg, seconds)
+
+    def _conclude(
+        self, answers: Sequence[Answer], division: Division, demonstrations: Demonstrations, started: float
+    ) -> None:
+        """Uncertainty -> report, for each answer."""
+        overview = RecordingOverview.of(answers, division, demonstrations)
+        constraints, reports = [], []
+        for answer in answers:
+            best = answer.candidate
+            uncertainty_deg, seconds = self._uncertainty(best), time.perf_counter() - started
+            constraint, report = build_report(
+                best, answer.data, demonstrations.joint_names, uncertainty_deg, seconds, answer, overview
+            )
+            constraints.append(constraint)
+            reports.append(report)
+        self._set(tuple(constraints), tuple(reports))
+
+    def _set(self, constraints: tuple[Constraint, ...], reports: tuple[LearningReport, ...]) -> None:
+        self.constraints_, self.reports_ = constraints, reports
+        self.constraint_, self.report_ = constraints[0], reports[0]
 
     @property
     def _settings(self) -> LearnerSettings:
-        return LearnerSettings(self.n_constraints, self.estimator, self.policy_model, self.seed)
+        return LearnerSettings(
+            self.n_constraints, self.estimator, self.policy_model, self.seed, mechanism=self.mechanism == "auto"
+        )
 
     def _with_velocities(
         self, demonstrations: TrajectorySource | Iterable[Trajectory]
@@ -187,13 +280,17 @@ class ConstraintLearner:
         if not isinstance(demonstrations, Demonstrations | Sequence | Iterator):
             return demonstrations
         demos = demonstrations if isinstance(demonstrations, Demonstrations) else Demonstrations(demonstrations)
+        robot = getattr(self._feature_maps[0], "robot", None)
+        if not demos.joint_names:
+            names = tuple(f"q{i}" for i in range(self._feature_maps[0].nv)) if robot is None else robot.joint_names
+            demos = demos.with_joint_names(names)
         for features in self._feature_maps:
             check_joints(demos.joint_names, getattr(features, "robot", None))
-        return with_velocities(demos, getattr(self._feature_maps[0], "robot", None), self.velocities)
+        return with_velocities(demos, robot, self.velocities)
 
     def _forget(self) -> None:
         """A fit that refuses must not leave the answer to other demonstrations behind."""
-        for learnt in ("constraint_", "report_"):
+        for learnt in ("constraint_", "constraints_", "report_", "reports_"):
             vars(self).pop(learnt, None)
 
     def __repr__(self) -> str:

@@ -5,21 +5,43 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.learning.answer import Answer
 from manip_learn.learning.candidate import Candidate
 from manip_learn.learning.data_summary import DataSummary
 from manip_learn.learning.excitation import energy_shares
+from manip_learn.learning.mechanisms.mechanism import Mechanism
+from manip_learn.learning.overview import OddTrajectory, Phase, RecordingOverview
 from manip_learn.linalg import null_basis
 
 MOST_NOTES = 20
+PROVENANCE = (
+    *("estimator", "kind", "gap", "uncertainty_deg", "n_samples", "n_trajectories", "sentence", "warnings"),
+    *("phases", "odd_trajectories", "mechanism"),
+)
 # entries of a unit vector that are printed as 0: half of the last of two digits
 NEGLIGIBLE = 5e-3
+
+
+class RowSupport(NamedTuple):
+    """Evidence that one row is held, from the recombination test.
+
+    Attributes:
+        strength: How many times as much the motion uses the row when joints are exchanged between trajectories.
+        p_value: Chance of so low a use if the joints moved independently of each other.
+        state: `"held"`, `"unclear"`, `"free"` or `"untried"`.
+    """
+
+    strength: float
+    p_value: float
+    state: str
 
 
 @final
@@ -52,6 +74,11 @@ class LearningReport:
         seconds: Time for the fit [s].
         notes: What was done to the recordings.
         warnings: What should make you careful.
+        row_evidence: Evidence for each row, most firmly held first; empty where the demonstrator moves the rows.
+        evidence: The same in words.
+        phases: Stretches of the recordings, each held by a constraint or free.
+        odd_trajectories: Recordings that do not agree with the others, and why.
+        mechanism: What holds the hand, if that was found out.
     """
 
     sentence: str
@@ -75,10 +102,19 @@ class LearningReport:
     seconds: float
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
+    row_evidence: tuple[RowSupport, ...] = ()
+    evidence: str = ""
+    phases: tuple[Phase, ...] = ()
+    odd_trajectories: tuple[OddTrajectory, ...] = ()
+    mechanism: Mechanism | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists, for JSON; None where there is no number."""
-        return _plain(dataclasses.asdict(self))
+        content = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        for name in ("phases", "odd_trajectories", "row_evidence"):
+            content[name] = [entry._asdict() for entry in content[name]]
+        content["mechanism"] = None if self.mechanism is None else self.mechanism.to_dict()
+        return _plain(content)
 
     def __str__(self) -> str:
         lines = [self.sentence]
@@ -97,7 +133,13 @@ def _plain(value: Any) -> Any:
 
 
 def build_report(
-    best: Candidate, data: DataSummary, joint_names: tuple[str, ...], uncertainty_deg: float | None, seconds: float
+    best: Candidate,
+    data: DataSummary,
+    joint_names: tuple[str, ...],
+    uncertainty_deg: float | None,
+    seconds: float,
+    answer: Answer | None = None,
+    overview: RecordingOverview | None = None,
 ) -> tuple[Constraint, LearningReport]:
     """The constraint, and the evidence for it.
 
@@ -107,18 +149,27 @@ def build_report(
         joint_names: One per velocity.
         uncertainty_deg: Of the row space [deg].
         seconds: Time for the fit [s].
+        answer: Evidence and mechanism, where they were looked for.
+        overview: What the recordings show as a whole.
     """
+    overview = overview or RecordingOverview()
     samples, estimate, warnings = best.samples, best.estimate, list(best.warnings)
     features = samples.features
     selection = samples.selection(estimate.whitened_selection)
+    if isinstance(features, MechanismRows) and len(selection) == features.n_rows:
+        selection = np.eye(features.n_rows)  # all of the rows: any basis of theirs will do, so the plainest
     used = np.linalg.norm(samples.whitening, axis=0) > 0.0
     unused = [n for n, u in zip(features.row_names, used, strict=True) if not u]
     if unused:
         warnings.append(f"row(s) {', '.join(unused)} are always zero for this robot and frame and were left out")
     kind = "motion-constrained" if estimate.name == "null-space" else "self-imposed"
     free = free_directions(selection, used)
+    mechanism = answer.mechanism.mechanism if answer and answer.mechanism else None
+    sentence = describe(kind, selection, free, features, used, uncertainty_deg)
+    if mechanism is not None and isinstance(features, MechanismRows):
+        sentence = f"held about the mechanism's axis or centre: {' '.join(features.row_names)}"
     report = LearningReport(
-        sentence=describe(kind, selection, free, features, used, uncertainty_deg),
+        sentence=sentence if mechanism is None else f"{sentence}; {mechanism.sentence}",
         estimator=estimate.name,
         kind=kind,
         n_constraints=selection.shape[0],
@@ -138,14 +189,22 @@ def build_report(
         n_trajectories=data.n_trajectories,
         seconds=seconds,
         notes=_few_notes(data.notes),
-        warnings=tuple(warnings),
+        warnings=(*warnings, *(answer.warnings if answer else ()), *overview.warnings),
+        row_evidence=_row_support(answer),
+        evidence=answer.evidence.sentence() if answer and answer.evidence else "",
+        phases=overview.phases,
+        odd_trajectories=overview.odd_trajectories,
+        mechanism=mechanism,
     )
-    provenance = {
-        key: value
-        for key, value in report.to_dict().items()
-        if key in ("estimator", "kind", "gap", "uncertainty_deg", "n_samples", "n_trajectories", "sentence", "warnings")
-    }
+    provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
     return Constraint(selection, features, provenance), report
+
+
+def _row_support(answer: Answer | None) -> tuple[RowSupport, ...]:
+    if answer is None or answer.evidence is None:
+        return ()
+    e = answer.evidence
+    return tuple(RowSupport(*row) for row in zip(e.strengths, e.p_values, e.states, strict=True))
 
 
 def _few_notes(notes: tuple[str, ...]) -> tuple[str, ...]:

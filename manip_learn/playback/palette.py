@@ -18,8 +18,13 @@ COLOURS: dict[str, str] = {
 }
 
 
-def rollout_colours(names: Sequence[str], chosen: Mapping[str, str]) -> list[tuple[str, str]]:
+def rollout_colours(names: Sequence[str], chosen: Mapping[str, str], neutral: bool = False) -> list[tuple[str, str]]:
     """(name, hexadecimal value) of the colour of each rollout; those not chosen take the free ones in order.
+
+    Args:
+        names: Of the rollouts.
+        chosen: Rollout -> colour.
+        neutral: Those not chosen are all grey, because colours mean something else in this page.
 
     Raises:
         UnknownNameError: A colour that does not exist, or one chosen for a rollout that does not exist.
@@ -29,7 +34,7 @@ def rollout_colours(names: Sequence[str], chosen: Mapping[str, str]) -> list[tup
             raise UnknownNameError("rollout", rollout, names, "colours")
         if colour not in COLOURS:
             raise UnknownNameError("colour", colour, COLOURS)
-    free = [c for c in COLOURS if c not in chosen.values()] or list(COLOURS)
+    free = ["grey"] if neutral else [c for c in COLOURS if c not in chosen.values()] or list(COLOURS)
     others = [n for n in names if n not in chosen]
     picked = dict(chosen) | {n: free[i % len(free)] for i, n in enumerate(others)}
     return [(picked[n], COLOURS[picked[n]]) for n in names]

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks
+from manip_learn.playback.phase_bands import PhaseBand
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
@@ -37,6 +38,8 @@ class RecordedMotion:
         curve: shape (C,).
         status: (time, word) wherever the status changes; empty if it is not known.
         duration: [s].
+        first_time: Of the first sample, on the recording's own clock [s].
+        phases: Bands within the recording, their times counted from its first sample.
     """
 
     name: str
@@ -49,12 +52,27 @@ class RecordedMotion:
     curve: Float[np.ndarray, " C"]
     status: tuple[tuple[float, str], ...]
     duration: float
+    first_time: float = 0.0
+    phases: tuple[PhaseBand, ...] = ()
 
 
 def recorded_motion(
-    robot: Robot, tree: tuple[TreeJoint, ...], tip: Frame, name: str, recording: Rollout | Trajectory
+    robot: Robot,
+    tree: tuple[TreeJoint, ...],
+    tip: Frame,
+    name: str,
+    recording: Rollout | Trajectory,
+    phases: tuple[PhaseBand, ...] = (),
 ) -> RecordedMotion:
     """Check a recording and subsample it for playback.
+
+    Args:
+        robot: Whose joints move.
+        tree: Its joints as the page moves them.
+        tip: Frame whose path is drawn.
+        name: Name in the legend.
+        recording: What is played.
+        phases: Bands on the recording's own clock.
 
     Raises:
         RecordingError: No samples, shapes that do not fit, time that does not increase, NaN, joints of another robot.
@@ -70,7 +88,8 @@ def recorded_motion(
             code="time-order",
         )
     q = _columns_of(robot, name, recording, time.size)
-    time = time - time[0]
+    first_time = float(time[0])
+    time = time - first_time
     keys = key_frames(time)
     path_keys = keys[np.unique(np.linspace(0, keys.size - 1, min(keys.size, MAX_PATH_POINTS)).round().astype(int))]
     curve_times, curve = _curve(name, time, getattr(recording, "manipulability", None))
@@ -85,7 +104,15 @@ def recorded_motion(
         curve=curve,
         status=_status_changes(name, time, getattr(recording, "status", ())),
         duration=float(time[-1]),
+        first_time=first_time,
+        phases=_within(phases, first_time, float(time[-1])),
     )
+
+
+def _within(phases: tuple[PhaseBand, ...], first_time: float, duration: float) -> tuple[PhaseBand, ...]:
+    """Bands with times from the first sample on; what lies outside the recording is cut off."""
+    spans = [(max(b.start - first_time, 0.0), min(b.end - first_time, duration), b.constraint) for b in phases]
+    return tuple(PhaseBand(start, end, constraint) for start, end, constraint in spans if start < end)
 
 
 def _finite(name: str, what: str, values: object, ndim: int) -> np.ndarray:

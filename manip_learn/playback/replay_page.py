@@ -6,19 +6,24 @@ import os
 import re
 import tempfile
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import final
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError
 from manip_learn.playback.appearance import appearance
 from manip_learn.playback.kinematic_tree import kinematic_tree
+from manip_learn.playback.mechanism_drawing import DescribedMechanism, mechanism_drawing
 from manip_learn.playback.page_writer import page
 from manip_learn.playback.palette import rollout_colours
-from manip_learn.playback.recorded_motion import recorded_motion
+from manip_learn.playback.phase_bands import Phase, phase_bands, phase_kinds
+from manip_learn.playback.recorded_motion import RecordedMotion, recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
@@ -53,11 +58,16 @@ def replay(
     title: str = "",
     colours: Mapping[str, str] | None = None,
     open_browser: bool | None = None,
+    phases: Sequence[Phase] = (),
+    mechanism: DescribedMechanism | Mapping[str, Any] | None = None,
+    notes: Sequence[str] = (),
 ) -> ReplayResult:
     """Write one HTML file that plays rollouts of a robot, without a server and without a network.
 
     The first rollout is drawn solid, the others as ghosts; all start at time zero, and the shorter ones hold their last
     posture. The page has the manipulability curves with a cursor, the controller's status, and the path of the tip.
+    With phases, colours are those of the constraints, and only the first recording is drawn as a robot, the others as
+    the path of the tip.
 
     Args:
         robot: The robot that the rollouts were made with.
@@ -67,26 +77,46 @@ def replay(
         title: Shown next to the name of the robot.
         colours: Rollout name -> a name in `palette.COLOURS`, for those whose colour matters.
         open_browser: Show the page now; None: only if it is a temporary file.
+        phases: (recording, start [s], end [s], constraint or None for free motion), as in `report_.phases`, on the
+            recordings' own clocks: drawn as bands in time and along the path of the tip.
+        mechanism: `report_.mechanism`, that of the first constraint, or its dictionary; drawn in the scene.
+        notes: Sentences that the page shows beside its own, e.g. which recordings are odd.
 
     Raises:
-        RecordingError: Nothing to replay, or a rollout with NaN, with joints of another robot or with bad times.
+        RecordingError: Nothing to replay, a rollout with NaN, with joints of another robot or with bad times, phases of
+            none of the recordings or with bad times, or a mechanism with numbers that are not finite.
         ConfigurationError: A posture of the wrong size.
         UnknownNameError: No such tip frame or colour.
         OutputError: The file cannot be written.
     """
     named = _named(rollouts)
     tip_name = _tip(robot, tip, named)
-    chosen_colours = rollout_colours(list(named), colours or {})
-    tree = kinematic_tree(robot)
-    motions = [recorded_motion(robot, tree, robot.frame(tip_name), name, r) for name, r in named.items()]
+    bands = phase_bands(phases, list(named))
+    chosen_colours = rollout_colours(list(named), colours or {}, neutral=bool(phases))
+    tree, frame = kinematic_tree(robot), robot.frame(tip_name)
+    motions = [recorded_motion(robot, tree, frame, name, r, bands[name]) for name, r in named.items()]
+    drawing = None if mechanism is None else mechanism_drawing(mechanism, _held_by_first(motions))
+    kinds = phase_kinds(phases, drawing.type if drawing else "") if phases else ()
     looks = appearance(robot, tree)
-    notes = looks.notes + _crowd_note(len(motions))
-    data = scene_data(robot, tree, looks, tip_name, motions, chosen_colours, notes)
+    all_notes = (*notes, *looks.notes) + (() if phases else _crowd_note(len(motions)))
+    data = scene_data(robot, tree, looks, tip_name, motions, chosen_colours, all_notes, kinds, drawing)
     content = page(data, robot=robot.name or "robot", subtitle=title).encode("utf-8")
     path = write_atomically(_temporary_file(robot.name) if html is None else html, content)
     if open_browser or (open_browser is None and html is None):
         webbrowser.open(path.as_uri())
-    return ReplayResult(path, len(content), notes)
+    return ReplayResult(path, len(content), all_notes)
+
+
+def _held_by_first(motions: Sequence[RecordedMotion]) -> Float[np.ndarray, "n 3"]:
+    """The tip where the first constraint holds, in the base frame [m]; everywhere if that is nowhere."""
+    held = [
+        motion.path[(motion.path_times >= band.start) & (motion.path_times <= band.end)]
+        for motion in motions
+        for band in motion.phases
+        if band.constraint == 0
+    ]
+    points = np.concatenate(held) if held else np.zeros((0, 3))
+    return points if len(points) else np.concatenate([motion.path for motion in motions])
 
 
 def _tip(robot: Robot, tip: str | None, named: Mapping[str, Recording]) -> str:

@@ -11,6 +11,8 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.playback.kinematic_tree import TreeJoint
+from manip_learn.playback.mechanism_drawing import MechanismDrawing
+from manip_learn.playback.phase_bands import PhaseKind
 from manip_learn.playback.recorded_motion import RecordedMotion
 from manip_learn.playback.shapes import Appearance, TriangleMesh
 from manip_learn.robot.robot import Robot
@@ -27,9 +29,11 @@ def scene_data(
     motions: Sequence[RecordedMotion],
     colours: Sequence[tuple[str, str]],
     notes: Sequence[str],
+    kinds: Sequence[PhaseKind] = (),
+    mechanism: MechanismDrawing | None = None,
 ) -> dict[str, Any]:
     """The data of a page; arrays are little-endian and in base64."""
-    cloud = _drawn_points(robot, looks, motions)
+    cloud = np.concatenate([_drawn_points(robot, looks, motions), *(mechanism.lines if mechanism else ())])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     return {
         "robot": _robot(robot, tree, looks, tip),
@@ -40,6 +44,17 @@ def scene_data(
         "view": "top" if _is_seen_from_above(tree) else "iso",
         "rollouts": [_rollout(m, c) for m, c in zip(motions, colours, strict=True)],
         "notes": list(notes),
+        "phaseKinds": [{"label": k.label, "mark": k.mark, "colour": k.colour, "ink": k.ink} for k in kinds],
+        "mechanism": None if mechanism is None else _mechanism(mechanism),
+    }
+
+
+def _mechanism(mechanism: MechanismDrawing) -> dict[str, Any]:
+    return {
+        "type": mechanism.type,
+        "sentence": mechanism.sentence,
+        "lines": [_packed(line, "<f4") for line in mechanism.lines],
+        "patches": [_packed(patch, "<f4") for patch in mechanism.patches],
     }
 
 
@@ -115,6 +130,9 @@ def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
         "curveTimes": _packed(motion.curve_times, "<f8"),
         "curve": _packed(motion.curve, "<f8"),
         "status": [list(change) for change in motion.status],
+        "firstTime": motion.first_time,
+        # start, end, number of the kind; -1 for free motion
+        "phases": [[b.start, b.end, -1 if b.constraint is None else b.constraint] for b in motion.phases],
     }
 
 

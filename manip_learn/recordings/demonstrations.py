@@ -52,6 +52,14 @@ class Demonstrations(Sequence[Trajectory]):
         """Names of the velocity columns."""
         return self.trajectories[0].joint_names
 
+    def with_joint_names(self, joint_names: tuple[str, ...]) -> Demonstrations:
+        """The same trajectories with their columns named; see `Trajectory.joint_names`.
+
+        Raises:
+            RecordingError: Another number of columns.
+        """
+        return Demonstrations([t.with_joint_names(joint_names) for t in self.trajectories], self.notes)
+
     @property
     def n_samples(self) -> int:
         """Number of samples in all trajectories."""

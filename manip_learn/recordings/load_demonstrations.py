@@ -8,8 +8,10 @@ from typing import Literal, TypedDict, Unpack
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.readers.episode_files import select_episodes
+from manip_learn.recordings.readers.episode_selection import EpisodeSelection
 from manip_learn.recordings.readers.read_request import ReadRequest, TimeUnit, Units
-from manip_learn.recordings.readers.recording_files import recording_files
+from manip_learn.recordings.readers.recording_files import RecordingFile, recording_files
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.validate import validate
 from manip_learn.robot import Robot
@@ -31,6 +33,9 @@ class ReadOptions(TypedDict, total=False):
         topics: Topics of a bag; not given: all JointState topics that carry joints of the robot.
         rate: Samples per second, for files that have no time stamps [Hz].
         outside_limits: `"refuse"` (the default) or `"note"` positions far outside the joint limits.
+        episodes: Which episodes to read: text such as `"0:50,60,75"` (counted from 0; 0:50 is 0 to 49) or numbers. Of a
+            LeRobot data set they are numbers of episodes; else places of files in natural order.
+        task: Only the episodes of a LeRobot data set that show this task.
     """
 
     degrees: bool
@@ -42,6 +47,8 @@ class ReadOptions(TypedDict, total=False):
     topics: Sequence[str] | None
     rate: float | None
     outside_limits: Literal["refuse", "note"]
+    episodes: str | int | Iterable[int] | None
+    task: str | None
 
 
 def load_demonstrations(paths: Paths, robot: Robot, **options: Unpack[ReadOptions]) -> Demonstrations:
@@ -57,6 +64,7 @@ def load_demonstrations(paths: Paths, robot: Robot, **options: Unpack[ReadOption
 
     Raises:
         RecordingError: A recording that cannot be trusted: says where, what was seen and what to do.
+        UnknownNameError: No episode shows the task; lists near matches.
         MissingExtraError: The format needs a library that is not installed.
     """
     notes: list[str] = []
@@ -77,10 +85,40 @@ def iter_demonstrations(
 
     Raises:
         RecordingError: As soon as a recording is found that cannot be trusted.
+        UnknownNameError: No episode shows the task; lists near matches.
         MissingExtraError: The format needs a library that is not installed.
+    """
+    files, request, said = open_recordings(paths, robot, options)
+    found: list[str] = []
+    yield from read_recordings(files, request, found)
+    if notes is not None:
+        notes += said + found
+
+
+def open_recordings(
+    paths: Paths, robot: Robot, options: ReadOptions
+) -> tuple[list[RecordingFile], ReadRequest, list[str]]:
+    """Files to read, how they are read, and what was noticed.
+
+    Raises:
+        RecordingError: An option or a path that is wrong, or episodes that do not exist.
+        UnknownNameError: No episode shows the task; lists near matches.
     """
     request = _request(robot, options)
     files, said = recording_files(paths)
+    files, request, note = select_episodes(files, request)
+    return files, request, [*said, *([note] if note else [])]
+
+
+def read_recordings(
+    files: list[RecordingFile], request: ReadRequest, notes: list[str] | None = None
+) -> Iterator[Trajectory]:
+    """The trajectories in files, one after the other; sentences are added to `notes` at the end.
+
+    Raises:
+        RecordingError: As soon as a recording is found that cannot be trusted.
+        MissingExtraError: The format needs a library that is not installed.
+    """
     by_text: dict[str, list[str]] = {}
     found = False
     for file in files:
@@ -94,7 +132,7 @@ def iter_demonstrations(
     if not found:
         raise RecordingError(f"there is no demonstration in {', '.join(str(f.path) for f in files)}", code="empty")
     if notes is not None:
-        notes += said + _sentences(by_text)
+        notes += _sentences(by_text)
 
 
 def _sentences(by_text: dict[str, list[str]]) -> list[str]:
@@ -109,7 +147,7 @@ def _sentences(by_text: dict[str, list[str]]) -> list[str]:
 def _request(robot: Robot, options: ReadOptions) -> ReadRequest:
     fields = dict(options)
     degrees = fields.pop("degrees", False)
-    unknown = sorted(set(fields) - set(ReadRequest.__dataclass_fields__))
+    unknown = sorted(set(fields) - set(ReadOptions.__annotations__))
     if unknown:
         raise RecordingError(
             f"there is no option {unknown[0]!r}; there are {', '.join(sorted(ReadOptions.__annotations__))}",
@@ -121,4 +159,6 @@ def _request(robot: Robot, options: ReadOptions) -> ReadRequest:
                 f"degrees=True and units={fields['units']!r} contradict each other: give one", code="option"
             )
         fields["units"] = "degrees"
+    if fields.get("episodes") is not None:
+        fields["episodes"] = EpisodeSelection.of(fields["episodes"])  # type: ignore[arg-type]
     return ReadRequest(robot=robot, **fields)  # type: ignore[arg-type]

@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Unpack, final
 
-from manip_learn.recordings.load_demonstrations import Paths, ReadOptions, iter_demonstrations
+from manip_learn.recordings.load_demonstrations import Paths, ReadOptions, open_recordings, read_recordings
 from manip_learn.recordings.readers.file_format import LEROBOT, read_json
 from manip_learn.recordings.readers.lerobot_dataset import open_dataset
+from manip_learn.recordings.readers.lerobot_episodes import episode_number
 from manip_learn.recordings.readers.recording_files import RecordingFile, recording_files
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource
@@ -28,15 +29,16 @@ class RecordingSource(TrajectorySource):
         **options: See `ReadOptions`.
 
     Raises:
-        RecordingError: No path, one that is missing, or a folder without recordings of exactly one format.
+        RecordingError: No path, one that is missing, a folder without recordings of exactly one format, or episodes
+            that do not exist.
+        UnknownNameError: No episode shows the task; lists near matches.
     """
 
     def __init__(self, paths: Paths, robot: Robot, **options: Unpack[ReadOptions]):
-        files, notes = recording_files(paths)
-        self._robot = robot
-        self._options = options
+        files, self._request, notes = open_recordings(paths, robot, options)
         self._notes = tuple(notes)
-        self._parts = _in_parts([Path(os.path.abspath(path)) for file in files for path in _pieces(file)])
+        chosen = self._request.chosen
+        self._parts = _in_parts([Path(os.path.abspath(path)) for file in files for path in _pieces(file, chosen)])
 
     @property
     def n_parts(self) -> int:
@@ -50,19 +52,21 @@ class RecordingSource(TrajectorySource):
             RecordingError: A recording that cannot be trusted.
             MissingExtraError: The format needs a library that is not installed.
         """
-        yield from iter_demonstrations(self._parts[index], self._robot, notes=notes, **self._options)
+        files, _said = recording_files(self._parts[index])
+        yield from read_recordings(files, self._request, notes)
         if notes is not None and index == 0:
             notes += self._notes
 
 
-def _pieces(file: RecordingFile) -> list[Path]:
-    """Files that can be read one by one: a LeRobot data set of version 2 has one per episode."""
+def _pieces(file: RecordingFile, chosen: frozenset[int] | None) -> list[Path]:
+    """Files that can be read one by one: a LeRobot data set of version 2 has one per episode, perhaps not chosen."""
     if file.format is not LEROBOT or not file.path.is_dir():
         return [file.path]
     described = read_json(file.path / "meta" / "info.json")
     version = described.get("codebase_version") if isinstance(described, dict) else None
     if isinstance(version, str) and version.startswith("v2."):
-        return list(open_dataset(file.path).files)
+        files = open_dataset(file.path).files
+        return [f for f in files if chosen is None or (number := episode_number(f)) is None or number in chosen]
     return [file.path]  # an episode may go on in the next file
 
 

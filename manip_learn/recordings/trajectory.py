@@ -30,8 +30,8 @@ class Trajectory:
 
     time: Float[np.ndarray, " T"]
     q: Float[np.ndarray, "T n"]
-    u: Float[np.ndarray, "T nv"] | None
-    joint_names: tuple[str, ...]
+    u: Float[np.ndarray, "T nv"] | None = None
+    joint_names: tuple[str, ...] = ()
     name: str = field(default="trajectory")
 
     def __post_init__(self) -> None:
@@ -72,8 +72,9 @@ class Trajectory:
         return array
 
     def _check_shapes(self) -> None:
-        T, nv = self.time.shape[0], len(self.joint_names)
-        if len(set(self.joint_names)) != nv:
+        T = self.time.shape[0]
+        nv = len(self.joint_names) or (self.q if self.u is None else self.u).shape[1]
+        if self.joint_names and len(set(self.joint_names)) != nv:
             raise RecordingError(
                 f"{self.name}: joint names must differ, got {self.joint_names}", code="duplicate-joint"
             )
@@ -98,6 +99,37 @@ class Trajectory:
     def duration(self) -> float:
         """Time from first to last sample [s]."""
         return float(self.time[-1] - self.time[0])
+
+    def __getitem__(self, span: slice) -> Trajectory:
+        """The samples from `start` to `end`, both included, on the recording's own clock: `demo[2.0:5.5]` [s].
+
+        Raises:
+            RecordingError: Not a span of time, or no sample lies in it.
+        """
+        if not isinstance(span, slice) or span.step is not None:
+            raise RecordingError(
+                f"{self.name}: a trajectory is cut by a span of time in seconds, as in trajectory[2.0:5.5], not by "
+                f"{span!r}; use .part for sample numbers",
+                code="span",
+            )
+        start = -np.inf if span.start is None else float(span.start)
+        end = np.inf if span.stop is None else float(span.stop)
+        inside = np.flatnonzero((self.time >= start) & (self.time <= end))
+        if inside.size == 0:
+            raise RecordingError(
+                f"{self.name}: no sample lies between {start:g} s and {end:g} s; the recording runs from "
+                f"{self.time[0]:g} s to {self.time[-1]:g} s",
+                code="span",
+            )
+        return self.part(slice(int(inside[0]), int(inside[-1]) + 1))
+
+    def with_joint_names(self, joint_names: tuple[str, ...]) -> Trajectory:
+        """The same motion with its columns named, e.g. by the robot it is used with.
+
+        Raises:
+            RecordingError: Another number of columns.
+        """
+        return Trajectory(self.time, self.q, self.u, joint_names, self.name)
 
     def part(self, samples: slice | np.ndarray, name: str | None = None) -> Trajectory:
         """The chosen samples as a trajectory of their own."""

@@ -147,13 +147,17 @@ def local_fit(
     time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"], half_width: int, degree: int
 ) -> tuple[Float[np.ndarray, "N nv"], Float[np.ndarray, "N nv"]]:
     """Value and slope at the centre of each window of 2 half_width + 1 samples, by least squares."""
-    weights = _local_weights(time, half_width, degree)
+    weights = local_weights(time, half_width, degree)
     windows = np.lib.stride_tricks.sliding_window_view(x, 2 * half_width + 1, axis=0)  # (N, nv, W)
     value, slope = np.einsum("ndw,njw->dnj", weights[:, :2], windows, optimize=True)
     return value, slope
 
 
-def _local_weights(time: np.ndarray, half_width: int, degree: int, stride: int = 1) -> Float[np.ndarray, "N d W"]:
+def local_weights(time: np.ndarray, half_width: int, degree: int, stride: int = 1) -> Float[np.ndarray, "N d W"]:
+    """Weights for the coefficients of the polynomial fitted to each window, in powers of the time from its centre.
+
+    The coefficient of power 1 is a slope [1/s]; those of power k > 1 belong to time over the window's longest offset.
+    """
     windows = np.lib.stride_tricks.sliding_window_view(time, 2 * half_width + 1)[::stride]
     offset = windows - windows[:, half_width : half_width + 1]
     scale = np.max(np.abs(offset), axis=1, keepdims=True)
@@ -174,7 +178,7 @@ def best_window(
     longest: int | None = None,
 ) -> tuple[int, int]:
     """Half width [samples] and degree whose slope has the smallest estimated error, all joints together."""
-    noise2 = _noise_variance(time, x)
+    noise2 = noise_variance(time, x)
     best, best_error = (half_widths[0], degrees[0]), np.inf
     for m in half_widths:
         if 2 * m + 1 > len(time):
@@ -184,8 +188,8 @@ def best_window(
         for degree in degrees:
             if not _fits(m, degree, longest or x.shape[0]):
                 continue
-            slope = _local_weights(time, m, degree, stride)[:, 1]
-            richer = _local_weights(time, m, degree + 2, stride)[:, 1] - slope
+            slope = local_weights(time, m, degree, stride)[:, 1]
+            richer = local_weights(time, m, degree + 2, stride)[:, 1] - slope
             difference = np.einsum("nw,njw->nj", richer, windows, optimize=True)
             # the difference of the two fits holds the bias and its own share of the noise: take that off again
             own = np.mean(np.sum(richer**2, axis=1)) * noise2
@@ -201,7 +205,7 @@ def _fits(half_width: int, degree: int, longest: int) -> bool:
     return degree + 3 <= 2 * half_width + 1 <= longest
 
 
-def _noise_variance(time: np.ndarray, x: np.ndarray) -> Float[np.ndarray, " nv"]:
+def noise_variance(time: np.ndarray, x: np.ndarray) -> Float[np.ndarray, " nv"]:
     """Variance of white noise on the samples from what a local parabola through five points leaves over."""
     windows_t = np.lib.stride_tricks.sliding_window_view(time, 5)
     offset = windows_t - windows_t[:, 2:3]
@@ -216,7 +220,7 @@ def _noise_variance(time: np.ndarray, x: np.ndarray) -> Float[np.ndarray, " nv"]
 def _is_clean(time: np.ndarray, x: np.ndarray) -> bool:
     steps = np.diff(x, axis=0)
     motion = float(np.sum(np.mean(steps**2, axis=0)))
-    return float(np.sum(_noise_variance(time, x))) <= CLEAN_SHARE**2 * motion
+    return float(np.sum(noise_variance(time, x))) <= CLEAN_SHARE**2 * motion
 
 
 def _manifold_midpoints(trajectory: Trajectory, robot: Robot) -> Trajectory:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, final
+from typing import Any, TypeVar, final
 
 from manip_learn.errors import ManipLearnError, MissingExtraError
 from manip_learn.learning.streaming.accumulator import Accumulator, Chunk, Executor, accumulate_part, merge_optional
 from manip_learn.learning.streaming.sample_stream import SampleStream
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.trajectory_source import Progress, TrajectorySource
 
 try:
     import dask
@@ -18,6 +18,8 @@ try:
     from distributed.scheduler import KilledWorker
 except ImportError as error:
     raise MissingExtraError("learning on a dask cluster", "dask") from error
+
+Result = TypeVar("Result")
 
 LOOPBACK = "127.0.0.1"
 PATIENCE = "10s"
@@ -129,6 +131,36 @@ class DaskExecutor(Executor):
         for part in self._parts:
             part.release()
         self._parts = []
+
+
+def map_parts(
+    client: Client,
+    function: Callable[..., Result],
+    source: TrajectorySource,
+    arguments: tuple[Any, ...],
+    progress: Progress | None,
+    title: str,
+) -> Iterator[Result]:
+    """function(one part of the source, *arguments) of each part, made by the workers, in the order of the parts.
+
+    Raises:
+        ManipLearnError: Workers die again and again.
+    """
+    prefix = f"manip-learn-{client.id}-{next(_CALLS)}"
+    futures = [
+        client.submit(function, source.alone(i), *arguments, key=f"{prefix}-map-{i}", pure=False)
+        for i in range(source.n_parts)
+    ]
+    if progress is not None:
+        for done, _ in enumerate(as_completed(futures), start=1):
+            progress(title, done / len(futures))
+    for future in futures:
+        try:
+            yield future.result()
+        except KilledWorker as error:
+            raise ManipLearnError(
+                f"the dask workers die again and again on the same part ({error}): is there enough memory for each?"
+            ) from error
 
 
 def _read(stream: SampleStream, number: int) -> tuple[list[Chunk], list[str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -76,7 +76,7 @@ class SampleStream:
             notes.append(DERIVED)
 
 
-def open_stream(source: TrajectorySource, features: list[FeatureMap], velocities: VelocityMethod) -> SampleStream:
+def open_stream(source: TrajectorySource, features: Sequence[FeatureMap], velocities: VelocityMethod) -> SampleStream:
     """The samples of a source, for some features.
 
     Raises:

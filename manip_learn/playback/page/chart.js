@@ -91,17 +91,28 @@ class Chart {
     if (w < 50 || h < 40) return;
     const curves = this.rollouts.filter((r) => r.visible && r.curve.length), strips = this.stripsToDraw();
     const row = strips.length > 5 ? 7 : 10, stripsHeight = strips.length ? 8 + row * strips.length : 0;
-    Object.assign(this, { left: 58, right: w - 14, top: 8, bottom: h - 24 - stripsHeight });
+    const bands = bandRows(this.rollouts, curves.length ? h / 2 : h - 40);
+    const bandRow = Math.min(BAND.tallest, Math.floor((curves.length ? h / 2 : h - 40) / Math.max(bands.length, 1)));
+    const below = stripsHeight + (bands.length ? 6 + bandRow * bands.length : 0);
+    const bottom = curves.length || !bands.length ? h - 24 - below : 6;
+    Object.assign(this, { left: this.margin(bands, bandRow), right: w - 14, top: 8, bottom, curves });
     this.range = this.findRange(curves);
     const root = svg("svg", { width: w, height: h, "aria-hidden": "true" });
-    this.drawAxes(root, h, stripsHeight);
+    this.drawAxes(root, h, below);
     curves.forEach((r) => this.drawCurve(root, r));
     strips.forEach((r, i) => this.drawStrip(root, r, this.bottom + 9 + row * i, row - 3));
-    this.cursor = svg("line", { y1: this.top, y2: this.bottom + stripsHeight + 2, stroke: "#17212b", "stroke-width": 1.5 }, root);
+    bands.forEach((r, i) => drawBands(root, this, r, this.bottom + stripsHeight + 8 + bandRow * i, bandRow));
+    this.cursor = svg("line", { y1: this.top, y2: this.bottom + below + 2, stroke: "#17212b", "stroke-width": 1.5 }, root);
     this.knob = svg("path", { d: "M-6 0h12l-6 8z", fill: "#17212b" }, root);
     this.dots = curves.map((r) => [r, svg("circle", { r: 5, fill: r.colour, stroke: "#fff", "stroke-width": 2 }, root)]);
     this.element.replaceChildren(root);
     if (this.time !== undefined) this.setTime(this.time);
+  }
+
+  // Room for the numbers of the curve, or for the names of the bands.
+  margin(bands, bandRow) {
+    if (!bands.length || bandRow < BAND.named) return 58;
+    return Math.max(58, Math.min(170, 22 + 7.4 * Math.max(...bands.map((r) => shortName(r.name).length))));
   }
 
   // All visible ones while there is room, else that of the solid rollout.
@@ -110,8 +121,9 @@ class Chart {
     return strips.length <= MAX_STRIPS ? strips : strips.filter((r) => r.solid);
   }
 
-  drawAxes(root, h, stripsHeight) {
-    for (const v of this.ticksY()) {
+  drawAxes(root, h, below) {
+    const bare = !this.curves.length && this.bottom < 10;
+    for (const v of bare ? [] : this.ticksY()) {
       const y = this.y(v);
       svg("line", { x1: this.left, x2: this.right, y1: y, y2: y, stroke: "#e3e8ed" }, root);
       svg("text", { x: this.left - 8, y: y + 4, "text-anchor": "end" }, root).textContent = short(v);
@@ -119,8 +131,8 @@ class Chart {
     const ticks = niceTicks(this.start, this.start + this.duration, (this.right - this.left) / 90);
     ticks.forEach((t, i) => {
       const x = this.x(t);
-      svg("line", { x1: x, x2: x, y1: this.top, y2: this.bottom, stroke: "#eef1f4" }, root);
-      const text = svg("text", { x, y: this.bottom + stripsHeight + 18, "text-anchor": "middle" }, root);
+      svg("line", { x1: x, x2: x, y1: this.top, y2: this.bottom + (bare ? below : 0), stroke: "#e3e8ed" }, root);
+      const text = svg("text", { x, y: this.bottom + below + 18, "text-anchor": "middle" }, root);
       text.textContent = short(Number(t.toPrecision(8))) + (i === ticks.length - 1 ? " s" : "");
       if (x > this.right - 14) text.setAttribute("text-anchor", "end");
     });
@@ -157,11 +169,14 @@ class Chart {
     }
   }
 
-  // The words that occur, mildest first.
-  statusKey() {
+  // What the colours of strips and bands mean: the words that occur, mildest first, then the phases.
+  colourKey() {
     const words = new Set(this.rollouts.flatMap((r) => r.status.map(([, word]) => word)));
     const known = Object.keys(STATUS).filter((w) => words.delete(w));
-    return [...known, ...words].map((word) => this.statusStyle(word));
+    const used = new Set(this.rollouts.flatMap((r) => r.bands.map((b) => b.kind)));
+    const phases = [...new Set(this.rollouts.flatMap((r) => r.kinds))].filter((kind) => used.has(kind));
+    if (this.rollouts.some(hasGaps)) phases.push(NO_PHASE);
+    return [...[...known, ...words].map((word) => this.statusStyle(word)), ...phases.map(({ colour, label, mark, ink }) => ({ colour, say: label, mark, ink }))];
   }
 }
 

@@ -19,9 +19,9 @@ function readable(mu) {
   return Math.abs(mu) >= 1e-3 && Math.abs(mu) < 1e4 ? mu.toPrecision(3) : mu.toExponential(1);
 }
 
-function prepare(rollout, index) {
+function prepare(rollout, index, kinds) {
   return {
-    ...rollout, index, visible: true, solid: index === 0,
+    ...rollout, kinds, hasPhases: kinds.length > 0, bands: bandsOf(rollout, kinds), index, visible: true, solid: index === 0,
     keyTimes: decode(rollout.keyTimes, Float64Array), tracks: decode(rollout.tracks, Float64Array),
     path: decode(rollout.path, Float32Array), pathTimes: decode(rollout.pathTimes, Float32Array),
     curve: decode(rollout.curve, Float64Array), curveTimes: decode(rollout.curveTimes, Float64Array),
@@ -30,7 +30,7 @@ function prepare(rollout, index) {
 
 class Show {
   constructor(data) {
-    this.rollouts = data.rollouts.map(prepare);
+    this.rollouts = data.rollouts.map((r, i) => prepare(r, i, data.phaseKinds));
     this.duration = Math.max(...this.rollouts.map((r) => r.duration));
     this.time = 0;
     this.makeScene(data);
@@ -46,12 +46,15 @@ class Show {
     const meshes = data.robot.meshes.map(meshGeometry), geometries = data.robot.shapes.map((s) => shapeGeometry(s, meshes));
     const world = this.stage ? this.stage.world : new THREE.Group();
     for (const rollout of this.rollouts) {
-      rollout.instance = new RobotInstance(data.robot, rollout, geometries, this.rollouts.length > 1);
+      rollout.instance = new RobotInstance(data.robot, rollout, geometries, this.rollouts.length > 1 && !rollout.hasPhases);
       rollout.instance.setSolid(rollout.solid);
       world.add(rollout.instance.root);
       const size = this.stage ? this.stage.size : 1;
       if (rollout.path.length >= 6) rollout.trail = new TipPath(rollout, 0.0028 * size, rollout.instance.root);
     }
+    this.mechanism = data.mechanism;
+    const colour = (data.phaseKinds[0] || NO_PHASE).colour;
+    if (this.mechanism && this.stage) world.add(mechanismGroup(this.mechanism, colour, 0.0012 * this.stage.size));
   }
 
   // Numbers of all joints at time t; after the end, the last ones.
@@ -96,7 +99,7 @@ class Show {
 }
 
 class Legend {
-  constructor(element, rollouts, { onShow, onSolid }) {
+  constructor(element, rollouts, { onShow, onSolid, mechanism = null }) {
     this.rows = rollouts.map((rollout) => {
       const row = document.createElement("div"), eye = document.createElement("button"), pick = document.createElement("button");
       const mark = document.createElement("i"), name = document.createElement("span"), state = document.createElement("span"), mu = document.createElement("div");
@@ -111,6 +114,12 @@ class Legend {
       pick.addEventListener("click", () => onSolid(rollout));
       return { rollout, row, eye, state, mu };
     });
+    if (mechanism) {
+      const words = document.createElement("p");
+      words.id = "mechanism";
+      words.textContent = `Mechanism: ${mechanism.sentence}`;
+      element.append(words);
+    }
     this.setTime(0);
   }
 
@@ -118,8 +127,9 @@ class Legend {
     for (const { rollout, row, eye, state, mu } of this.rows) {
       row.className = `rollout${rollout.solid ? " solid" : ""}${rollout.visible ? "" : " off"}`;
       eye.setAttribute("aria-pressed", String(rollout.visible));
-      const ended = t > rollout.duration + 1e-9, word = statusAt(rollout, t);
-      state.textContent = [rollout.colourName, word && sayStatus(word), ended && `ended at ${rollout.duration.toFixed(2)} s`].filter(Boolean).join(" · ");
+      const ended = t > rollout.duration + 1e-9, word = statusAt(rollout, t), phase = phaseAt(rollout, t);
+      if (rollout.hasPhases) row.style.setProperty("--colour", (phase || NO_PHASE).colour);
+      state.textContent = [rollout.hasPhases ? phase && phase.label : rollout.colourName, word && sayStatus(word), ended && `ended at ${rollout.duration.toFixed(2)} s`].filter(Boolean).join(" · ");
       if (rollout.curve.length) {
         const value = document.createElement("small");
         value.textContent = "μ";
@@ -138,21 +148,39 @@ class Player {
     this.chart = new Chart(get("chart"), show.rollouts, show.duration, (t) => this.seek(t));
     this.legend = new Legend(get("legend"), show.rollouts, {
       onShow: (rollout, visible) => { show.show(rollout, visible); this.chart.draw(); this.update(); },
-      onSolid: (rollout) => { show.makeSolid(rollout); this.chart.draw(); this.update(); },
+      onSolid: (rollout) => { show.makeSolid(rollout); this.chart.draw(); this.drawSlider(); this.update(); },
+      mechanism: show.mechanism,
     });
     this.wireTransport();
     this.wireKeys();
-    this.fillStatusKey();
-    const empty = show.rollouts.every((r) => !r.curve.length && !r.status.length);
-    get("panel").hidden = empty;
+    this.fillColourKey();
+    this.arrangePanel();
+    this.drawSlider();
     this.seek(0);
     requestAnimationFrame((now) => this.frame(now));
   }
 
-  fillStatusKey() {
-    for (const { colour, say } of this.chart.statusKey()) {
-      const item = document.createElement("span"), image = svg("svg", { width: 14, height: 9 });
-      svg("rect", { width: 14, height: 9, rx: 2, fill: colour }, image);
+  // Curves, bands, both or neither.
+  arrangePanel() {
+    const { rollouts } = this.show, curves = rollouts.some((r) => r.curve.length), bands = rollouts.filter((r) => r.bands.length).length;
+    get("panel").hidden = !curves && !bands && rollouts.every((r) => !r.status.length);
+    get("phase").hidden = !bands;
+    if (!bands) return;
+    get("panel").setAttribute("aria-label", curves ? "Manipulability and phases" : "Phases");
+    if (curves) get("panel-title").append(", phases");
+    else get("panel-title").textContent = "Phases";
+    get("log").hidden = !curves;
+    get("chart").style.height = curves ? "clamp(180px, 34vh, 360px)" : `min(38vh, ${44 + BAND.tallest * bands}px)`;
+    this.chart.draw();
+  }
+
+  drawSlider() { drawSliderBands(get("scrub-bands"), this.show.solid, this.show.duration); }
+
+  fillColourKey() {
+    for (const { colour, say, mark = "", ink } of this.chart.colourKey()) {
+      const item = document.createElement("span"), image = svg("svg", { width: 16, height: mark ? 14 : 9 });
+      svg("rect", { width: 16, height: mark ? 14 : 9, rx: 2, fill: colour }, image);
+      if (mark) svg("text", { x: 8, y: 11, "text-anchor": "middle", style: `fill: ${ink}` }, image).textContent = mark;
       item.append(image, say);
       get("status-key").append(item);
     }
@@ -244,6 +272,9 @@ class Player {
     const t = this.show.time;
     this.chart.setTime(t);
     this.legend.setTime(t, (word) => this.chart.statusStyle(word).say);
+    const phase = phaseAt(this.show.solid, t);
+    get("phase").textContent = phase ? `${this.show.solid.name}: ${phase.label}` : "";
+    get("phase").style.setProperty("--colour", phase ? phase.colour : "transparent");
     get("scrub").value = t;
     get("clock").textContent = `${t.toFixed(2)} s`;
   }

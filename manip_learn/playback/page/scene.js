@@ -116,7 +116,7 @@ class RobotInstance {
     // a ghost first fills the depth buffer, so that only its front skin is blended and it stays easy to read
     this.veil = new THREE.MeshBasicMaterial({ colorWrite: false, side: THREE.DoubleSide, ...behind(rollout.index) });
     this.geometries = geometries;
-    if (rollout.index < MAX_GHOSTS) this.addShapes();
+    if (rollout.hasPhases ? rollout.solid : rollout.index < MAX_GHOSTS) this.addShapes();
     this.motion = new THREE.Matrix4();
   }
 
@@ -139,6 +139,7 @@ class RobotInstance {
 
   setSolid(solid) {
     this.solid = solid;
+    this.bodies.visible = solid || !this.rollout.hasPhases; // ghosts would hide the paths, whose colours are the point
     if (solid && this.geometries) this.addShapes();
     const made = new Map();
     for (const { skin, veil } of this.meshes) {
@@ -215,10 +216,19 @@ class TipPath {
     const geometry = tubeGeometry(rollout.path, radius, this.sides), past = geometry.clone();
     const faint = new THREE.MeshBasicMaterial({ color: colour, transparent: true, opacity: 0.28, depthWrite: false, ...behind(rollout.index) });
     const strong = new THREE.MeshStandardMaterial({ color: colour, roughness: 0.6, emissive: colour, emissiveIntensity: 0.25, ...behind(rollout.index) });
-    this.past = new THREE.Mesh(past, strong);
+    this.rollout = rollout;
+    this.past = new THREE.Mesh(past, rollout.hasPhases ? this.colouredByPhase(rollout, geometry, past, faint) : strong);
     this.ball = new THREE.Mesh(new THREE.SphereGeometry(2.6 * radius, 24, 16), strong);
     this.group.add(new THREE.Mesh(geometry, faint), this.past, this.ball);
     parent.add(this.group);
+  }
+
+  // Unlit, so that the colours are those of the legend.
+  colouredByPhase(rollout, geometry, past, faint) {
+    const colours = pathColours(rollout, this.sides);
+    for (const tube of [geometry, past]) tube.setAttribute("color", colours);
+    Object.assign(faint, { vertexColors: true, color: new THREE.Color(1, 1, 1), opacity: 0.5 });
+    return new THREE.MeshBasicMaterial({ vertexColors: true, ...behind(rollout.index) });
   }
 
   setTime(t, tip) {
@@ -226,5 +236,9 @@ class TipPath {
     while (high - low > 1) { const middle = (low + high) >> 1; if (this.times[middle] <= t) low = middle; else high = middle; }
     this.past.geometry.setDrawRange(0, low * this.sides * 6);
     this.ball.position.copy(tip);
+    if (!this.rollout.hasPhases) return;
+    const colour = linear((phaseAt(this.rollout, t) || NO_PHASE).colour);
+    this.ball.material.color.copy(colour);
+    this.ball.material.emissive.copy(colour);
   }
 }

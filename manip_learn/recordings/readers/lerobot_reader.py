@@ -14,6 +14,7 @@ import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings.readers.lerobot_dataset import STATE, VELOCITY, LeRobotDataset, open_dataset
+from manip_learn.recordings.readers.lerobot_episodes import episode_number
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, reason
 
@@ -147,10 +148,15 @@ def _refuse_unknown_units(
 
 
 def _episodes(dataset: LeRobotDataset, request: ReadRequest) -> Iterator[Episode]:
-    """Episodes of all files; one may go on in the next file."""
+    """Episodes of all files, or the chosen ones; one may go on in the next file."""
     open_parts: list[Episode] = []
     for file in dataset.files:
+        number = episode_number(file)
+        if request.chosen is not None and number is not None and number not in request.chosen:
+            continue
         for part in _parts(file, dataset, request):
+            if request.chosen is not None and part.index not in request.chosen:
+                continue
             if open_parts and open_parts[0].index != part.index:
                 yield _joined(open_parts)
                 open_parts = []

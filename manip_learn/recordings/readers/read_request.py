@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal, final, get_args
 
 from manip_learn.errors import RecordingError
+from manip_learn.recordings.readers.episode_selection import EpisodeSelection
 from manip_learn.robot import Robot
 
 Units = Literal["radians", "degrees", "normalised"]
@@ -32,6 +33,9 @@ class ReadRequest:
         topics: Topics of a bag to read; None: all that carry the robot's joints.
         rate: Samples per second, for files without time stamps [Hz].
         outside_limits: What to do with positions far outside the joint limits.
+        episodes: Which episodes to read; None: all.
+        task: Only episodes that show this task, of LeRobot data.
+        chosen: Numbers of the episodes to read of a data set, once these two have been looked up; None: all.
 
     Raises:
         RecordingError: An option that is not one of its allowed values.
@@ -46,6 +50,9 @@ class ReadRequest:
     topics: tuple[str, ...] | None = None
     rate: float | None = None
     outside_limits: Literal["refuse", "note"] = "refuse"
+    episodes: EpisodeSelection | None = None
+    task: str | None = None
+    chosen: frozenset[int] | None = None
 
     def __post_init__(self) -> None:
         _check_choice("units", self.units, (None, *get_args(Units)))
@@ -53,6 +60,8 @@ class ReadRequest:
         _check_choice("outside_limits", self.outside_limits, ("refuse", "note"))
         for option in ("ignore_columns", "joint_names", "topics"):
             object.__setattr__(self, option, _names(option, getattr(self, option)))
+        if self.task is not None and not (isinstance(self.task, str) and self.task.strip()):
+            raise RecordingError(f"task must be the text of a task, got {self.task!r}", code="option")
         if not isinstance(self.rename, Mapping):
             raise RecordingError(
                 f"rename must be a mapping {{name in the file: name in the robot}}, got {self.rename!r}", code="option"

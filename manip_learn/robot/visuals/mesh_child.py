@@ -1,12 +1,14 @@
 """The child process that parses meshes; run as a script, never imported.
 
-It reads jobs from stdin, one JSON object per line (`{"input": file, "output": file}`), limits its own memory and time,
-writes vertices and faces to the output and answers with one JSON object per line.
+It limits its own memory and time and answers `{"ok": true}` once the parser is loaded. Then it reads jobs from stdin,
+one JSON object per line (`{"input": file, "output": file}`), writes vertices and faces to the output, and answers with
+one JSON object per line.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 
 MEMORY = 512_000_000  # [bytes] of address space; the libraries alone take 150 MB
@@ -19,7 +21,10 @@ def main() -> None:
     import coal
     import numpy as np
 
-    answers = sys.stdout
+    # what the parser prints must not get between the answers
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    print(json.dumps({"ok": True}), file=answers, flush=True)
     for line in sys.stdin:
         job = json.loads(line)
         try:
@@ -31,8 +36,7 @@ def main() -> None:
             answer = {"ok": True}
         except (ValueError, RuntimeError, MemoryError, OSError, IndexError, TypeError) as error:
             answer = {"ok": False, "reason": f"{type(error).__name__}: {error}"[:300]}
-        answers.write(json.dumps(answer) + "\n")
-        answers.flush()
+        print(json.dumps(answer), file=answers, flush=True)
 
 
 def limit_self() -> None:

@@ -20,6 +20,7 @@ from manip_learn.errors import RobotError
 from manip_learn.robot.visuals.mesh_content import buffer_files, checked_mesh
 
 CHILD = Path(__file__).with_name("mesh_child.py")
+START_SECONDS = 30.0  # for the parser to be loaded, from a cold disk on a busy machine
 SECONDS = 5.0  # for one mesh
 ALL_SECONDS = 60.0  # for all meshes of one robot
 MAX_FACES = 2_000_000
@@ -49,6 +50,7 @@ def read_meshes(paths: Sequence[Path], seconds: float = SECONDS) -> dict[Path, M
                 for name, side in buffer_files(content, path).items():
                     (alone / name).write_bytes(side)
                 child = child or _Child(Path(folder))
+                child.wait_until_ready(path)
                 child.parse(copy, alone / "out.npz", path, min(seconds, end - time.monotonic()))
                 out[path] = _loaded(alone / "out.npz", path)
             except RobotError as error:
@@ -69,7 +71,7 @@ class _Child:
 
     def __init__(self, folder: Path):
         environment = {k: v for k, v in os.environ.items() if k in ("PATH", "SYSTEMROOT", "LD_LIBRARY_PATH", "TMPDIR")}
-        self.is_lost = False
+        self.is_lost = self._is_ready = False
         self._process = subprocess.Popen(
             [sys.executable, "-I", str(CHILD)],
             stdin=subprocess.PIPE,
@@ -78,6 +80,19 @@ class _Child:
             cwd=folder,
             env={**environment, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
         )
+        if self._process.stdin is None or self._process.stdout is None:
+            raise RobotError("the process that parses meshes has no pipes", code="mesh-parser")
+        self._stdin, self._stdout = self._process.stdin, self._process.stdout
+
+    def wait_until_ready(self, original: Path) -> None:
+        """Wait for the parser to be loaded; what that takes does not count as the time of a mesh.
+
+        Raises:
+            RobotError: Codes `mesh-parser`, `mesh-time`.
+        """
+        if not self._is_ready:
+            self._answer(original, START_SECONDS, "starting the parser")
+            self._is_ready = True
 
     def parse(self, copy: Path, output: Path, original: Path, seconds: float) -> None:
         """Have one mesh parsed.
@@ -85,21 +100,21 @@ class _Child:
         Raises:
             RobotError: Codes `mesh-parser`, `mesh-time`.
         """
-        stdin, stdout = self._process.stdin, self._process.stdout
-        if stdin is None or stdout is None:
-            raise _failed(original, "mesh-parser", "the parsing process has no pipes")
         try:
-            stdin.write(json.dumps({"input": str(copy), "output": str(output)}).encode() + b"\n")
-            stdin.flush()
+            self._stdin.write(json.dumps({"input": str(copy), "output": str(output)}).encode() + b"\n")
+            self._stdin.flush()
         except OSError as error:
             self.is_lost = True
             raise _failed(original, "mesh-parser", "the parsing process is gone") from error
+        self._answer(original, seconds, "parsing")
+
+    def _answer(self, original: Path, seconds: float, activity: str) -> None:
         with selectors.DefaultSelector() as selector:
-            selector.register(stdout, selectors.EVENT_READ)
+            selector.register(self._stdout, selectors.EVENT_READ)
             if seconds <= 0.0 or not selector.select(seconds):
                 self.is_lost = True
-                raise _failed(original, "mesh-time", f"parsing took more than {max(seconds, 0.0):.3g} s")
-        line = stdout.readline()
+                raise _failed(original, "mesh-time", f"{activity} took more than {max(seconds, 0.0):.3g} s")
+        line = self._stdout.readline()
         if not line.endswith(b"\n"):
             self.is_lost = True
             raise _failed(original, "mesh-parser", "the parser crashed or ran out of memory")

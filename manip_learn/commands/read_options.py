@@ -1,0 +1,76 @@
+"""Options of the command line that say how recordings are read: one set, shared by all commands that read them."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import typer
+
+from manip_learn.errors import ManipLearnError
+
+# the keywords of `load_demonstrations`; their own type is not imported here, so that `--help` stays quick
+ReadOptions = Any
+
+
+def read_options(
+    degrees: Annotated[bool, typer.Option("--degrees", help="The recordings are in degrees.")] = False,
+    units: Annotated[str | None, typer.Option(help="Of the recorded angles: radians, degrees or normalised.")] = None,
+    time_unit: Annotated[str | None, typer.Option(help="Of the time stamps: s, ms, us or ns.")] = None,
+    ignore_column: Annotated[list[str] | None, typer.Option(help="Column to ignore; repeatable.")] = None,
+    rename: Annotated[list[str] | None, typer.Option(help="NAME_IN_FILE=NAME_IN_ROBOT of a joint.")] = None,
+    joint_names: Annotated[str | None, typer.Option(help="Column names, in order, for files without names.")] = None,
+    topic: Annotated[list[str] | None, typer.Option(help="Topic of a bag; default: all that hold joints.")] = None,
+    rate: Annotated[float | None, typer.Option(help="Samples per second, for files without time stamps.")] = None,
+    outside_limits: Annotated[str | None, typer.Option(help="Samples far outside the limits: refuse or note.")] = None,
+    episodes: Annotated[
+        str | None, typer.Option(help="Which to read, from 0, e.g. 0:50,60,75: LeRobot episodes, or files in order.")
+    ] = None,
+    task: Annotated[str | None, typer.Option(help="Read only the LeRobot episodes that show this task.")] = None,
+) -> dict[str, Any]:
+    """Keywords of `load_demonstrations`; what was not given is left out. The reader checks the values.
+
+    Raises:
+        ManipLearnError: A renaming that is not FILE_NAME=ROBOT_NAME.
+    """
+    given: dict[str, Any] = {
+        "degrees": degrees or None,
+        "units": units,
+        "time_unit": time_unit,
+        "ignore_columns": ignore_column,
+        "rename": dict(_pair(r) for r in rename) if rename else None,
+        "joint_names": joint_names.replace(",", " ").split() if joint_names else None,
+        "topics": topic,
+        "rate": rate,
+        "outside_limits": outside_limits,
+        "episodes": episodes,
+        "task": task,
+    }
+    return {key: value for key, value in given.items() if value is not None and value != []}
+
+
+def takes_read_options(command: Callable[..., None]) -> Callable[..., None]:
+    """A command with the options of `read_options` in place of its parameter `options`, which gets what they say."""
+    own = inspect.signature(command, eval_str=True).parameters
+    shared = inspect.signature(read_options, eval_str=True).parameters
+
+    @functools.wraps(command)
+    def with_options(**given: Any) -> None:
+        options = read_options(**{name: given.pop(name) for name in shared})
+        command(**given, options=options)
+
+    merged: list[inspect.Parameter] = []
+    for parameter in own.values():
+        merged += shared.values() if parameter.name == "options" else [parameter]
+    merged = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in merged]
+    vars(with_options).update(__signature__=inspect.Signature(merged), __annotations__={})
+    return with_options
+
+
+def _pair(text: str) -> tuple[str, str]:
+    file_name, _, robot_name = text.partition("=")
+    if not file_name or not robot_name:
+        raise ManipLearnError(f"--rename must be NAME_IN_FILE=NAME_IN_ROBOT, got {text!r}")
+    return file_name, robot_name

@@ -1,0 +1,214 @@
+"""Rows about an axis or a centre: the Phi(q) of doors, handles, tethers and screws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, Weigh
+from manip_learn.constraint.features.place_fields import FIELDS, Geometry, weights
+from manip_learn.errors import FeatureError
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.robot import Robot
+
+
+@final
+class MechanismRows(FeatureMap):
+    """Velocity of a frame seen from an axis through a point: rows whose direction depends on the place.
+
+    Phi(q) = W(p(q)) J(q), with J the frame's Jacobian along the axes of the robot's base and p its origin. With the
+    axis a, the point c, and rho the distance of p from the axis:
+
+    - `radial` (x / rho).v, away from the axis; `axial` a.v; `tangential` around the axis [m/s];
+    - `helical`: across the helix of the given pitch, along its cylinder [m/s];
+    - `spherical`: away from the point [m/s];
+    - `turn` a.w and `turn-1`, `turn-2`: angular velocity along the axis and along two directions across it [rad/s];
+    - `slide` a.v_c and `slide-1`, `slide-2`: velocity of the point of the hand that is at c [m/s];
+    - `screw` a.v_c - pitch a.w: zero for a hand that is fixed to a screw [m/s].
+
+    A hand fixed to a hinge makes `turn-1 turn-2 slide-1 slide-2 slide` zero; one that may turn about a door's handle
+    makes `radial axial` zero. Within 1e-5 m of the axis (or the centre) the directions fade to zero: the manipulability
+    is zero there and its gradient finite.
+
+    Args:
+        robot: The robot.
+        frame: Name of the frame, e.g. the tool's tip.
+        rows: Names of the rows, each at most once; a string with spaces or a sequence.
+        axis: Direction of the axis in the base frame; made unit length.
+        point: A point on the axis, or the centre, in the base frame [m].
+        pitch: Travel along the axis a radian of turning [m/rad], right-handed screws positive.
+
+    Raises:
+        UnknownNameError: No such frame; lists near matches.
+        FeatureError: Unknown rows, or an axis, a point or a pitch that is no such thing.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        frame: str,
+        rows: str | Sequence[str],
+        *,
+        axis: ArrayLike = (0.0, 0.0, 1.0),
+        point: ArrayLike = (0.0, 0.0, 0.0),
+        pitch: float = 0.0,
+    ):
+        self.robot = robot
+        self.frame = robot.frame(frame)
+        self.row_names = _parsed(rows)
+        self.row_units = tuple(FIELDS[n][0] for n in self.row_names)
+        self.nv = robot.nv
+        direction, place = _vector(axis, "axis"), _vector(point, "point")
+        if not np.linalg.norm(direction) > 0.0:
+            raise FeatureError("the axis has no direction: its three numbers are zero")
+        if not np.isfinite(pitch):
+            raise FeatureError(f"the pitch must be a finite number [m/rad], not {pitch!r}")
+        self.geometry = Geometry.of(direction, place, float(pitch))
+
+    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
+        """Phi(q) = W(p) J(q).
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        return self._weights(q)[0] @ self.robot.jacobian(q, self.frame, "world")
+
+    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
+        """dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        return self.value_and_derivative(q)[1]
+
+    def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
+        """Phi(q) and dPhi/dq = W dJ/dq + (dW/dp J_v) J."""
+        W, dW = self._weights(q)
+        J, H = self.robot.jacobian_and_derivative(q, self.frame, "world")
+        turned = W @ H.reshape(6, -1)
+        return W @ J, turned.reshape(-1, self.nv, self.nv) + J.T @ (dW @ J[:3])
+
+    def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s p"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
+        """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
+        W, dW = self._weights(q)
+        mix = padded.dot(W)
+        A, vjp = self.robot.weighted_jacobian_vjp(q, self.frame, "world", mix)
+        J = self.robot.jacobian(q, self.frame, "world").copy()  # may be a view of data that later calls overwrite
+        by_place = padded.dot(dW.reshape(len(W), -1)).reshape(-1, 3)
+
+        def weighted(weights_of_A: np.ndarray) -> np.ndarray:
+            return vjp(weights_of_A) + weights_of_A.dot(J.T).reshape(-1).dot(by_place).dot(J[:3])
+
+        return A, weighted
+
+    def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
+        """Phi at n postures, the rows of q, in bulk.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        """
+        J = batch_kinematics(self.robot, self.frame).jacobian(q, "world")
+        return self._batch_weights(q)[0] @ J
+
+    def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
+        """Phi and dPhi/dq at n postures, in bulk; errors as for `batch`."""
+        W, dW = self._batch_weights(q)
+        J, H = batch_kinematics(self.robot, self.frame).jacobian_and_derivative(q, "world")
+        n, nv = len(W), self.nv
+        turned = (W @ H.reshape(n, 6, nv * nv)).reshape(n, self.n_rows, nv, nv)
+        return W @ J, turned + J.transpose(0, 2, 1)[:, None] @ (dW @ J[:, None, :3])
+
+    def batch_vjp(self, q: ArrayLike, weigh: Weigh) -> Float[np.ndarray, "n nv"]:
+        """sum_ij weights_ij dPhi_ij / dq_k at n postures without forming dPhi/dq (see `FeatureMap`)."""
+        W, dW = self._batch_weights(q)
+        by_place = np.zeros((len(W), self.nv))
+
+        def weigh_twist(J: np.ndarray, part: slice) -> np.ndarray:
+            # (6, nv, m) with the postures last: the weights of Phi become weights of J, and the rest is kept aside
+            J_n = J.transpose(2, 0, 1)
+            weights_n = weigh((W[part] @ J_n).transpose(1, 2, 0), part).transpose(2, 0, 1)
+            along = weights_n @ J_n.transpose(0, 2, 1)
+            by_place[part] = np.einsum("nim,nimd,ndk->nk", along, dW[part], J_n[:, :3], optimize=True)
+            return (W[part].transpose(0, 2, 1) @ weights_n).transpose(1, 2, 0)
+
+        return batch_kinematics(self.robot, self.frame).vjp(q, weigh_twist, "world") + by_place
+
+    def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Distance from the axis (`radial`) or the centre (`spherical`), place along the axis (`axial`) [m].
+
+        Raises:
+            FeatureError: Other rows are the rate of nothing.
+        """
+        d = self.robot.position(q, self.frame) - self.geometry.point
+        z = float(d @ self.geometry.axis)
+        known = {
+            "radial": np.linalg.norm(d - z * self.geometry.axis),
+            "axial": z,
+            "spherical": np.linalg.norm(d),
+        }
+        if not set(self.row_names) <= set(known):
+            return super().coordinates(q)
+        return np.array([known[n] for n in self.row_names])
+
+    def describe(self) -> dict[str, Any]:
+        """Frame, rows, axis, point and pitch, as saved in a constraint file."""
+        return {
+            "kind": "mechanism-rows",
+            "frame": self.frame.name,
+            "rows": list(self.row_names),
+            "units": list(self.row_units),
+            "axis": self.geometry.axis.tolist(),
+            "point": self.geometry.point.tolist(),
+            "pitch": self.geometry.pitch,
+        }
+
+    @staticmethod
+    def from_description(robot: Robot, described: dict[str, Any]) -> MechanismRows:
+        """The feature map that `describe` wrote down."""
+        return MechanismRows(
+            robot,
+            described["frame"],
+            described["rows"],
+            axis=described["axis"],
+            point=described["point"],
+            pitch=described["pitch"],
+        )
+
+    def _weights(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        W, dW = weights(self.row_names, self.robot.position(q, self.frame)[None], self.geometry)
+        return W[0], dW[0]
+
+    def _batch_weights(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        return weights(self.row_names, batch_kinematics(self.robot, self.frame).pose(q)[:, :3, 3], self.geometry)
+
+    def __repr__(self) -> str:
+        a, c = (", ".join(f"{x:.4g}" for x in v) for v in (self.geometry.axis, self.geometry.point))
+        pitch = f", pitch={self.geometry.pitch:.4g}" if self.geometry.pitch else ""
+        rows = " ".join(self.row_names)
+        return (
+            f"MechanismRows({self.robot.name!r}, frame={self.frame.name!r}, {rows!r}, axis=({a}), point=({c}){pitch})"
+        )
+
+
+def _parsed(rows: str | Sequence[str]) -> tuple[str, ...]:
+    names = tuple(rows.replace(",", " ").split()) if isinstance(rows, str) else tuple(rows)
+    unknown = [n for n in names if n not in FIELDS]
+    if unknown or not names or len(set(names)) != len(names):
+        reason = f"unknown row {unknown[0]!r}" if unknown else "no row" if not names else "a row is named twice"
+        raise FeatureError(f"rows {rows!r}: {reason}; use any of {' '.join(FIELDS)}, each at most once")
+    return names
+
+
+def _vector(values: ArrayLike, what: str) -> np.ndarray:
+    try:
+        vector = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise FeatureError(f"the {what} must be three numbers: {error}") from error
+    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
+        raise FeatureError(f"the {what} must be three finite numbers, got {vector.tolist()}")
+    vector.setflags(write=False)
+    return vector

@@ -1,0 +1,1 @@
+"""Which trajectories obey one constraint, and which do not."""

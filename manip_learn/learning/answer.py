@@ -1,0 +1,267 @@
+"""One constraint from one part of the recordings: estimate -> evidence per row -> number of rows -> mechanism."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Bool
+
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.errors import NotIdentifiableError
+from manip_learn.learning.candidate import Candidate, LearnerSettings
+from manip_learn.learning.data_summary import DataSummary
+from manip_learn.learning.division import Part
+from manip_learn.learning.estimators.estimate import CLEAR_GAP
+from manip_learn.learning.evidence.recombination import recombination_test
+from manip_learn.learning.evidence.row_evidence import RowEvidence
+from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_mechanism
+
+# (what to learn from, which Phi, with which settings) -> the best candidate, and a summary of all samples
+Fit = Callable[[Part, LearnerSettings], tuple[Candidate, DataSummary]]
+# rows of a mechanism that concern the position of the frame alone, for features without rotations
+# trajectories beyond this number add nothing to a mechanism but time
+MOST_PATHS = 16
+# rows of Phi below this are ones that the arm cannot move
+BLIND = 1e-6
+# refusals that rows which depend on the place, or the evidence alone, may answer
+RESCUED = ("weak-gap", "no-freedom")
+POSITION_ROWS = {
+    "hinge": ("radial", "axial"),
+    "screw": ("radial", "helical"),
+    "ball": ("spherical",),
+    "other": ("radial",),
+}
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """A constraint with all that supports it.
+
+    Attributes:
+        part: What it was learnt from.
+        candidate: Lambda with the evidence of the fit.
+        data: Summary of the samples.
+        evidence: Evidence for each row; None where the demonstrator moves the rows (b unknown).
+        mechanism: What the hand's path says of the mechanism; None if it was not asked for.
+        warnings: Doubts beside those of the candidate.
+    """
+
+    part: Part
+    candidate: Candidate
+    data: DataSummary
+    evidence: RowEvidence | None
+    mechanism: MechanismFit | None
+    warnings: tuple[str, ...]
+
+    @property
+    def odd(self) -> tuple[tuple[int, str], ...]:
+        """Trajectories that the mechanism leaves out, and why."""
+        if self.mechanism is None or self.mechanism.mechanism is None:
+            return ()
+        name = self.mechanism.mechanism.name
+        return tuple(
+            (self.part.stretches[i].trajectory, f"the others agree on a {name} that does not hold in it")
+            for i in self.mechanism.odd
+        )
+
+
+def find_answer(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
+    """Learn one constraint from one part of the recordings.
+
+    The gap of the fit and the recombination test both count rows. Where they differ, the test decides if it is clear,
+    since a gap cannot tell what is held from what was never tried; the difference is said. Rows that depend on the
+    place, as those of a door that is held loosely, replace constant ones if they hold more.
+
+    Args:
+        part: Recordings or stretches.
+        settings: What the user asked for.
+        fit: Makes an estimate from a part.
+
+    Raises:
+        NotIdentifiableError: The part determines no constraint.
+    """
+    asked = settings.n_constraints
+    if part.is_held:
+        settings = dataclasses.replace(
+            settings, estimator="null-space", n_constraints=settings.n_constraints or part.n_constraints
+        )
+    try:
+        candidate, data = fit(part, settings)
+    except NotIdentifiableError as refusal:
+        return _despite(refusal, part, settings, fit)
+    if candidate.estimate.name != "null-space":
+        return Answer(part, candidate, data, None, None, ())
+    rng = np.random.default_rng(settings.seed)
+    evidence = recombination_test(candidate.samples.features, part.demonstrations, rng)
+    answer = _with_rows(Answer(part, candidate, data, evidence, None, ()), settings, fit, asked)
+    if evidence.n_rows == 0:
+        return answer  # a path that lies on something by chance is no mechanism
+    return _with_mechanism(dataclasses.replace(answer, mechanism=_mechanism(part, settings)), settings, fit, asked)
+
+
+def _with_rows(answer: Answer, settings: LearnerSettings, fit: Fit, asked: int | None) -> Answer:
+    """The number of rows that gap and evidence together support, unless the user asked for one.
+
+    Raises:
+        NotIdentifiableError: The evidence supports none, and there are trajectories enough to tell.
+    """
+    evidence, candidate = answer.evidence, answer.candidate
+    if evidence is None or not evidence.strengths:
+        return answer
+    supported, s = evidence.n_rows, candidate.n_constraints
+    if asked is not None:
+        return dataclasses.replace(answer, warnings=_doubt_given_rows(evidence, s))
+    if supported == s:
+        weak = () if evidence.verdict == "clear" else (f"weak evidence: {evidence.sentence()}",)
+        return dataclasses.replace(answer, warnings=weak)
+    if supported == 0:
+        return _unsupported(answer)
+    if evidence.verdict == "clear" or supported < s:
+        again, data = fit(answer.part, dataclasses.replace(settings, n_constraints=supported))
+        said = (
+            f"the gap supports {s} row(s), the recombination test {supported}, which is the answer; "
+            f"{evidence.sentence()}"
+        )
+        return dataclasses.replace(answer, candidate=again, data=data, warnings=(said,))
+    said = f"the recombination test finds {supported} row(s) weakly, the gap {s}, which is the answer"
+    return dataclasses.replace(answer, warnings=(said,))
+
+
+def _unsupported(answer: Answer) -> Answer:
+    evidence, s = answer.evidence, answer.candidate.n_constraints
+    if evidence is None:
+        return answer
+    if evidence.enough:
+        raise NotIdentifiableError(
+            f"the motion leaves {s} direction(s) unused (gap {answer.candidate.gap:.3g}), but nothing shows that they "
+            f"are held: {evidence.sentence()}. A motion that is repeated looks like this, too: vary the way and the "
+            "posture between recordings, or give the number of rows if you know it",
+            code="no-evidence",
+        )
+    return dataclasses.replace(
+        answer,
+        warnings=(
+            f"{evidence.n_trajectories} trajectory(ies) cannot show that these {s} row(s) are held rather than never "
+            "tried: record at least 3, better 5, that differ",
+        ),
+    )
+
+
+def _doubt_given_rows(evidence: RowEvidence, s: int) -> tuple[str, ...]:
+    if evidence.n_rows == s and evidence.verdict == "clear":
+        return ()
+    return (f"you asked for {s} row(s); the recombination test supports {evidence.n_rows}: {evidence.sentence()}",)
+
+
+def _mechanism(part: Part, settings: LearnerSettings) -> MechanismFit | None:
+    """What the path of the features' frame says, where the features belong to a frame of a robot."""
+    maps = [f for f in part.feature_maps if isinstance(f, FrameJacobian)]
+    if not settings.mechanism or not maps or settings.estimator not in ("auto", "null-space"):
+        return None
+    rng = np.random.default_rng(settings.seed)
+    chosen = _evenly(len(part.demonstrations))
+    paths = [part.demonstrations[i] for i in chosen]
+    try:
+        found = find_mechanism(maps[0].robot, maps[0].frame.name, paths, rng)
+    except NotIdentifiableError:
+        return None
+    return dataclasses.replace(found, odd=tuple(chosen[i] for i in found.odd))
+
+
+def _evenly(n: int) -> list[int]:
+    """Numbers of the trajectories that a mechanism is found from: all, or an even choice of many."""
+    return np.unique(np.linspace(0, n - 1, min(n, MOST_PATHS)).round().astype(int)).tolist()
+
+
+def _with_mechanism(answer: Answer, settings: LearnerSettings, fit: Fit, asked: int | None) -> Answer:
+    """Rows that depend on the place, if they hold more than constant ones."""
+    features = _place_rows(answer.part, answer.mechanism)
+    if features is None or asked is not None:
+        return answer
+    constant = answer.candidate
+    if constant.n_constraints >= features.n_rows and constant.gap >= CLEAR_GAP:
+        return answer  # the place adds nothing to rows that are constant
+    if not _all_held(features, answer.part, settings):
+        return answer
+    candidate, data = _fit_rows(features, answer.part, settings, fit)
+    return dataclasses.replace(
+        answer, candidate=candidate, data=data, evidence=_evidence(features, answer.part, settings), warnings=()
+    )
+
+
+def _despite(refusal: NotIdentifiableError, part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
+    """An answer where the gap shows none: rows that depend on the place, or rows that the evidence alone supports.
+
+    Raises:
+        NotIdentifiableError: There is none.
+    """
+    if refusal.code not in RESCUED or settings.n_constraints is not None:
+        raise refusal
+    mechanism = _mechanism(part, settings)
+    features = _place_rows(part, mechanism)
+    if features is not None and _all_held(features, part, settings):
+        candidate, data = _fit_rows(features, part, settings, fit)
+        return Answer(part, candidate, data, _evidence(features, part, settings), mechanism, ())
+    if refusal.code == "weak-gap":
+        for rows in part.feature_maps:
+            evidence = _evidence(rows, part, settings)
+            if evidence.verdict == "clear":
+                only = dataclasses.replace(part, feature_maps=(rows,))
+                again = dataclasses.replace(settings, estimator="null-space", n_constraints=evidence.n_rows)
+                candidate, data = fit(only, again)
+                said = f"no gap shows the number of rows, the recombination test does: {evidence.sentence()}"
+                return Answer(part, candidate, data, evidence, mechanism, (said,))
+    raise refusal
+
+
+def _all_held(features: MechanismRows, part: Part, settings: LearnerSettings) -> bool:
+    """Whether the recombination test, too, finds every row of the mechanism held."""
+    evidence = _evidence(features, part, settings)
+    return evidence.enough and evidence.n_rows == features.n_rows
+
+
+def _evidence(features: FeatureMap, part: Part, settings: LearnerSettings) -> RowEvidence:
+    return recombination_test(features, part.demonstrations, np.random.default_rng(settings.seed))
+
+
+def _fit_rows(
+    features: MechanismRows, part: Part, settings: LearnerSettings, fit: Fit
+) -> tuple[Candidate, DataSummary]:
+    again = dataclasses.replace(settings, estimator="null-space", n_constraints=features.n_rows)
+    return fit(dataclasses.replace(part, feature_maps=(features,)), again)
+
+
+def _place_rows(part: Part, found: MechanismFit | None) -> MechanismRows | None:
+    """The rows of a mechanism that depend on the place, in the axes asked for and in which the arm can move."""
+    if found is None or found.mechanism is None or not isinstance(found.features, MechanismRows):
+        return None
+    features, units = found.features, {unit for f in part.feature_maps for unit in f.row_units}
+    names = tuple(n for n, unit in zip(features.row_names, features.row_units, strict=True) if unit in units)
+    if units == {"m/s"}:
+        names = POSITION_ROWS.get(found.mechanism.type, ())
+    names = (
+        tuple(n for n, moves in zip(names, _movable(_only(features, names), part), strict=True) if moves)
+        if names
+        else ()
+    )
+    return _only(features, names) if names else None
+
+
+def _only(features: MechanismRows, names: tuple[str, ...]) -> MechanismRows:
+    place = features.geometry
+    return MechanismRows(
+        features.robot, features.frame.name, names, axis=place.axis, point=place.point, pitch=place.pitch
+    )
+
+
+def _movable(features: MechanismRows, part: Part) -> Bool[np.ndarray, " p"]:
+    """Whether the arm can move the frame along each row, somewhere on the recordings."""
+    few = np.concatenate([t.q[:: max(1, len(t) // 10)] for t in part.demonstrations])
+    return np.max(np.linalg.norm(features.batch(few), axis=2), axis=0) > BLIND

@@ -1,0 +1,218 @@
+"""Which parts of the recordings belong to which constraint: stretches of whole recordings, and those that agree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.learning.agreement.agreement import Agreement, judge_agreement
+from manip_learn.learning.agreement.reason import reason
+from manip_learn.learning.phases.decoding import TRIM
+from manip_learn.learning.phases.find_phases import find_phases, one_constraint_fits, too_short
+from manip_learn.learning.phases.result import PhaseConstraint, PhaseResult, Stretch
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.robot import Reference
+
+# share of the trajectories that must show a constraint before one that does not show it is called odd
+MOST = 0.6
+FEWEST_SAMPLES = 4  # of a stretch that is learnt from
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What one constraint is learnt from.
+
+    Attributes:
+        demonstrations: Whole recordings, or stretches of them.
+        stretches: Where they lie; trajectories are counted from 0 in what was given to the learner.
+        feature_maps: The candidates for Phi.
+        n_constraints: Number of rows that the phases show; None: from the data.
+        is_held: Whether the division showed already that the world holds the rows (b = 0).
+    """
+
+    demonstrations: Demonstrations
+    stretches: tuple[Stretch, ...]
+    feature_maps: tuple[FeatureMap, ...]
+    n_constraints: int | None = None
+    is_held: bool = False
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Division:
+    """The recordings, divided.
+
+    Attributes:
+        parts: One per constraint, best supported first.
+        free: Stretches of free motion.
+        odd: Trajectories that do not agree with the others, and why.
+        one_fits: Whether a single constraint fits nearly all samples.
+        warnings: Doubts, in sentences.
+    """
+
+    parts: tuple[Part, ...]
+    free: tuple[Stretch, ...] = ()
+    odd: tuple[tuple[int, str], ...] = ()
+    one_fits: bool = True
+    warnings: tuple[str, ...] = ()
+
+    def phases(self) -> tuple[tuple[int, float, float, int | None], ...]:
+        """(trajectory, start [s], end [s], number of the constraint or None for free motion), in order of time."""
+        held = [(s.trajectory, s.start, s.end, k) for k, part in enumerate(self.parts) for s in part.stretches]
+        free = [(s.trajectory, s.start, s.end, None) for s in self.free]
+        return tuple(sorted([*held, *free], key=lambda x: x[:2]))
+
+
+def undivided(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> Division:
+    """No division: one constraint holds in everything."""
+    return Division((_part(demonstrations, range(len(demonstrations)), feature_maps),))
+
+
+def divide(
+    demonstrations: Demonstrations,
+    feature_maps: Sequence[FeatureMap],
+    rng: np.random.Generator,
+    *,
+    phases: bool = True,
+) -> Division:
+    """Find out which parts of the recordings one constraint can explain.
+
+    Where a single constraint fits nearly all samples, what is left is whether all trajectories agree on all of its
+    rows. Where none fits, the trajectories may be cut ones of several tasks, or a few odd ones among others: those that
+    agree then fit without the rest. Otherwise the recordings are whole ones, and their phases are searched for.
+
+    Args:
+        demonstrations: With velocities.
+        feature_maps: The candidates for Phi.
+        rng: For the comparisons with chance.
+        phases: Whether to look for phases.
+    """
+    usable = tuple(f for f in feature_maps if _moves(f, demonstrations))
+    if not usable:
+        return undivided(demonstrations, feature_maps)
+    fitting = tuple(f for f in usable if one_constraint_fits(f, demonstrations))
+    if len(demonstrations) < 2 or (not fitting and too_short(demonstrations)):
+        return Division(undivided(demonstrations, feature_maps).parts, one_fits=bool(fitting))
+    elsewhere = () if fitting else _held_elsewhere(demonstrations, usable)
+    if elsewhere:
+        return Division(undivided(demonstrations, feature_maps).parts, one_fits=False, warnings=elsewhere)
+    agreed = _by_agreement(demonstrations, fitting or usable, feature_maps, bool(fitting))
+    if agreed is not None:
+        return agreed
+    if fitting:
+        return undivided(demonstrations, feature_maps)
+    if phases:
+        found = find_phases(usable, demonstrations, rng)
+        if found.constraints:
+            return _by_phases(demonstrations, usable, found)
+    return Division(undivided(demonstrations, feature_maps).parts, one_fits=False)
+
+
+def _held_elsewhere(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> tuple[str, ...]:
+    """A warning if one constraint holds in the other reference: what disagrees in this one is no other task then."""
+    tried = {f.reference for f in feature_maps if isinstance(f, FrameJacobian)}
+    for f in feature_maps:
+        if isinstance(f, FrameJacobian) and len(tried) == 1:
+            other: Reference = "local" if f.reference == "world" else "world"
+            if one_constraint_fits(FrameJacobian(f.robot, f.frame.name, f.row_names, other), demonstrations):
+                return (
+                    f"in the {f.reference} reference no constraint fits all recordings, in the {other} one does: the "
+                    f"rows are held there (reference {other!r})",
+                )
+    return ()
+
+
+def _moves(features: FeatureMap, demonstrations: Demonstrations) -> bool:
+    """Whether any row of the features is not zero throughout."""
+    few = np.concatenate([t.q[:: max(1, len(t) // 5)] for t in demonstrations])
+    return bool(np.any(np.abs(features.batch(few)) > 0.0))
+
+
+def _part(demonstrations: Demonstrations, chosen: Sequence[int], feature_maps: Sequence[FeatureMap]) -> Part:
+    stretches = tuple(
+        Stretch(i, float(demonstrations[i].time[0]), float(demonstrations[i].time[-1])) for i in sorted(chosen)
+    )
+    members = Demonstrations([demonstrations[s.trajectory] for s in stretches], demonstrations.notes)
+    return Part(members, stretches, tuple(feature_maps))
+
+
+def _by_agreement(
+    demonstrations: Demonstrations,
+    judged_by: Sequence[FeatureMap],
+    feature_maps: Sequence[FeatureMap],
+    one_fits: bool,
+) -> Division | None:
+    """The division into those that agree and the others; None if all agree, or if that does not explain them."""
+    best: Agreement | None = None
+    for features in judged_by:
+        agreement = judge_agreement(features, demonstrations)
+        if agreement.unanimous:
+            if one_fits:
+                return None
+            continue
+        members = [demonstrations[i] for i in agreement.members]
+        if len(members) < 2 or not one_constraint_fits(features, members):
+            continue
+        if best is None or len(agreement.members) > len(best.members):
+            best = agreement
+    if best is None:
+        return None
+    groups = [best.members, *(members for _, members in best.others)]
+    parts = [_part(demonstrations, group, feature_maps) for group in groups]
+    taken = {i for group in groups for i in group}
+    rest = [s for i, t in enumerate(demonstrations) if i not in taken for s in (_all_of(i, t),)]
+    return Division(
+        tuple(Part(p.demonstrations, p.stretches, p.feature_maps, None, True) for p in parts), tuple(rest), best.odd
+    )
+
+
+def _all_of(number: int, trajectory: Trajectory) -> Stretch:
+    return Stretch(number, float(trajectory.time[0]), float(trajectory.time[-1]))
+
+
+def _by_phases(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap], found: PhaseResult) -> Division:
+    """One part for each constraint that the phases show, without the stretches that do not agree."""
+    parts, odd = [], dict[int, str]()
+    for number, constraint in enumerate(found.constraints, start=1):
+        features = feature_maps[constraint.features]
+        cut = [(s, c) for s in constraint.stretches if (c := _trimmed(demonstrations[s.trajectory], s)) is not None]
+        if len(cut) > 2:
+            agreement = judge_agreement(features, [c for _, c in cut], constraint.n_rows)
+            odd |= {cut[i][0].trajectory: why for i, why in agreement.odd}
+            cut = [cut[i] for i in agreement.members]
+        odd |= _missing(demonstrations, features, constraint, number)
+        members = Demonstrations([c for _, c in cut], demonstrations.notes)
+        parts.append(Part(members, constraint.stretches, (features,), constraint.n_rows, True))
+    return Division(tuple(parts), found.free, tuple(sorted(odd.items())), False, found.warnings)
+
+
+def _missing(
+    demonstrations: Demonstrations, features: FeatureMap, constraint: PhaseConstraint, number: int
+) -> dict[int, str]:
+    """The trajectories in which a constraint is not seen although nearly all others show it."""
+    shown = constraint.trajectories
+    if len(shown) < max(2, MOST * len(demonstrations)):
+        return {}
+    members = [_trimmed(demonstrations[s.trajectory], s) for s in constraint.stretches]
+    usual = [m for m in members if m is not None]
+    out = {}
+    for i, t in enumerate(demonstrations):
+        if i not in shown:
+            why = reason(features, [*usual, t], constraint.selection, len(usual), range(len(usual)))
+            out[i] = f"constraint {number} is not seen in it, {len(shown)} other(s) show it; {why}"
+    return out
+
+
+def _trimmed(trajectory: Trajectory, stretch: Stretch) -> Trajectory | None:
+    """The inner samples of a stretch: the boundary is known to a tenth of a second only."""
+    inside = np.flatnonzero((trajectory.time >= stretch.start + TRIM) & (trajectory.time <= stretch.end - TRIM))
+    if len(inside) < FEWEST_SAMPLES:
+        return None
+    return trajectory.part(slice(int(inside[0]), int(inside[-1]) + 1))

@@ -1,0 +1,1 @@
+"""Statistical evidence that rows are held, from recombined motions."""

@@ -1,0 +1,138 @@
+"""What the recombination test says of each row, and the rule that makes a number of rows of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, final
+
+import numpy as np
+from jaxtyping import Float
+
+Verdict = Literal["clear", "weak", "none"]
+RowState = Literal["held", "unclear", "free", "untried"]
+
+# chance of at least the evidence seen, were the joints independent of each other, that a row may have
+CHANCE = 0.01
+# growth of a row's motion by recombination from which it counts as held; in between it is said with a warning
+CLEAR_STRENGTH = 5.0
+WEAK_STRENGTH = 1.8
+# the same with fewer trajectories than can give a clear answer
+FEW_STRENGTH = 4.0
+# strength of a row that lies before one that is held: held rows share what noise there is, the first gets the least
+LEANING_STRENGTH = 1.3
+# a row must have this power of the strength of the rows before it
+KEPT_POWER = 0.25
+# a direction that the motion uses less than this share of the most used one was not tried
+USED_SHARE = 1.0 / 6.0
+# fewer trajectories give no clear answer
+FEWEST_TRAJECTORIES = 3
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RowEvidence:
+    """Evidence for each row, most firmly held first.
+
+    Attributes:
+        strengths: How much more the motion uses each row when joints are exchanged between the trajectories: median.
+        least: The same, least of all recombinations.
+        p_values: Chance of a level as low as the recorded one if the joints moved independently of each other.
+        levels: How much the recorded motion uses each row: 0 not at all, 1 as a motion equally strong in all joints.
+        directions: The rows, in the features' own units, orthonormal, shape (r, p).
+        n_trajectories: Trajectories that move.
+        n_recombinations: Recombinations that the recorded motion was compared with.
+    """
+
+    strengths: tuple[float, ...]
+    least: tuple[float, ...]
+    p_values: tuple[float, ...]
+    levels: tuple[float, ...]
+    directions: Float[np.ndarray, "r p"]
+    n_trajectories: int
+    n_recombinations: int
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows that the evidence supports, counted without a gap; the last ones may be weak."""
+        needed = WEAK_STRENGTH if self.enough else FEW_STRENGTH
+        supported = 0
+        for i, (strength, p) in enumerate(zip(self.strengths, self.p_values, strict=True)):
+            if p > CHANCE or strength < LEANING_STRENGTH:
+                break
+            supported = i + 1 if strength >= needed else supported
+            needed = max(needed, strength**KEPT_POWER)
+        return supported
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are trajectories enough to exchange joints between."""
+        return self.n_trajectories >= FEWEST_TRAJECTORIES
+
+    @property
+    def verdict(self) -> Verdict:
+        """How sure the rows are: as sure as the weakest of them."""
+        held = self.strengths[: self.n_rows]
+        if not held:
+            return "none"
+        return "clear" if self.enough and min(held) >= CLEAR_STRENGTH else "weak"
+
+    @property
+    def states(self) -> tuple[RowState, ...]:
+        """What each row is.
+
+        Held; free, for the motion uses it; untried: neither used nor shown to be held; or unclear: softly held, held in
+        a part of the way only, or in rows that turn with the place, and too little of that to be counted.
+        """
+        most = max(self.levels, default=0.0)
+        states: list[RowState] = []
+        for i, level in enumerate(self.levels):
+            if i < self.n_rows:
+                states.append("held")
+            elif self.strengths[i] >= WEAK_STRENGTH and self.p_values[i] <= CHANCE:
+                states.append("unclear")
+            else:
+                states.append("free" if level >= USED_SHARE * most and level > 0.0 else "untried")
+        return tuple(states)
+
+    @property
+    def explores(self) -> bool:
+        """Whether the motion uses every direction that is not held; False also if nothing moves."""
+        return bool(self.states) and "untried" not in self.states
+
+    def sentence(self) -> str:
+        """The evidence in words, for reports."""
+        if not self.strengths:
+            return "the trajectories do not move: nothing can be said about rows that are held"
+        return f"{self._held()}; {self._rest()}{self._few()}"
+
+    def _held(self) -> str:
+        n = self.n_rows
+        if n == 0:
+            return (
+                "no row is shown to be held: with the joints exchanged between trajectories the motion uses the least "
+                f"used row {self.strengths[0]:.2g} times as much (p = {self.p_values[0]:.2g})"
+            )
+        times = ", ".join(f"{s:.3g}" for s in self.strengths[:n])
+        softly = "held softly, or by the way of moving only" if self.enough else "seem to be held"
+        firmly = "held" if self.verdict == "clear" else softly
+        return (
+            f"{n} row(s) {firmly}: with the joints exchanged between trajectories the motion uses them {times} times "
+            f"as much (p = {max(self.p_values[:n]):.2g})"
+        )
+
+    def _rest(self) -> str:
+        n, states = self.n_rows, self.states
+        if n == len(states):
+            return "nothing of the features is left free"
+        if "untried" in states:
+            return (
+                f"{states.count('untried')} further row(s) were hardly tried, so that held cannot be told from not "
+                "wanted"
+            )
+        kind = "it is free" if states[n] == "free" else "it may be held softly, or only at each place by itself"
+        return f"the next row {self.strengths[n]:.2g} times, {kind}"
+
+    def _few(self) -> str:
+        if self.enough:
+            return ""
+        return f"; {self.n_trajectories} trajectory(ies) are too few to be sure, record 5 or more"

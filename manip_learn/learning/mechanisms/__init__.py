@@ -1,0 +1,1 @@
+"""Mechanisms that hold the hand: lines, planes, hinges, balls, screws and held orientations."""

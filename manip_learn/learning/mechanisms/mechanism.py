@@ -1,0 +1,121 @@
+"""What holds the hand, in the terms of a machine: a line, a plane, a hinge, a ball, a screw, an orientation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.learning.mechanisms.kinds import MechanismType, Orientation
+
+Grip = Literal["loose", "firm"]
+_TURNS: dict[Orientation, str] = {
+    "free": "the hand may turn",
+    "about-axis": "the hand may turn about {axis} only",
+    "fixed": "the hand does not turn",
+    "carried": "the hand turns with it",
+}
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Mechanism:
+    """A mechanism that holds the hand; places and directions in the robot's base frame.
+
+    Attributes:
+        type: `"line"`, `"plane"`, `"hinge"`, `"ball"`, `"screw"`, `"held-orientation"` or `"other"` (a cylinder).
+        axis: shape (3,), unit vector: along a line, normal to a plane, along the axis of a hinge, a screw or a
+            cylinder, the direction about which the hand may still turn. None for a ball, and where the hand does not
+            turn at all.
+        point: shape (3,) [m]: the centre of a ball, the point of an axis that is next to the hand, a point of a line
+            or a plane. None for an orientation.
+        radius: Distance of the hand from the axis or the centre, mean over the trajectories [m]; None where there is
+            no such thing.
+        pitch: Travel along the axis a radian of turning, right-handed screws positive [m/rad]; one full turn moves
+            2 pi times as far. None but for screws.
+        grip: `"firm"` if the mechanism holds the hand's orientation too, `"loose"` if the hand may turn.
+        orientation: What the hand may do: `"free"`, `"about-axis"`, `"fixed"` or `"carried"` (it turns with the
+            mechanism).
+        uncertainty: One standard deviation of each parameter, from the spread over trajectories: `"axis"` [deg],
+            `"point"` [m], `"radius"` [m], `"pitch"` [m/rad]; the largest over directions.
+        arc: By how much the path turns about the axis or the centre [rad]; None where nothing turns.
+        name: Which of the candidates it is, e.g. `"hinge, firm"`.
+    """
+
+    type: MechanismType
+    axis: Float[np.ndarray, " 3"] | None = None
+    point: Float[np.ndarray, " 3"] | None = None
+    radius: float | None = None
+    pitch: float | None = None
+    grip: Grip = "loose"
+    orientation: Orientation = "free"
+    uncertainty: Mapping[str, float] = field(default_factory=dict)
+    arc: float | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        for what in ("axis", "point"):
+            vector = getattr(self, what)
+            if vector is not None:
+                vector = np.array(vector, dtype=np.float64)
+                vector.setflags(write=False)
+                object.__setattr__(self, what, vector)
+        object.__setattr__(self, "uncertainty", MappingProxyType(dict(self.uncertainty)))
+
+    def __reduce__(self):
+        # a read-only view of a dictionary cannot be pickled
+        values = (self.type, self.axis, self.point, self.radius, self.pitch, self.grip, self.orientation)
+        return Mechanism, (*values, dict(self.uncertainty), self.arc, self.name)
+
+    @property
+    def sentence(self) -> str:
+        """The mechanism in words and numbers, as for a report."""
+        words = {
+            "line": f"a line along {_numbers(self.axis)}",
+            "plane": f"a plane across {_numbers(self.axis)}",
+            "hinge": f"a hinge: axis {_numbers(self.axis)} through {_numbers(self.point)}",
+            "ball": f"a ball: centre {_numbers(self.point)}",
+            "screw": f"a screw: axis {_numbers(self.axis)} through {_numbers(self.point)}",
+            "other": f"a cylinder: axis {_numbers(self.axis)} through {_numbers(self.point)}",
+            "held-orientation": "a held orientation",
+        }[self.type]
+        if self.pitch is not None:
+            words += f", {1e3 * self.pitch:.2f} mm a radian"
+        if self.radius is not None:
+            words += f", {self.radius:.3f} m from the hand"
+        around = "its normal" if self.type == "plane" else "the axis"
+        if self.type == "held-orientation" and self.axis is not None:
+            around = _numbers(self.axis)
+        turns = _TURNS[self.orientation].format(axis=around)
+        if self.name.startswith("sleeve"):
+            turns += " and may slide along it"
+        return f"{words}; {turns}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Type, axis, point, radius, pitch and uncertainty, and how the hand is held, ready for JSON."""
+        return {
+            "type": self.type,
+            "axis": None if self.axis is None else self.axis.tolist(),
+            "point": None if self.point is None else self.point.tolist(),
+            "radius": self.radius,
+            "pitch": self.pitch,
+            "grip": self.grip,
+            "orientation": self.orientation,
+            "arc": self.arc,
+            "uncertainty": dict(self.uncertainty),
+            "name": self.name,
+            "sentence": self.sentence,
+        }
+
+    def __str__(self) -> str:
+        return self.sentence
+
+
+def _numbers(vector: np.ndarray | None) -> str:
+    if vector is None:
+        return "unknown"
+    return "(" + ", ".join(f"{x + 0.0:.2f}" for x in np.round(vector, 2)) + ")"

@@ -1,0 +1,111 @@
+"""Where the hand was: poses along several trajectories, thinned, and what they would be without coordination."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.frame import Frame
+from manip_learn.robot.robot import Robot
+
+PHASES = 40  # places along each trajectory at which joints are exchanged
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class TipPaths:
+    """Poses of a frame along trajectories, one after the other, in the base frame.
+
+    Attributes:
+        p: shape (N, 3), origins [m].
+        R: shape (N, 3, 3), orientations.
+        starts: shape (n,), first row of each trajectory.
+    """
+
+    p: Float[np.ndarray, "N 3"]
+    R: Float[np.ndarray, "N 3 3"]
+    starts: Int[np.ndarray, " n"]
+
+    @staticmethod
+    def of(robot: Robot, frame: Frame, postures: Sequence[Float[np.ndarray, "_ n"]]) -> TipPaths:
+        """The paths of a frame along trajectories given as postures."""
+        pose = batch_kinematics(robot, frame).pose(np.concatenate(postures))
+        lengths = [len(q) for q in postures]
+        return TipPaths(pose[:, :3, 3], pose[:, :3, :3], np.cumsum([0, *lengths[:-1]]))
+
+    @cached_property
+    def counts(self) -> Int[np.ndarray, " n"]:
+        """Number of samples of each trajectory."""
+        return np.diff(np.append(self.starts, len(self.p)))
+
+    def means(self, values: Float[np.ndarray, "N d"]) -> Float[np.ndarray, "n d"]:
+        """Mean over each trajectory."""
+        return np.add.reduceat(values, self.starts, axis=0) / self.counts[:, None]
+
+    def centred(self, values: Float[np.ndarray, "N d"], shared: bool = False) -> Float[np.ndarray, "N d"]:
+        """Values less the mean of their trajectory, or less the mean of all."""
+        if shared:
+            return values - values.mean(axis=0)
+        return values - np.repeat(self.means(values), self.counts, axis=0)
+
+    @cached_property
+    def turns(self) -> Float[np.ndarray, "N 3"]:
+        """Rotation vectors from the mean orientation of each trajectory, in the base frame [rad]."""
+        mean = self.means(self.R.reshape(-1, 9)).reshape(-1, 3, 3)
+        U, _, Vt = np.linalg.svd(mean)
+        U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
+        away = self.R @ np.repeat(U @ Vt, self.counts, axis=0).transpose(0, 2, 1)
+        return Rotation.from_matrix(away).as_rotvec()
+
+    def unwrapped(self, angle: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+        """Angles without jumps of a turn along each trajectory [rad]."""
+        jumps = np.diff(angle, prepend=angle[:1])
+        jumps = -2.0 * np.pi * np.round(jumps / (2.0 * np.pi))
+        jumps[self.starts] = 0.0
+        return angle + np.cumsum(jumps)  # whole turns that a trajectory inherits do not matter
+
+    def alone(self, number: int) -> TipPaths:
+        """One trajectory."""
+        rows = self.part(number)
+        return TipPaths(self.p[rows], self.R[rows], np.zeros(1, dtype=int))
+
+    def part(self, number: int) -> slice:
+        """Rows of one trajectory."""
+        return slice(int(self.starts[number]), int(self.starts[number] + self.counts[number]))
+
+
+def thinned(q: Float[np.ndarray, "T n"], most: int) -> Float[np.ndarray, "t n"]:
+    """At most so many samples of a trajectory, evenly spread, ends included."""
+    if len(q) <= most:
+        return q
+    return q[np.linspace(0, len(q) - 1, most).round().astype(int)]
+
+
+def recombined(
+    postures: Sequence[Float[np.ndarray, "_ n"]], rng: np.random.Generator, repetitions: int = 8
+) -> list[Float[np.ndarray, "_ n"]]:
+    """Trajectories whose joints come from different demonstrations, aligned by their way in joint space.
+
+    Each joint keeps a motion of its own; the coordination that a contact enforces is lost. What the recombined hand
+    still holds is no evidence of a contact.
+    """
+    phase = np.linspace(0.0, 1.0, PHASES)
+    aligned = np.empty((len(postures), PHASES, postures[0].shape[1]))
+    for q, out in zip(postures, aligned, strict=True):
+        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
+        way = way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(q))
+        for j in range(q.shape[1]):
+            out[:, j] = np.interp(phase, way, q[:, j])
+    n, _, joints = aligned.shape
+    mixed = []
+    for _ in range(repetitions):
+        source = np.stack([rng.permutation(n) for _ in range(joints)])
+        mixed += [np.stack([aligned[source[j, i], :, j] for j in range(joints)], axis=1) for i in range(n)]
+    return mixed

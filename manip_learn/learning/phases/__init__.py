@@ -1,0 +1,1 @@
+"""Stretches of whole recordings in which a constraint holds."""

@@ -1,0 +1,206 @@
+"""What the phase search sees of whole recordings: the motion in the features' rows, sample by sample."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.errors import NotIdentifiableError, RecordingError
+from manip_learn.recordings.trajectory import Trajectory
+
+# samples a second that are enough to judge a hypothesis; boundaries are found on all samples
+SCAN_RATE = 25.0
+# directions of Phi below this share of the largest are linear copies or identically zero
+PRUNE_RATIO = 1e-6
+# largest step of time that counts in full: a gap in a recording is no evidence [s]
+LONGEST_STEP = 0.2
+# length of the windows from which the noise of the velocities is told [s]
+NOISE_WINDOW = 0.6
+# samples this many times above the noise count as motion of the tip
+MOVING = 4.0
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PhaseMotion:
+    """All samples of all recordings in whitened rows, sum Phi Phi^T / n = I.
+
+    Attributes:
+        time: Time of each sample on its recording's own clock [s], shape (n,).
+        weight: Time that each sample stands for [s], shape (n,).
+        trajectory: Trajectory of each sample, counted from 0, shape (n,).
+        first: First sample of each trajectory, and n at the end, shape (g + 1,).
+        rates: r = Phi u, shape (n, p').
+        gram: Phi Phi^T, shape (n, p', p').
+        free: Energy of u in one row if its share of the rows were spread evenly, u^T Phi^+ Phi u / p' [(rad/s)^2],
+            shape (n,).
+        noise: Variance of one joint velocity's noise [(rad/s)^2], shape (n,), constant within a trajectory.
+        whitening: W, shape (p', p), with Phi' = W Phi.
+    """
+
+    time: Float[np.ndarray, " n"]
+    weight: Float[np.ndarray, " n"]
+    trajectory: Int[np.ndarray, " n"]
+    first: Int[np.ndarray, " m"]
+    rates: Float[np.ndarray, "n r"]
+    gram: Float[np.ndarray, "n r r"]
+    free: Float[np.ndarray, " n"]
+    noise: Float[np.ndarray, " n"]
+    whitening: Float[np.ndarray, "r p"]
+
+    @staticmethod
+    def collect(features: FeatureMap, trajectories: Sequence[Trajectory]) -> PhaseMotion:
+        """The motion of trajectories with velocities.
+
+        Raises:
+            RecordingError: A trajectory lacks velocities.
+            NotIdentifiableError: Every row of Phi is zero throughout.
+        """
+        for t in trajectories:
+            if t.u is None:
+                raise RecordingError(f"{t.name} has no velocities: derive them first", code="no-velocities")
+        u = np.concatenate([t.u for t in trajectories])  # type: ignore[misc]
+        Phi = features.batch(np.concatenate([t.q for t in trajectories]))
+        W = _whitening(Phi, features)
+        n, p, nv = Phi.shape
+        Phi = (W @ Phi.transpose(1, 0, 2).reshape(p, n * nv)).reshape(-1, n, nv).transpose(1, 0, 2)
+        rates = np.matmul(Phi, u[:, :, None])[:, :, 0]
+        gram = np.matmul(Phi, Phi.transpose(0, 2, 1))
+        regular = gram + 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(len(W))
+        free = np.einsum("ni,ni->n", rates, np.linalg.solve(regular, rates[:, :, None])[:, :, 0]) / len(W)
+        lengths = [len(t) for t in trajectories]
+        first = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+        noise = np.repeat([_noise(t) for t in trajectories], lengths)
+        return PhaseMotion(
+            np.concatenate([t.time for t in trajectories]),
+            np.concatenate([_weights(t.time) for t in trajectories]),
+            np.repeat(np.arange(len(trajectories)), lengths),
+            first,
+            rates,
+            gram,
+            np.maximum(free, 0.0),
+            noise,
+            W,
+        )
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def n_trajectories(self) -> int:
+        """Number of trajectories g."""
+        return len(self.first) - 1
+
+    @property
+    def moving(self) -> Bool[np.ndarray, " n"]:
+        """Where the rows move clearly more than the noise: elsewhere nothing can be known."""
+        return self.free > MOVING**2 * self.noise
+
+    def thinned(self, rate: float = SCAN_RATE) -> PhaseMotion:
+        """Evenly chosen samples, about so many a second, each standing for the time of those left out."""
+        step = max(1, round(len(self) / max(float(self.weight.sum()), 1e-9) / rate))
+        if step == 1:
+            return self
+        parts = [np.arange(a + step // 2, b, step) for a, b in zip(self.first[:-1], self.first[1:], strict=True)]
+        keep = np.zeros(len(self), dtype=bool)
+        keep[np.concatenate(parts)] = True
+        return self.chosen(keep, float(step))
+
+    def chosen(self, keep: Bool[np.ndarray, " n"], times: float = 1.0) -> PhaseMotion:
+        """Some of the samples, each standing for so many times its own time."""
+        count = np.concatenate([[0], np.cumsum(keep)])
+        return PhaseMotion(
+            self.time[keep],
+            self.weight[keep] * times,
+            self.trajectory[keep],
+            count[self.first].astype(np.int64),
+            self.rates[keep],
+            self.gram[keep],
+            self.free[keep],
+            self.noise[keep],
+            self.whitening,
+        )
+
+    def replaced(self, rates: Float[np.ndarray, "n r"], gram: Float[np.ndarray, "n r r"]) -> PhaseMotion:
+        """The same samples with other rows."""
+        return dataclasses.replace(self, rates=rates, gram=gram)
+
+    def selection(self, rows: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "s p"]:
+        """Lambda in the features' own basis, with orthonormal rows, from whitened rows."""
+        return np.linalg.svd(rows @ self.whitening, full_matrices=False)[2]
+
+
+def sparse(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
+    """Evenly chosen samples of each trajectory, about SCAN_RATE a second."""
+    out = []
+    for t in trajectories:
+        step = max(1, round(len(t) / max(t.duration, 1e-9) / SCAN_RATE))
+        out.append(t.part(slice(step // 2 if len(t) > step else 0, None, step)))
+    return out
+
+
+def broken_energy(motion: PhaseMotion, rows: Float[np.ndarray, "h s r"]) -> Float[np.ndarray, "n h"]:
+    """Energy of u that breaks each hypothesis, e = u^T A^+ A u = (Lambda r)^T (Lambda G Lambda^T)^-1 Lambda r.
+
+    For many samples and hypotheses at once: products of matrices, and Cholesky's recursion written out over the rows.
+    """
+    h, s, r = rows.shape
+    n = len(motion)
+    flat = motion.gram.reshape(n, r * r)
+    y = [motion.rates @ rows[:, i].T for i in range(s)]
+    L: list[list[np.ndarray]] = [[] for _ in range(s)]
+    total = np.zeros((n, h))
+    for i in range(s):
+        z = y[i]
+        for j in range(i + 1):
+            entry = flat @ (rows[:, i, :, None] * rows[:, j, None, :]).reshape(h, r * r).T
+            for k in range(j):
+                entry -= L[i][k] * L[j][k]
+            L[i].append(np.sqrt(np.maximum(entry, 1e-15)) if i == j else entry / L[j][j])
+        for k in range(i):
+            z = z - L[i][k] * y[k]
+        y[i] = z / L[i][i]
+        total += y[i] ** 2
+    return total
+
+
+def _whitening(Phi: Float[np.ndarray, "n p nv"], features: FeatureMap) -> Float[np.ndarray, "r p"]:
+    S = np.tensordot(Phi, Phi, axes=([0, 2], [0, 2])) / len(Phi)
+    size = np.sqrt(np.diag(S))
+    if not np.any(size > 0.0):
+        raise NotIdentifiableError(f"all rows of {features!r} are zero on these recordings", code="zero-features")
+    scale = np.where(size > PRUNE_RATIO * size.max(), 1.0 / np.maximum(size, 1e-300), 0.0)
+    values, vectors = np.linalg.eigh(scale[:, None] * S * scale)
+    kept = values > PRUNE_RATIO * values[-1]
+    return (vectors[:, kept] / np.sqrt(values[kept])).T * scale
+
+
+def _weights(time: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
+    if len(time) < 2:
+        return np.full(len(time), 0.01)
+    steps = np.minimum(np.diff(time), LONGEST_STEP)
+    return 0.5 * (np.append(steps, steps[-1]) + np.insert(steps, 0, steps[0]))
+
+
+def _noise(trajectory: Trajectory) -> float:
+    """Variance of a joint velocity's noise: what is left in short windows beside the few directions of a smooth motion.
+
+    A motion as smooth as a cubic fills four directions of a window; where there are fewer joints than that, the least
+    used one is all there is.
+    """
+    u, time = np.asarray(trajectory.u), trajectory.time
+    nv, T = u.shape[1], len(u)
+    length = max(2 * nv, int(np.searchsorted(time, time[0] + NOISE_WINDOW)))
+    if T < length + 1:
+        length = T
+    total = np.concatenate([np.zeros((1, nv, nv)), np.cumsum(u[:, :, None] * u[:, None, :], axis=0)])
+    starts = np.arange(0, T - length + 1, max(1, length // 2))
+    values = np.linalg.eigvalsh((total[starts + length] - total[starts]) / length)
+    least = np.median(np.mean(np.maximum(values[:, : max(1, nv - 4)], 0.0), axis=1))
+    return float(max(least, 1e-10 * float(np.mean(u**2)), 1e-24))

@@ -1,0 +1,137 @@
+"""Where a hypothesis holds: evidence of every sample, and the best sequence of held and free stretches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from manip_learn.learning.phases.motion import PhaseMotion
+
+# share of a held phase's samples that may be far off (slips, knocks): bounds the evidence against it
+OUTLIERS = 0.02
+# samples closer together than this tell the same story: a person's motion does not change faster [s]
+MEMORY = 0.1
+# evidence that a change between two phases costs [nats]
+SWITCH = 16.0
+
+
+@final
+@dataclass(frozen=True)
+class HeldScale:
+    """How large velocities along held rows are.
+
+    Attributes:
+        steady: Times the noise of the joint velocities: what shakes the arm however fast it moves.
+        share: Ratio to the velocities along free rows: rows that are slightly off, parts that give way.
+    """
+
+    steady: float
+    share: float
+
+
+def evidence(
+    motion: PhaseMotion, energy: Float[np.ndarray, "n h"], s: int, scales: Sequence[HeldScale]
+) -> Float[np.ndarray, "n h"]:
+    """Log-likelihood of each sample if the rows are held over the same if they are free, weighted by its time.
+
+    Free: the rows take their even share of the motion, variance f = u^T Phi^+ Phi u / p a row. Held: variance
+    (steady sigma)^2 + (share^2) f, or free after all with the probability OUTLIERS. At a standstill the two are the
+    same and the evidence is zero.
+
+    Args:
+        motion: n samples.
+        energy: e = u^T A^+ A u of each sample under each hypothesis.
+        s: Number of rows.
+        scales: One for each hypothesis.
+    """
+    steady = np.array([x.steady for x in scales]) ** 2
+    share = np.array([x.share for x in scales]) ** 2
+    floor = motion.noise[:, None] * steady
+    free = np.maximum(motion.free[:, None], floor)
+    held = np.minimum(floor + share * free, free)
+    exponent = 0.5 * s * np.log(free / held) - 0.5 * energy * (1.0 / held - 1.0 / free)
+    ratio = np.log(OUTLIERS + (1.0 - OUTLIERS) * np.exp(np.minimum(exponent, 50.0)))
+    return ratio * (motion.weight[:, None] / MEMORY)
+
+
+def best_gains(
+    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = SWITCH
+) -> Float[np.ndarray, "g h"]:
+    """Largest total evidence of any sequence of held and free stretches, for each trajectory and hypothesis."""
+    padded = _padded(values, first)
+    free, half = np.zeros(padded.shape[1:]), 0.5 * switch
+    held = np.full_like(free, -half)
+    for step in padded:
+        held, free = np.maximum(held, free - half) + step, np.maximum(free, held - half)
+    return np.maximum(free, held - half)
+
+
+def held_samples(
+    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = SWITCH
+) -> Bool[np.ndarray, "n h"]:
+    """Which samples each hypothesis holds in, taken on its own (Viterbi's algorithm with two states)."""
+    padded = _padded(values, first)
+    half = 0.5 * switch
+    entered, left = np.zeros(padded.shape, dtype=bool), np.zeros(padded.shape, dtype=bool)
+    free = np.zeros(padded.shape[1:])
+    held = np.full_like(free, -half)
+    for t, step in enumerate(padded):
+        from_free, from_held = free - half, held - half
+        np.greater(from_free, held, out=entered[t])
+        np.greater(from_held, free, out=left[t])
+        held, free = np.maximum(held, from_free) + step, np.maximum(free, from_held)
+    state = held - half > free
+    out = np.zeros(padded.shape, dtype=bool)
+    for t in range(len(padded) - 1, -1, -1):
+        out[t] = state
+        state = np.where(state, ~entered[t], left[t])
+    return np.concatenate([out[: b - a, i] for i, (a, b) in enumerate(pairwise(first))])
+
+
+def best_states(
+    values: Float[np.ndarray, "n k"], first: Int[np.ndarray, " m"], switch: float = SWITCH
+) -> Int[np.ndarray, " n"]:
+    """Most likely state of each sample: 0 free motion, k the k-th hypothesis (Viterbi's algorithm)."""
+    n, k = values.shape
+    if k == 0:
+        return np.zeros(n, dtype=np.int64)
+    if k == 1:
+        return held_samples(values, first, switch)[:, 0].astype(np.int64)
+    padded = _padded(np.concatenate([np.zeros((n, 1)), values], axis=1), first)
+    # into or out of a constraint costs half a switch: a change from one to the next a whole one
+    border = 0.5 * switch * (np.arange(k + 1) > 0)
+    cost = border[:, None] + border
+    np.fill_diagonal(cost, 0.0)
+    back = np.zeros(padded.shape, dtype=np.int64)
+    value = np.broadcast_to(-border, padded.shape[1:])
+    for t, step in enumerate(padded):
+        arrivals = value[:, :, None] - cost
+        back[t] = arrivals.argmax(axis=1)
+        value = arrivals.max(axis=1) + step
+    state = np.argmax(value - border, axis=1)
+    out = np.zeros(padded.shape[:2], dtype=np.int64)
+    rows = np.arange(padded.shape[1])
+    for t in range(len(padded) - 1, -1, -1):
+        out[t] = state
+        state = back[t, rows, state]
+    return np.concatenate([out[: b - a, i] for i, (a, b) in enumerate(pairwise(first))])
+
+
+def _padded(values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"]) -> Float[np.ndarray, "T g h"]:
+    lengths = np.diff(first)
+    out = np.zeros((int(lengths.max()), len(lengths), values.shape[1]))
+    for i, (a, b) in enumerate(pairwise(first)):
+        out[: b - a, i] = values[a:b]
+    return out
+
+
+def runs(states: Int[np.ndarray, " n"], first: Int[np.ndarray, " m"]) -> list[tuple[int, int, int]]:
+    """Stretches of one state: (state, first sample, sample after the last), free ones included."""
+    cuts = np.flatnonzero(np.diff(states)) + 1
+    edges = np.unique(np.concatenate([cuts, first]))
+    return [(int(states[a]), int(a), int(b)) for a, b in pairwise(edges)]

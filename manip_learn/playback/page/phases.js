@@ -1,0 +1,85 @@
+// Phases of recordings: bands in time and along the tip's path, and the mechanism that held the hand.
+
+const NO_PHASE = { label: "not classified", mark: "", colour: "#cfd6dd", ink: "#000000" };
+const BAND = { tallest: 20, lowest: 3, named: 11, numbered: 12 }; // heights of a row [px], and the least for its texts
+const MAX_NAME = 22;
+
+function bandsOf(rollout, kinds) {
+  return rollout.phases.map(([start, end, k]) => ({ start, end, kind: k < 0 ? kinds[kinds.length - 1] : kinds[k] }));
+}
+
+// What is known of the moment t; null if the page has no phases, or the recording has ended.
+function phaseAt(rollout, t) {
+  if (!rollout.hasPhases || t > rollout.duration + 1e-9) return null;
+  const band = rollout.bands.find((b) => t >= b.start && (t < b.end || (t <= b.end && b.end >= rollout.duration - 1e-9)));
+  return band ? band.kind : NO_PHASE;
+}
+
+// Whether a recording has moments without a phase that are long enough to be seen.
+function hasGaps(rollout) {
+  const covered = rollout.bands.reduce((sum, b) => sum + b.end - b.start, 0);
+  return rollout.bands.length > 0 && covered < 0.99 * rollout.duration;
+}
+
+function shortName(name) {
+  return name.length <= MAX_NAME ? name : `${name.slice(0, 9)}…${name.slice(-(MAX_NAME - 10))}`;
+}
+
+// As many rows as there is room for; the solid recording is always among them.
+function bandRows(rollouts, room) {
+  const rows = rollouts.filter((r) => r.visible && r.bands.length), fit = Math.max(1, Math.floor(room / BAND.lowest));
+  if (rows.length <= fit) return rows;
+  return rows.filter((r, i) => r.solid || i < fit - 1).slice(0, fit);
+}
+
+function drawBands(root, chart, rollout, y, row) {
+  const height = Math.max(row - (row > 8 ? 5 : 1), 2), group = svg("g", { class: "bands" }, root);
+  svg("line", { x1: chart.x(chart.start), x2: chart.x(rollout.duration), y1: y + height / 2, y2: y + height / 2, stroke: NO_PHASE.colour, "stroke-width": 2 }, group);
+  if (row >= BAND.named) {
+    const name = svg("text", { x: chart.left - 10, y: y + height / 2 + 4, "text-anchor": "end", class: rollout.solid ? "solid" : "" }, group);
+    name.textContent = shortName(rollout.name);
+    svg("title", {}, name).textContent = rollout.name;
+  }
+  for (const { start, end, kind } of rollout.bands) {
+    const x = chart.x(start), width = Math.max(chart.x(end) - x, 1.2);
+    const bar = svg("rect", { x, y, width, height, rx: Math.min(2, width / 2), fill: kind.colour }, group);
+    const from = (rollout.firstTime + start).toFixed(2), until = (rollout.firstTime + end).toFixed(2);
+    svg("title", {}, bar).textContent = `${rollout.name}: ${kind.label}, ${from} s to ${until} s`;
+    if (kind.mark && height >= BAND.numbered && width >= 16)
+      svg("text", { x: x + 9, y: y + height / 2 + 4, "text-anchor": "middle", class: "mark", style: `fill: ${kind.ink}` }, group).textContent = kind.mark;
+  }
+}
+
+// The solid recording's bands under the slider; they end where the middle of its thumb can be.
+function drawSliderBands(element, rollout, duration) {
+  const root = svg("svg", { viewBox: "0 0 1000 6", preserveAspectRatio: "none", "aria-hidden": "true" });
+  for (const { start, end, kind } of rollout.bands) {
+    const x = (1000 * start) / Math.max(duration, 1e-9), width = Math.max((1000 * (end - start)) / Math.max(duration, 1e-9), 1);
+    svg("rect", { x, y: 0, width, height: 6, fill: kind.colour }, root);
+  }
+  element.replaceChildren(root);
+}
+
+// One colour a point of the path, as the vertices of its tube need them.
+function pathColours(rollout, sides) {
+  const n = rollout.pathTimes.length, colours = new Float32Array(3 * n * sides), known = new Map();
+  for (let i = 0; i < n; i++) {
+    const hex = (phaseAt(rollout, rollout.pathTimes[i]) || NO_PHASE).colour;
+    if (!known.has(hex)) known.set(hex, linear(hex));
+    for (let k = 0; k < sides; k++) known.get(hex).toArray(colours, 3 * (i * sides + k));
+  }
+  return new THREE.BufferAttribute(colours, 3);
+}
+
+function mechanismGroup(mechanism, colour, radius) {
+  const group = new THREE.Group(), ink = new THREE.MeshBasicMaterial({ color: linear("#17212b") });
+  for (const line of mechanism.lines) group.add(new THREE.Mesh(tubeGeometry(decode(line, Float32Array), radius), ink));
+  for (const patch of mechanism.patches) {
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.BufferAttribute(decode(patch, Float32Array), 3));
+    geometry.setIndex([0, 1, 2, 0, 2, 3]);
+    const material = new THREE.MeshBasicMaterial({ color: linear(colour), transparent: true, opacity: 0.2, side: THREE.DoubleSide, depthWrite: false });
+    group.add(Object.assign(new THREE.Mesh(geometry, material), { renderOrder: 1 }));
+  }
+  return group;
+}

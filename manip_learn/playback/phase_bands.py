@@ -1,0 +1,144 @@
+"""Phases of recordings, ready for the page: one colour per constraint, grey for free motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+from manip_learn.errors import RecordingError
+from manip_learn.playback.palette import COLOURS
+
+# trajectory, start [s], end [s], number of the constraint counted from 0, None for free motion
+Phase = tuple[str, float, float, int | None]
+MAX_CONSTRAINTS = 1000  # a larger number is a mistake, not a constraint
+FREE_COLOUR = "#98a3ae"
+_CONSTRAINT_COLOURS = tuple(value for name, value in COLOURS.items() if name != "grey")
+
+
+@final
+@dataclass(frozen=True)
+class PhaseKind:
+    """What a colour of the bands stands for.
+
+    Attributes:
+        label: Name in the legend, e.g. `"constraint 1: line"` or `"free motion"`.
+        mark: Number written on the bands, so that not colour alone tells them apart; empty for free motion.
+        colour: Hexadecimal value.
+        ink: Colour of the number, black or white, whichever has more contrast.
+    """
+
+    label: str
+    mark: str
+    colour: str
+    ink: str
+
+
+@final
+@dataclass(frozen=True)
+class PhaseBand:
+    """One stretch of one recording.
+
+    Attributes:
+        start, end: On the recording's own clock [s].
+        constraint: Number of the constraint, counted from 0; None for free motion.
+    """
+
+    start: float
+    end: float
+    constraint: int | None
+
+
+def phase_kinds(phases: Sequence[Phase], mechanism: str = "") -> tuple[PhaseKind, ...]:
+    """The constraints in their order, then free motion.
+
+    Args:
+        phases: Checked by `phase_bands`.
+        mechanism: Name of the mechanism of the first constraint, e.g. `"hinge"`; empty if there is none.
+    """
+    n = 1 + max((k for *_, k in phases if k is not None), default=-1)
+    kinds = []
+    for k in range(n):
+        label = f"constraint {k + 1}: {mechanism}" if k == 0 and mechanism else f"constraint {k + 1}"
+        colour = _CONSTRAINT_COLOURS[k % len(_CONSTRAINT_COLOURS)]
+        kinds.append(PhaseKind(label, str(k + 1), colour, _ink(colour)))
+    return (*kinds, PhaseKind("free motion", "", FREE_COLOUR, _ink(FREE_COLOUR)))
+
+
+def phase_bands(phases: Sequence[Phase], names: Sequence[str]) -> dict[str, tuple[PhaseBand, ...]]:
+    """The phases of each recording, in order of time; those of recordings that are not shown are left out.
+
+    Args:
+        phases: (trajectory, start [s], end [s], constraint or None), as in `LearningReport.phases`.
+        names: Names of the recordings that are shown.
+
+    Raises:
+        RecordingError: Not such a tuple, times that are not finite or in the wrong order, a constraint that is not a
+            number from 0 up, or phases none of which is of a recording that is shown.
+    """
+    bands: dict[str, list[PhaseBand]] = {name: [] for name in names}
+    for i, phase in enumerate(phases):
+        trajectory, band = _checked(i, phase)
+        if trajectory in bands:
+            bands[trajectory].append(band)
+    if phases and not any(bands.values()):
+        others = ", ".join(dict.fromkeys(repr(phase[0]) for phase in phases[:6]))
+        shown = ", ".join(map(repr, names[:6]))
+        raise RecordingError(
+            f"the phases are of the trajectories {others}, but the recordings shown are {shown}: "
+            "show the recordings under the names that the learner knows them by",
+            code="phases",
+        )
+    return {name: tuple(sorted(some, key=lambda b: b.start)) for name, some in bands.items()}
+
+
+def phases_from_json(value: object) -> tuple[Phase, ...]:
+    """Phases as JSON holds them: lists of four, or objects with trajectory, start, end and constraint.
+
+    Raises:
+        RecordingError: Something else.
+    """
+    if not isinstance(value, list | tuple):
+        raise RecordingError(f"phases must be a list, got {type(value).__name__}", code="phases")
+    phases: list[Phase] = []
+    for i, item in enumerate(value):
+        if isinstance(item, Mapping):
+            item = [item.get(key) for key in ("trajectory", "start", "end", "constraint")]
+        trajectory, band = _checked(i, item)
+        phases.append((trajectory, band.start, band.end, band.constraint))
+    return tuple(phases)
+
+
+def _checked(i: int, phase: Any) -> tuple[str, PhaseBand]:
+    if not isinstance(phase, list | tuple) or len(phase) != 4 or not isinstance(phase[0], str):
+        raise RecordingError(
+            f"phase {i} must be (trajectory, start, end, constraint or None), got {phase!r:.80}", code="phases"
+        )
+    trajectory, start, end, constraint = phase
+    try:
+        start, end = float(start), float(end)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"phase {i}: start and end must be numbers: {error}", code="phases") from error
+    if not (math.isfinite(start) and math.isfinite(end) and start <= end):
+        raise RecordingError(
+            f"phase {i} of {trajectory!r} must end after it starts, got {start} s to {end} s", code="phases"
+        )
+    if constraint is None:
+        return trajectory, PhaseBand(start, end, None)
+    number = int(constraint) if isinstance(constraint, int) and not isinstance(constraint, bool) else -1
+    if not 0 <= number < MAX_CONSTRAINTS:
+        raise RecordingError(
+            f"phase {i} of {trajectory!r}: the constraint must be a number from 0 up, or None for free motion, got "
+            f"{constraint!r:.40}",
+            code="phases",
+        )
+    return trajectory, PhaseBand(start, end, number)
+
+
+def _ink(colour: str) -> str:
+    """Black or white, whichever has more contrast (relative luminance as in WCAG 2.2)."""
+    channels = [int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
+    luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+    return "#000000" if (luminance + 0.05) ** 2 > 1.05 * 0.05 else "#ffffff"

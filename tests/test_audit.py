@@ -1,0 +1,254 @@
+"""The audit: measures are right, odd episodes are named, good ones are left alone; JSON, CSV, streams, dask."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scale_motions import motions
+
+import manip_learn as ml
+from manip_learn.cli import main
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.errors import OutputError, RecordingError
+from manip_learn.learning.audit import AuditReport, audit_episodes, outlier_threshold, robust_z
+from manip_learn.learning.episode_measures import measure
+from manip_learn.linalg import orthonormal_rows
+from manip_learn.recordings import RecordingSource, recording_source, trajectory_source
+from manip_learn.recordings.jerk import jerk
+from manip_learn.recordings.trajectory import Trajectory
+
+TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
+DRAWER = Path(__file__).resolve().parents[1] / "examples" / "data" / "sawyer_drawer"
+
+
+@pytest.fixture(scope="module")
+def features() -> FrameJacobian:
+    return FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", "xyz")
+
+
+@pytest.fixture(scope="module")
+def constraint(features: FrameJacobian) -> ml.Constraint:
+    return ml.Constraint(TWO, features)
+
+
+@pytest.fixture(scope="module")
+def demos(features: FrameJacobian) -> ml.Demonstrations:
+    return motions(features, TWO, np.random.default_rng(1), 12, noise=0.002, held=True)
+
+
+def with_one(demos: ml.Demonstrations, index: int, changed: Trajectory) -> list[Trajectory]:
+    return [changed if i == index else t for i, t in enumerate(demos)]
+
+
+def test_measures_are_those_of_the_constraint(constraint: ml.Constraint, demos: ml.Demonstrations) -> None:
+    """Singular values, manipulability and residual are what the constraint's own functions give, sample by sample."""
+    t = demos[3]
+    row = measure(constraint, t, 3)
+    sigma = [np.linalg.svd(constraint(q), compute_uv=False)[-1] for q in t.q]
+    assert row.sigma_min == pytest.approx(min(sigma), rel=1e-9)
+    assert row.sigma_median == pytest.approx(float(np.median(sigma)), rel=1e-9)
+    assert row.manipulability_min == pytest.approx(min(ml.manipulability(constraint, q) for q in t.q), rel=1e-9)
+    assert row.residual == pytest.approx(constraint.residual([t]), rel=1e-9)
+    assert row.n_samples == len(t) and row.duration == pytest.approx(t.duration)
+
+
+def test_displacement_is_how_far_the_tip_moves_along_held_rows(features: FrameJacobian) -> None:
+    """A tip that moves 30 mm along x and turns 12 degrees about z: that is what is reported, in mm and degrees."""
+    robot, target = features.robot, FrameJacobian(features.robot, "right_gripper_tip", "pose")
+    time = np.arange(301) * 0.01
+    rate = np.zeros(6)
+    rate[0], rate[5] = 0.030 / 3.0, np.radians(12.0) / 3.0
+    q = [np.array(robot.neutral()) + 0.2]
+    u = []
+    for _ in time:
+        u.append(np.linalg.pinv(target(q[-1])) @ rate)
+        middle = q[-1] + 0.005 * u[-1]
+        q.append(q[-1] + 0.01 * np.linalg.pinv(target(middle)) @ rate)
+    held = ml.Constraint(np.eye(6)[[0, 1, 5]], target)
+    row = measure(held, Trajectory(time, np.array(q[:-1]), np.array(u), tuple(robot.joint_names)), 0)
+    assert row.displacement_mm == pytest.approx(30.0, rel=1e-3)
+    assert row.displacement_deg == pytest.approx(12.0, rel=1e-3)
+
+
+def test_limits_speed_and_rest(constraint: ml.Constraint) -> None:
+    """One joint goes 10 % of its range beyond its limit, at half its speed limit, and rests half of the time."""
+    robot = ml.load_robot("sawyer")
+    limit, width = robot.position_upper[1], robot.position_upper[1] - robot.position_lower[1]
+    time = np.linspace(0.0, 4.0, 401)
+    speed = 0.5 * robot.velocity_limit[1]
+    way = np.where(time > 2.0, (time - 2.0) * speed, 0.0)
+    q, u = np.tile(robot.neutral(), (401, 1)), np.zeros((401, robot.nv))
+    q[:, 1], u[:, 1] = limit + 0.1 * width - way[-1] + way, np.where(time > 2.0, speed, 0.0)
+    row = measure(constraint, Trajectory(time, q, u, tuple(robot.joint_names)), 0)
+    assert row.limit_margin == pytest.approx(-0.1, abs=1e-6) and row.limit_joint == robot.joint_names[1]
+    assert 0.0 < row.beyond_limits < 0.5
+    assert row.peak_speed == pytest.approx(0.5) and row.peak_speed_joint == robot.joint_names[1]
+    assert row.too_fast == 0.0
+    assert row.rest_share == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3])
+def test_jerk_is_that_of_the_motion_not_of_the_noise(noise: float, rng: np.random.Generator) -> None:
+    """A sinusoid of 0.5 Hz has the jerk a w^3 cos(w t), also through noise whose third difference is far larger."""
+    time = np.arange(1000) / 100.0
+    a, w = 0.4, np.pi
+    x = a * np.sin(w * time)[:, None] * [1.0, 0.5] + noise * rng.standard_normal((1000, 2))
+    rms, peak = jerk(time, x)
+    size = a * w**3 * np.hypot(1.0, 0.5)
+    assert rms == pytest.approx(size / np.sqrt(2.0), rel=0.05)
+    assert peak == pytest.approx(size, rel=0.25)
+    assert all(np.isnan(jerk(time[:6], x[:6])))
+
+
+def test_good_episodes_stay(constraint: ml.Constraint, demos: ml.Demonstrations) -> None:
+    """Episodes of one kind: none is left out, all are ranked by falling score."""
+    report = audit_episodes(constraint, demos)
+    assert report.leave_out == ()
+    scores = [e.score for e in report.episodes]
+    assert scores == sorted(scores, reverse=True) and len(scores) == 12
+
+
+@pytest.mark.parametrize("n", [6, 12, 50])
+def test_false_alarms_are_rare(n: int) -> None:
+    """Of audits of normally distributed measures, at most about one in twenty leaves anything out."""
+    rng = np.random.default_rng(n)
+    alarms = sum(
+        bool(np.any(robust_z(rng.standard_normal((n, 9)), np.full(9, 1e-9)) > outlier_threshold(n, 9)))
+        for _ in range(400)
+    )
+    assert alarms <= 36  # 5 % and four standard errors
+    assert outlier_threshold(4, 9) == np.inf
+
+
+def test_an_episode_that_violates_the_constraint_is_left_out(
+    features: FrameJacobian, constraint: ml.Constraint, demos: ml.Demonstrations
+) -> None:
+    """One episode of another task among twelve: first in the ranking, left out, and the reason is given."""
+    other = motions(features, TWO[:, [2, 0, 1]], np.random.default_rng(3), 1, noise=0.002, held=True)[0]
+    report = audit_episodes(constraint, with_one(demos, 4, dataclasses.replace(other, name="intruder")))
+    assert [e.episode for e in report.leave_out] == ["intruder"]
+    worst = report.episodes[0]
+    assert worst.number == 4 and any("violates the constraint" in reason for reason in worst.reasons)
+    assert report.to_dict()["leave_out"][0]["number"] == 4
+
+
+def test_a_shaky_episode_is_left_out(constraint: ml.Constraint, features: FrameJacobian) -> None:
+    """A tremor of 5 Hz is jerk, and it is named so."""
+    demos = ml.load_demonstrations(DRAWER, features.robot, episodes="0:10")
+    t = demos[7]
+    tremor = 0.01 * np.sin(2 * np.pi * 5.0 * t.time)[:, None]
+    shaken = Trajectory(t.time, t.q + tremor * np.linspace(0.5, 1, t.q.shape[1]), t.u, t.joint_names, "shaky")
+    report = audit_episodes(constraint, with_one(demos, 7, shaken))
+    assert [e.episode for e in report.leave_out] == ["shaky"]
+    assert any("jerky" in reason for reason in report.leave_out[0].reasons)
+
+
+def test_motion_on_purpose_is_no_violation(features: FrameJacobian, demos: ml.Demonstrations) -> None:
+    """Rows that the demonstrator moves (self-imposed) are not held against an episode."""
+    imposed = ml.Constraint(TWO[:, [2, 0, 1]], features, {"kind": "self-imposed"})
+    report = audit_episodes(imposed, demos)
+    assert not {"violation", "displacement", "rotation"} & set(report.criteria)
+    assert any("on purpose" in note for note in report.notes)
+
+
+def test_few_episodes_are_ranked_but_not_judged(constraint: ml.Constraint, demos: ml.Demonstrations) -> None:
+    """Of four episodes nobody can say which is odd: it is said."""
+    report = audit_episodes(constraint, demos[:4])
+    assert report.leave_out == () and any("too few" in note for note in report.notes)
+
+
+def test_wrong_demonstrations_are_refused(constraint: ml.Constraint) -> None:
+    """Another robot's joints, or none."""
+    time = np.arange(10) * 0.1
+    foreign = Trajectory(time, np.zeros((10, 7)), np.zeros((10, 7)), tuple("abcdefg"))
+    with pytest.raises(RecordingError) as caught:
+        audit_episodes(constraint, [foreign])
+    assert caught.value.code == "joint-names"
+    with pytest.raises(RecordingError):
+        audit_episodes(constraint, [])
+
+
+def same(one: AuditReport, other: AuditReport) -> None:
+    assert [e.number for e in one.episodes] == [e.number for e in other.episodes]
+    for a, b in zip(one.episodes, other.episodes, strict=True):
+        assert a.reasons == b.reasons and a.score == pytest.approx(b.score, rel=1e-9)
+
+
+def test_streamed_and_on_workers(
+    constraint: ml.Constraint, features: FrameJacobian, tmp_path: Path, monkeypatch
+) -> None:
+    """Files read part by part, here or by the workers of a cluster, give the report of the same files in memory."""
+    pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
+    from manip_learn.learning.streaming.dask_executor import dask_client
+
+    monkeypatch.setattr(recording_source, "PART_BYTES", 30_000)
+    for i, t in enumerate(motions(features, TWO, np.random.default_rng(5), 9, noise=0.002, held=True)):
+        arrays = {"time": t.time, "q": t.q, "u": np.asarray(t.u), "joint_names": np.array(t.joint_names)}
+        np.savez(tmp_path / f"demo_{i}.npz", **arrays)  # type: ignore[arg-type]
+    source = RecordingSource(tmp_path, features.robot)
+    assert source.n_parts > 2
+    here = audit_episodes(constraint, ml.load_demonstrations(tmp_path, features.robot))
+    told: list[float] = []
+    same(here, audit_episodes(constraint, source, progress=lambda _step, share: told.append(share)))
+    assert told == sorted(told) and told[-1] == 1.0
+    with dask_client("local", 1) as client:
+        same(here, audit_episodes(constraint, source, client=client))
+
+
+def test_memory_holds_one_trajectory(constraint: ml.Constraint, demos: ml.Demonstrations) -> None:
+    """A trajectory is let go before the next one is asked for."""
+    alive: list[int] = []
+
+    class Source(trajectory_source.TrajectorySource):
+        @property
+        def n_parts(self):
+            return 1
+
+        def part(self, index, notes=None):
+            import weakref
+
+            seen = []
+            for t in demos:
+                copy = Trajectory(t.time, t.q, t.u, t.joint_names, t.name)
+                seen.append(weakref.ref(copy))
+                yield copy
+                del copy
+                alive.append(sum(r() is not None for r in seen))
+
+    audit_episodes(constraint, Source())
+    assert max(alive) <= 1
+
+
+def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """JSON is one document, CSV has one line per episode in the same order, the terminal names what to leave out."""
+    file = str(tmp_path / "drawer.json")
+    words = ["learn", "sawyer", str(DRAWER), "--frame", "right_gripper_tip", "--reference", "world", "--out", file]
+    assert main([*words, "--episodes", "0:10"]) == 0
+    capsys.readouterr()
+    words = ["audit", "sawyer", file, str(DRAWER), "--episodes", "0:12", "--csv", str(tmp_path / "audit.csv")]
+    assert main([*words, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["n_episodes"] == 12 and answer["leave_out"] == [] and answer["rule"]["threshold"] > 3.5
+    with (tmp_path / "audit.csv").open(newline="") as table:
+        rows = list(csv.DictReader(table))
+    assert [r["episode"] for r in rows] == [e["episode"] for e in answer["episodes"]]
+    assert float(rows[0]["sigma_min"]) == pytest.approx(answer["episodes"][0]["sigma_min"])
+    assert main(words) == 0
+    assert "leave out 0 of 12 episodes" in capsys.readouterr().out
+
+
+def test_command_line_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str], constraint: ml.Constraint) -> None:
+    """A missing constraint, recordings of another robot, a table that cannot be written: one sentence, exit code 2."""
+    assert main(["audit", "sawyer", str(tmp_path / "no.json"), str(DRAWER)]) == 2
+    assert "does not exist" in capsys.readouterr().err
+    file = str(constraint.save(tmp_path / "c.json"))
+    assert main(["audit", "planar3", file, str(DRAWER)]) == 2
+    assert main(["audit", "sawyer", file, str(DRAWER), "--episodes", "77"]) == 2
+    assert "nearest" in capsys.readouterr().err
+    with pytest.raises(OutputError):
+        AuditReport((), (), 3.5).save_csv(tmp_path / "c.json" / "a.csv")

@@ -1,0 +1,247 @@
+"""Kinematics of many postures at once must be the kinematics of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from conftest import TIPS, URDFS, tip_of
+
+from manip_learn.constraint.features import CentreOfMass, FrameJacobian, Stacked
+from manip_learn.errors import ConfigurationError, MissingExtraError
+from manip_learn.robot.batch.batch_kinematics import CHUNK, BatchKinematics, batch_kinematics
+from manip_learn.robot.description.mimic import Mimic
+from manip_learn.robot.robot import Robot
+
+RobotOf = Callable[[str], Robot]
+ROBOTS = [*URDFS, *TIPS]
+AXES = ["xyz", "pose", "planar", "ry z", "rotation"]
+REFERENCES = ["world", "local"]
+TOLERANCE = 1e-12
+
+
+def fast(robot: Robot, frame: str) -> bool:
+    return batch_kinematics(robot, robot.frame(frame)).fast
+
+
+def positions(robot: Robot, rng: np.random.Generator, n: int) -> np.ndarray:
+    return np.stack([robot.positions(robot.random_configuration(rng)) for _ in range(n)])
+
+
+@pytest.mark.parametrize("reference", REFERENCES)
+@pytest.mark.parametrize("name", ROBOTS)
+def test_batch_equals_pinocchio_one_by_one(
+    name: str, reference: str, robot_of: RobotOf, rng: np.random.Generator
+) -> None:
+    """Jacobians, derivatives and poses of a batch are Pinocchio's to 1e-12, for every robot, axes and reference."""
+    robot = robot_of(name)
+    q = positions(robot, rng, 5)
+    for axes in AXES:
+        features = FrameJacobian(robot, tip_of(name), axes, reference)
+        single = [features.value_and_derivative(x) for x in q]
+        np.testing.assert_allclose(features.batch(q), [s[0] for s in single], rtol=0, atol=TOLERANCE)
+        Phi, dPhi = features.batch_with_derivative(q)
+        np.testing.assert_allclose(Phi, [s[0] for s in single], rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(dPhi, [s[1] for s in single], rtol=0, atol=TOLERANCE)
+    frame = robot.frame(tip_of(name))
+    np.testing.assert_allclose(
+        batch_kinematics(robot, frame).pose(q), [robot.pose(x, frame) for x in q], rtol=0, atol=TOLERANCE
+    )
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_arms_do_not_need_the_loop(name: str, robot_of: RobotOf) -> None:
+    """Chains of revolute, continuous and prismatic joints run in bulk; floating and planar bases are Pinocchio's."""
+    robot = robot_of(name)
+    kinds = {block.kind for block in robot.blocks}
+    assert fast(robot, tip_of(name)) == kinds.isdisjoint({"floating", "planar", "other"})
+
+
+@pytest.mark.parametrize("reference", REFERENCES)
+@pytest.mark.parametrize("name", ["gantry", "wrist", "tree", "sawyer", "panda", "mimic", "humanoid"])
+def test_compiled_kernels_give_the_same_numbers(
+    name: str, reference: str, robot_of: RobotOf, rng: np.random.Generator
+) -> None:
+    """numba or NumPy: the same Jacobians and derivatives to 1e-12, also for angles of many turns."""
+    pytest.importorskip("numba", reason="the extra 'fast' is not installed")
+    robot = robot_of(name)
+    q = positions(robot, rng, 300)
+    if fast(robot, tip_of(name)):
+        turning = [block.v.start for block in robot.blocks if block.kind != "prismatic"]
+        q[200:, turning] *= 1e3
+        q[299, turning] = 2e5
+    for axes in ("pose", "ry z"):
+        features = FrameJacobian(robot, tip_of(name), axes, reference)
+        plain, derivative = features.batch_with_derivative(q, compiled=False)
+        scale = 1.0 + float(np.max(np.abs(derivative)))
+        np.testing.assert_allclose(features.batch(q, compiled=True), plain, rtol=0, atol=TOLERANCE * scale)
+        for got, expected in zip(features.batch_with_derivative(q, compiled=True), (plain, derivative), strict=True):
+            np.testing.assert_allclose(got, expected, rtol=0, atol=TOLERANCE * scale)
+
+
+def test_compiled_kernels_are_taken_by_number_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few postures: NumPy; many: compiled; without numba: NumPy, and an error that names the extra if insisted on."""
+    from manip_learn.robot.batch import batch_kinematics
+
+    assert batch_kinematics.kernels(None, batch_kinematics.COMPILED_FROM - 1) is None
+    assert batch_kinematics.kernels(False, 10**9) is None
+    monkeypatch.setattr(batch_kinematics, "find_spec", lambda name: None)
+    assert batch_kinematics.kernels(None, 10**9) is None
+    with pytest.raises(MissingExtraError, match="fast"):
+        batch_kinematics.kernels(True, 1)
+
+
+def test_chain_that_disagrees_with_pinocchio_is_not_used(robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The check at first use catches an error of 1e-9 m in a chain's geometry."""
+    from manip_learn.robot.batch import batch_kinematics
+
+    robot = robot_of("sawyer")
+    true_chain = batch_kinematics.chain_to
+
+    def bent(model: pin.Model, frame: object) -> object:
+        chain = true_chain(model, frame)
+        chain.shift[2, 0] += 1e-9
+        return chain
+
+    monkeypatch.setattr(batch_kinematics, "chain_to", bent)
+    kinematics = BatchKinematics(robot, robot.frame("right_hand"))
+    assert not kinematics.fast
+    q = np.zeros((2, robot.nv))
+    expected = robot.jacobian(q[0], robot.frame("right_hand"))
+    np.testing.assert_allclose(kinematics.jacobian(q)[0], expected, rtol=0, atol=1e-14)
+
+
+def test_every_frame_of_a_tree(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Frames on every branch, on the base and between joints: columns of joints that do not carry a frame are zero."""
+    robot = robot_of("tree")
+    q = positions(robot, rng, 3)
+    for name in robot.frame_names:
+        features = FrameJacobian(robot, name, "pose")
+        expected = np.array([features(x) for x in q])
+        np.testing.assert_allclose(features.batch(q), expected, rtol=0, atol=TOLERANCE)
+        np.testing.assert_array_equal(features.batch(q)[expected == 0.0], 0.0)
+
+
+def test_mimic_joints_move_with_their_leaders(rng: np.random.Generator) -> None:
+    """A follower's column is added to its leader's, times the multiplier, in Jacobians and twice in derivatives."""
+    model = pin.buildModelFromXML(URDFS["gantry"])
+    robot = Robot(model, mimics=[Mimic("joint3", "joint2", -0.7, 0.2), Mimic("joint4", "joint0", 0.5, -0.1)])
+    assert robot.nv == 3
+    q = positions(robot, rng, 4)
+    for reference in REFERENCES:
+        features = FrameJacobian(robot, "tip", "pose", reference)
+        assert batch_kinematics(robot, features.frame).fast
+        Phi, dPhi = features.batch_with_derivative(q)
+        np.testing.assert_allclose(Phi, [features(x) for x in q], rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(dPhi, [features.derivative(x) for x in q], rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(features.batch(q), Phi, rtol=0, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("n", [0, 1, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK + 3])
+def test_chunks_leave_no_seam(n: int, robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Any number of postures, including zero: each row is the result of its own posture."""
+    robot = robot_of("sawyer")
+    q = rng.uniform(-2.0, 2.0, (n, robot.nv))
+    features = FrameJacobian(robot, "right_hand", "x rz")
+    Phi, dPhi = features.batch_with_derivative(q)
+    assert features.batch(q).shape == (n, 2, 7) and Phi.shape == (n, 2, 7) and dPhi.shape == (n, 2, 7, 7)
+    assert batch_kinematics(robot, features.frame).pose(q).shape == (n, 4, 4)
+    for i in {0, n // 2, n - 1} if n else ():
+        np.testing.assert_allclose(features.batch(q)[i], features(q[i]), rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(dPhi[i], features.derivative(q[i]), rtol=0, atol=TOLERANCE)
+
+
+def test_configurations_and_joint_positions_are_both_taken(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Continuous joints as (cos, sin), of any length, or as angles with full turns."""
+    robot = robot_of("wrist")
+    q = positions(robot, rng, 6)
+    features = FrameJacobian(robot, "tip", "pose")
+    expected = features.batch(q)
+    configurations = np.stack([robot.configuration(x) for x in q])
+    np.testing.assert_allclose(features.batch(configurations), expected, rtol=0, atol=TOLERANCE)
+    first = robot.blocks[0].q
+    configurations[:, first] *= 1.7
+    np.testing.assert_allclose(features.batch(configurations), expected, rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(features.batch(q + [2 * np.pi, 0, -4 * np.pi, 0]), expected, rtol=0, atol=TOLERANCE)
+
+
+def test_memory_layout_of_the_input_does_not_matter(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Column-major, strided, big-endian and integer tables give the same rows."""
+    features = FrameJacobian(robot_of("sawyer"), "right_hand", "pose")
+    q = rng.uniform(-2.0, 2.0, (9, 7))
+    expected = features.batch(q)
+    for other in (np.asfortranarray(q), np.repeat(q, 2, axis=0)[::2], q.astype(">f8")):
+        np.testing.assert_array_equal(features.batch(other), expected)
+    np.testing.assert_array_equal(features.batch(np.ones((2, 7), dtype=int)), features.batch(np.ones((2, 7))))
+
+
+def test_nearly_parallel_axes_lose_nothing() -> None:
+    """Axes tilted by 1e-9 .. 1e-3 rad against each other stay accurate (Denavit and Hartenberg's form would not)."""
+    from conftest import chain_urdf
+
+    for tilt in ("0", "1e-9", "3.67e-6", "1e-3", "1.5708", "3.14159"):
+        joints = [("revolute", "0 0 1", "0.3 0.1 0.2", f"{tilt} 0 0.4")] * 4
+        robot = Robot(pin.buildModelFromXML(chain_urdf("nearly", joints)))
+        features = FrameJacobian(robot, "tip", "pose")
+        assert batch_kinematics(robot, features.frame).fast
+        q = np.array([[0.3, -1.0, 2.0, 0.7]])
+        np.testing.assert_allclose(features.batch(q)[0], features(q[0]), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_not_finite_names_row_and_joint(value: float, robot_of: RobotOf) -> None:
+    """NaN or infinity is refused with the first bad row and the joint's name, before any work."""
+    robot = robot_of("sawyer")
+    q = np.zeros((2000, 7))
+    q[1234, 5] = value
+    q[1500, 0] = np.nan
+    for call in (FrameJacobian(robot, "right_hand").batch, FrameJacobian(robot, "right_hand").batch_with_derivative):
+        with pytest.raises(ConfigurationError, match=rf"row 1234, joint '{robot.joint_names[5]}'"):
+            call(q)
+    with pytest.raises(ConfigurationError, match="row 1234"):
+        batch_kinematics(robot, robot.frame("right_hand")).pose(q)
+
+
+def test_wrong_tables_are_refused(robot_of: RobotOf) -> None:
+    """One posture, a wrong number of columns, text, a (cos, sin) of length zero: each error says what is expected."""
+    robot = robot_of("wrist")
+    features = FrameJacobian(robot, "tip")
+    for wrong in (np.zeros(4), np.zeros((3, 5)), np.zeros((2, 2, 4)), [["a"] * 4], [[1.0], [1.0, 2.0]]):
+        with pytest.raises(ConfigurationError, match="table"):
+            features.batch(wrong)
+    q = np.stack([robot.configuration(np.zeros(4))] * 3)
+    q[2, robot.blocks[2].q] = 0.0
+    with pytest.raises(ConfigurationError, match="row 2, joint 'joint2'"):
+        features.batch(q)
+
+
+def test_other_feature_maps(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Stacked maps and maps without a fast way of their own give the same tables."""
+    robot = robot_of("tree")
+    stacked = Stacked([FrameJacobian(robot, "tip", "xyz"), FrameJacobian(robot, "arm_b", "rotation", "local")])
+    q = positions(robot, rng, 4)
+    for features in (stacked, CentreOfMass(robot)):
+        Phi, dPhi = features.batch_with_derivative(q)
+        np.testing.assert_allclose(features.batch(q), [features(x) for x in q], rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(Phi, [features(x) for x in q], rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(dPhi, [features.derivative(x) for x in q], rtol=0, atol=TOLERANCE)
+        assert features.batch(q[:0]).shape == (0, features.n_rows, robot.nv)
+
+
+@pytest.mark.parametrize("reference", REFERENCES)
+@pytest.mark.parametrize("name", ["gantry", "sawyer", "humanoid", "mimic", "tree"])
+def test_vjp_equals_the_weighted_derivative(
+    name: str, reference: str, robot_of: RobotOf, rng: np.random.Generator
+) -> None:
+    """sum_ij C_ij dJ_ij / dq_k without forming dJ/dq is the same number."""
+    robot = robot_of(name)
+    q = positions(robot, rng, 6)
+    kinematics = batch_kinematics(robot, robot.frame(tip_of(name)))
+    rows = (1, 5, 0)
+    C = rng.normal(size=(3, robot.nv, 6))
+    _, H = kinematics.jacobian_and_derivative(q, reference, rows)
+    got = kinematics.vjp(q, lambda J, part: C[..., part] * (1.0 + J**2), reference, rows)
+    weights = C * (1.0 + kinematics.jacobian(q, reference, rows).transpose(1, 2, 0) ** 2)
+    np.testing.assert_allclose(got, np.einsum("ijn,nijk->nk", weights, H), rtol=0, atol=1e-11)

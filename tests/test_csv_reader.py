@@ -1,0 +1,171 @@
+"""Text tables: every way of writing the same numbers gives the same numbers; refusals name line and column."""
+
+from __future__ import annotations
+
+import cProfile
+from pathlib import Path
+from types import CodeType
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from recording_corpus import FULL, HEADER, TABLE, VELOCITIES, csv
+
+from manip_learn.errors import RecordingError
+from manip_learn.recordings import load_demonstrations
+from manip_learn.robot import Robot, load_robot
+
+
+@pytest.fixture(scope="module")
+def planar3() -> Robot:
+    return load_robot("planar3")
+
+
+def written(path: Path, content: str) -> Path:
+    path.write_text(content, encoding="utf-8", newline="")
+    return path
+
+
+def refusal(path: Path, robot: Robot, **options) -> RecordingError:
+    with pytest.raises(RecordingError) as caught:
+        load_demonstrations(path, robot, **options)
+    return caught.value
+
+
+def test_round_trip_is_exact(planar3: Robot, tmp_path: Path) -> None:
+    """Numbers printed with 17 digits by NumPy come back bit for bit, positions and velocities, by name."""
+    path, order = tmp_path / "demo.csv", [2, 4, 0, 3, 6, 1, 5]
+    names = np.array((HEADER + VELOCITIES).split(","))
+    np.savetxt(path, FULL[:, order], delimiter=",", fmt="%.17g", header=",".join(names[order]), comments="")
+    demos = load_demonstrations(path, planar3)
+    assert demos.joint_names == planar3.joint_names and demos.notes == ()
+    np.testing.assert_array_equal(demos[0].time, FULL[:, 0])
+    np.testing.assert_array_equal(demos[0].q, FULL[:, 1:4])
+    np.testing.assert_array_equal(demos[0].u, FULL[:, 4:])
+
+
+@pytest.mark.parametrize(
+    ("delimiter", "mark"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("  ", ",")]
+)
+def test_delimiters_and_decimal_marks(delimiter: str, mark: str, planar3: Robot, tmp_path: Path) -> None:
+    """The same table in six dialects is the same recording."""
+    path = written(tmp_path / "demo", csv(TABLE, delimiter=delimiter, mark=mark))
+    np.testing.assert_allclose(load_demonstrations(path, planar3)[0].q, TABLE[:, 1:], rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "column", "said"),
+    [
+        ("0.14,x1,1.9,0.07", "not-a-number", "joint1", "'x1'"),
+        ("0.14,,1.9,0.07", "not-a-number", "joint1", "an empty field"),
+        ("0.14,nan,1.9,0.07", "not-finite", "joint1", "nan"),
+        ("0.01,0.1,1.9,0.07", "time-order", "time", "from 0.12 to 0.01"),
+        ("0.12,0.1,1.9,0.07", "duplicate-time", "time", "0.12"),
+        ("0.14,0.1,1.9", "ragged", None, "3 fields, the header has 4"),
+        ("0.14,900,1.9,0.07", "outside-limits", "joint1", "900"),
+    ],
+)
+def test_the_refused_line_is_named(
+    line: str, code: str, column: str | None, said: str, planar3: Robot, tmp_path: Path
+) -> None:
+    """File, line as an editor counts it (comments and blank lines too), column and the value seen."""
+    lines = csv(TABLE).split("\n")
+    lines[8] = line
+    path = written(tmp_path / "demo.csv", "\n".join(["# one", "", *lines[:5], "# two", *lines[5:]]))
+    error = refusal(path, planar3)
+    assert (error.code, error.line, error.column, error.path) == (code, 12, column, path), str(error)
+    assert "demo.csv:12" in str(error) and said in str(error)
+
+
+def test_several_bad_rows_are_counted(planar3: Robot, tmp_path: Path) -> None:
+    """All lines with NaN are listed, the first few by number."""
+    table = TABLE.copy()
+    table[[3, 10, 20, 30, 40, 50], 2] = np.nan
+    error = refusal(written(tmp_path / "demo.csv", csv(table)), planar3)
+    assert "6 such sample(s): line 5, line 12, line 22, line 32, line 42, ..." in str(error)
+
+
+def test_ignored_columns_may_hold_anything(planar3: Robot, tmp_path: Path) -> None:
+    """An ignored column may contain text; rows must still have all fields."""
+    rows = csv(TABLE).splitlines()
+    content = "\n".join([rows[0] + ",phase", *(r + ",reach out" for r in rows[1:])])
+    path = written(tmp_path / "demo.csv", content)
+    assert refusal(path, planar3).code == "not-a-number"
+    demos = load_demonstrations(path, planar3, ignore_columns="phase")
+    np.testing.assert_allclose(demos[0].q, TABLE[:, 1:], rtol=1e-8)
+    written(path, content + ",more")
+    assert refusal(path, planar3, ignore_columns=("phase",)).code == "ragged"
+
+
+def test_missing_joints_tell_both_ways_out(planar3: Robot, tmp_path: Path) -> None:
+    """Near names and the option for them, locking in Python and on the command line."""
+    error = refusal(written(tmp_path / "demo.csv", csv(TABLE, "time,joint1,joint2,jiont3")), planar3)
+    assert error.code == "missing-joint"
+    for part in ("'jiont3'", "rename={'jiont3': 'joint3'}", "locked=['joint3']", "--lock joint3"):
+        assert part in str(error)
+    demos = load_demonstrations(tmp_path / "demo.csv", planar3, rename={"jiont3": "joint3"})
+    np.testing.assert_allclose(demos[0].q, TABLE[:, 1:], rtol=1e-8)
+
+
+def test_unknown_columns_tell_the_option(planar3: Robot, tmp_path: Path) -> None:
+    """A surplus column is no accident to be passed over: refused with the option that ignores it."""
+    path = written(tmp_path / "demo.csv", csv(np.column_stack([TABLE, TABLE[:, 1]]), HEADER + ",joint11"))
+    error = refusal(path, planar3)
+    assert error.code == "unknown-column" and "'joint1'" in str(error) and "ignore_columns=('joint11',)" in str(error)
+    assert len(load_demonstrations(path, planar3, ignore_columns=("joint11",))[0]) == 60
+
+
+def test_time_under_another_name(planar3: Robot, tmp_path: Path) -> None:
+    """The refusal names the column that is probably meant; rename reads it."""
+    path = written(tmp_path / "demo.csv", csv(TABLE, "timestamp,joint1,joint2,joint3"))
+    assert "rename={'timestamp': 'time'}" in str(refusal(path, planar3))
+    assert len(load_demonstrations(path, planar3, rename={"timestamp": "time"})) == 1
+
+
+def test_a_joint_may_be_called_like_a_velocity(tmp_path: Path) -> None:
+    """A robot whose joint is named belt_velocity gets its positions, not its velocities."""
+    links = "".join(f'<link name="l{i}"/>' for i in range(3))
+    joints = "".join(
+        f'<joint name="{n}" type="revolute"><parent link="l{i}"/><child link="l{i + 1}"/><axis xyz="0 0 1"/>'
+        '<limit lower="-3" upper="3" velocity="2" effort="1"/></joint>'
+        for i, n in enumerate(("belt", "belt_velocity"))
+    )
+    urdf = written(tmp_path / "r.urdf", f'<robot name="r">{links}{joints}</robot>')
+    path = written(tmp_path / "demo.csv", csv(TABLE[:, :3], "time,belt,belt_velocity"))
+    demos = load_demonstrations(path, load_robot(urdf))
+    np.testing.assert_allclose(demos[0].q, TABLE[:, 1:3], rtol=1e-8)
+    assert demos[0].u is None
+
+
+@given(st.text(alphabet="time,joint123_velocity;\t\n\r 0.5e-+#%\"'\u00e4\x00", max_size=200))
+def test_any_text_is_read_or_refused(content: str) -> None:
+    """For any content of a text file, the result is a recording or a one-line error."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "demo.csv"
+        path.write_bytes(("time,joint1,joint2,joint3\n" + content).encode())
+        try:
+            load_demonstrations(path, load_robot("planar3"))
+        except RecordingError as error:
+            assert "\n" not in str(error)
+
+
+def test_a_row_is_looked_at_once(planar3: Robot, tmp_path: Path) -> None:
+    """Strictness does not cost a function call per field: a further row costs at most six calls in the library."""
+    calls = []
+    for n in (2_000, 4_000):
+        time = np.arange(n) * 0.01
+        rows = np.column_stack([time, *(np.sin(0.1 * time + i) for i in range(3))])
+        path = written(tmp_path / f"demo{n}.csv", csv(rows))
+        profile = cProfile.Profile()
+        demos = profile.runcall(load_demonstrations, path, planar3)
+        assert demos.n_samples == n
+        calls.append(sum(e.callcount for e in profile.getstats() if is_ours(e.code)))
+    assert 0 < calls[1] - calls[0] <= 6 * 2_000
+
+
+def is_ours(code: object) -> bool:
+    """A function of the library, not one of NumPy or of the interpreter."""
+    return isinstance(code, CodeType) and "manip_learn" in Path(code.co_filename).parts

@@ -1,0 +1,202 @@
+"""Selected episodes: files of a folder by their place, LeRobot episodes by number and by task."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recording_corpus import TABLE, csv
+
+from manip_learn.cli import main
+from manip_learn.errors import RecordingError, UnknownNameError
+from manip_learn.recordings import RecordingSource, load_demonstrations
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.readers.episode_selection import EpisodeSelection
+from manip_learn.robot import Robot, load_robot
+
+pa = pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")
+import pyarrow.parquet as pq  # noqa: E402
+
+JOINTS = ["joint1", "joint2", "joint3"]
+TASKS = {0: ["Open the drawer"], 1: ["Open the drawer"], 2: ["Wipe the table", "Open the drawer"], 3: ["Close it"]}
+
+
+@pytest.fixture(scope="module")
+def planar3() -> Robot:
+    return load_robot("planar3")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for i in range(12):
+        (tmp_path / f"demo_{i + 1}.csv").write_text(csv(TABLE + [0, 0.01 * i, 0, 0]))
+    return tmp_path
+
+
+def samples(episodes: list[int]):
+    """Twenty samples of each episode at 50 Hz; the first joint tells which."""
+    q = np.concatenate([np.linspace(0, 0.1, 20)[:, None] + [0.01 * i, 0.2, 0.3] for i in episodes]).astype(np.float32)
+    state = pa.FixedSizeListArray.from_arrays(pa.array(q.ravel()), 3)
+    stamps = np.tile(np.arange(20) / 50.0, len(episodes))
+    return pa.table(
+        {
+            "observation.state": state,
+            "timestamp": pa.array(stamps.astype(np.float32)),
+            "episode_index": pa.array(np.repeat(episodes, 20)),
+        }
+    )
+
+
+def described(root: Path, version: str) -> None:
+    state = {"dtype": "float32", "shape": [3], "names": JOINTS}
+    (root / "meta").mkdir(parents=True)
+    content = {"codebase_version": version, "fps": 50, "features": {"observation.state": state}}
+    (root / "meta" / "info.json").write_text(json.dumps(content))
+
+
+def version_2(root: Path) -> Path:
+    described(root, "v2.1")
+    lines = [json.dumps({"episode_index": i, "tasks": tasks, "length": 20}) for i, tasks in TASKS.items()]
+    (root / "meta" / "episodes.jsonl").write_text("\n".join(lines) + "\n")
+    (root / "data" / "chunk-000").mkdir(parents=True)
+    for i in TASKS:
+        pq.write_table(samples([i]), root / "data" / "chunk-000" / f"episode_{i:06d}.parquet")
+    return root
+
+
+def version_3(root: Path) -> Path:
+    described(root, "v3.0")
+    (root / "meta" / "episodes" / "chunk-000").mkdir(parents=True)
+    table = pa.table({"episode_index": list(TASKS), "tasks": list(TASKS.values())})
+    pq.write_table(table, root / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
+    (root / "data" / "chunk-000").mkdir(parents=True)
+    pq.write_table(samples([0, 1, 2]), root / "data" / "chunk-000" / "file-000.parquet")
+    pq.write_table(samples([3]), root / "data" / "chunk-000" / "file-001.parquet")
+    return root
+
+
+MADE = {"v2": version_2, "v3": version_3}
+
+
+def numbers(demonstrations: Demonstrations) -> list[int]:
+    return [int(t.name.rpartition(" ")[2]) for t in demonstrations]
+
+
+@pytest.mark.parametrize(
+    ("text", "known", "chosen"),
+    [
+        ("0:3", 10, {0, 1, 2}),
+        ("0:2,5, 7", 10, {0, 1, 5, 7}),
+        ("8:", 10, {8, 9}),
+        (":2", 10, {0, 1}),
+        ("0:99", 3, {0, 1, 2}),
+    ],
+)
+def test_text_selects_as_python_counts(text: str, known: int, chosen: set[int]) -> None:
+    """Ranges are half-open, from 0, and may go beyond the last episode."""
+    assert EpisodeSelection.of(text).of_known(range(known), "here") == chosen
+
+
+@pytest.mark.parametrize("text", ["", "a", "1-3", "3,", "-1", "1:2:3", "1.5", [], [-1], [1.5], ["1"], 2.5, True])
+def test_what_is_no_selection_is_refused(text) -> None:
+    """One sentence that shows how it is written."""
+    with pytest.raises(RecordingError, match="0:50,60,75") as caught:
+        EpisodeSelection.of(text)
+    assert caught.value.code == "option"
+
+
+def test_files_are_selected_by_natural_order(planar3: Robot, folder: Path) -> None:
+    """demo_2 comes before demo_10; the order of the selection does not matter; a note tells what was left out."""
+    demos = load_demonstrations(folder, planar3, episodes="9,0:2")
+    assert [t.name for t in demos] == ["demo_1.csv", "demo_2.csv", "demo_10.csv"]
+    assert any("3 of 12 files selected" in note for note in demos.notes)
+    assert [t.name for t in load_demonstrations(folder, planar3, episodes=[11])] == ["demo_12.csv"]
+    assert [t.name for t in load_demonstrations(folder, planar3, episodes=range(1, 3))] == ["demo_2.csv", "demo_3.csv"]
+
+
+@pytest.mark.parametrize("version", MADE)
+def test_lerobot_episodes_by_number(version: str, planar3: Robot, tmp_path: Path) -> None:
+    """The number is the episode's own, in both versions of the format, in memory and streamed."""
+    root = MADE[version](tmp_path / "set")
+    demos = load_demonstrations(root, planar3, units="radians", episodes="1:3")
+    assert numbers(demos) == [1, 2]
+    np.testing.assert_allclose([t.q[0, 0] for t in demos], [0.01, 0.02], atol=1e-6)
+    assert any("2 of 4 episodes selected" in note for note in demos.notes)
+    source = RecordingSource(root, planar3, units="radians", episodes="0,3")
+    assert numbers(Demonstrations(t for i in range(source.n_parts) for t in source.part(i))) == [0, 3]
+
+
+@pytest.mark.parametrize("version", MADE)
+def test_lerobot_episodes_by_task(version: str, planar3: Robot, tmp_path: Path) -> None:
+    """All episodes that show the task, alone or with others; together with numbers, those that satisfy both."""
+    root = MADE[version](tmp_path / "set")
+    demos = load_demonstrations(root, planar3, units="radians", task="open the  Drawer")
+    assert numbers(demos) == [0, 1, 2]
+    demos = load_demonstrations(root, planar3, units="radians", task="Open the drawer", episodes="2:")
+    assert numbers(demos) == [2]
+    with pytest.raises(RecordingError, match=r"none of the episodes 0:2 shows the task 'Close it'; it is shown by 3"):
+        load_demonstrations(root, planar3, units="radians", task="Close it", episodes="0:2")
+
+
+@pytest.mark.parametrize("version", MADE)
+def test_a_task_that_does_not_exist_names_near_ones(version: str, planar3: Robot, tmp_path: Path) -> None:
+    """A misspelt task is answered with the tasks that it may mean."""
+    root = MADE[version](tmp_path / "set")
+    with pytest.raises(UnknownNameError, match="did you mean 'Open the drawer'") as caught:
+        load_demonstrations(root, planar3, units="radians", task="Open the drawr")
+    assert caught.value.kind == "task"
+
+
+def test_episodes_that_do_not_exist_name_near_ones(planar3: Robot, folder: Path, tmp_path: Path) -> None:
+    """Each item must select something: a number beyond the end is no silent empty selection."""
+    with pytest.raises(RecordingError, match=r"'12'.*there are 12, numbered 0 to 11; the nearest: 8, 9, 10, 11"):
+        load_demonstrations(folder, planar3, episodes="0:3,12")
+    root = version_3(tmp_path / "set")
+    with pytest.raises(RecordingError, match="'7:9'") as caught:
+        RecordingSource(root, planar3, units="radians", episodes="7:9")
+    assert caught.value.code == "no-episode"
+
+
+def test_tasks_need_a_data_set_that_names_them(planar3: Robot, folder: Path, tmp_path: Path) -> None:
+    """CSV files have no tasks; a data set without meta/episodes says what to download."""
+    with pytest.raises(RecordingError, match="LeRobot data sets only") as caught:
+        load_demonstrations(folder, planar3, task="Open the drawer")
+    assert caught.value.code == "no-tasks"
+    root = version_2(tmp_path / "set")
+    (root / "meta" / "episodes.jsonl").unlink()
+    with pytest.raises(RecordingError, match="download all of meta/") as caught:
+        load_demonstrations(root, planar3, units="radians", task="Open the drawer")
+    assert caught.value.code == "no-tasks"
+    assert numbers(load_demonstrations(root, planar3, units="radians", episodes="1")) == [1]
+
+
+@pytest.mark.parametrize("content", ["{", "[1]\n", '{"episode_index": "a", "tasks": []}\n', "\xff"])
+def test_damaged_lists_of_episodes_are_refused(content: str, planar3: Robot, tmp_path: Path) -> None:
+    """What is not JSON lines, or describes no episode, is an error that names the file."""
+    root = version_2(tmp_path / "set")
+    (root / "meta" / "episodes.jsonl").write_bytes(content.encode("latin-1"))
+    with pytest.raises(RecordingError, match="meta") as caught:
+        load_demonstrations(root, planar3, units="radians", task="Open the drawer")
+    assert caught.value.code == "damaged"
+
+
+def test_two_data_sets_have_no_common_numbers(planar3: Robot, tmp_path: Path) -> None:
+    """Episode 1 of which? Refused."""
+    with pytest.raises(RecordingError, match="name one data set"):
+        load_demonstrations(
+            [version_2(tmp_path / "a"), version_3(tmp_path / "b")], planar3, units="radians", episodes="1"
+        )
+
+
+def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`learn --episodes` learns from the selected recordings only; a wrong one is one sentence and exit code 2."""
+    recordings = Path(__file__).resolve().parents[1] / "examples" / "data" / "sawyer_drawer"
+    words = ["learn", "sawyer", str(recordings), "--frame", "right_gripper_tip", "--reference", "world", "--json"]
+    assert main([*words, "--episodes", "0:8,20"]) == 0
+    assert json.loads(capsys.readouterr().out)["n_trajectories"] == 9
+    assert main([*words, "--episodes", "99"]) == 2
+    assert "the nearest: 46, 47, 48, 49" in capsys.readouterr().err
+    assert main([*words, "--task", "drawer"]) == 2
+    assert "LeRobot" in capsys.readouterr().err

@@ -1,0 +1,265 @@
+"""LeRobot data, written by pyarrow in the layouts of v2.1 and v3.0: episodes come back, units must be stated."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manip_learn.errors import RecordingError
+from manip_learn.recordings import iter_demonstrations, load_demonstrations
+from manip_learn.recordings.readers.lerobot_dataset import entry_names
+from manip_learn.robot import Robot, load_robot
+
+pa = pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")
+import pyarrow.parquet as pq  # noqa: E402
+
+JOINTS = ["joint1", "joint2", "joint3"]
+FPS = 50
+
+
+def motion(episode: int, n: int = 80) -> np.ndarray:
+    t = np.arange(n) / FPS
+    return np.column_stack([np.sin(t) + 0.01 * episode, 1.0 + np.cos(t), 0.5 * t])
+
+
+def table(episodes: dict[int, np.ndarray], kind: str = "fixed", **more: Any):
+    """Frames of some episodes as LeRobot stores them, with a column that is not needed."""
+    state = np.concatenate(list(episodes.values())).astype(np.float32)
+    frames = np.concatenate([np.arange(len(q)) for q in episodes.values()])
+    flat = pa.array(state.ravel())
+    lists = {
+        "fixed": lambda: pa.FixedSizeListArray.from_arrays(flat, state.shape[1]),
+        "list": lambda: pa.array(state.tolist(), type=pa.list_(pa.float32())),
+        "large": lambda: pa.array(state.astype(float).tolist(), type=pa.large_list(pa.float64())),
+    }
+    columns = {
+        "observation.state": lists[kind](),
+        "action": lists[kind](),
+        "timestamp": pa.array((frames / FPS).astype(np.float32)),
+        "frame_index": pa.array(frames),
+        "episode_index": pa.array(np.repeat(list(episodes), [len(q) for q in episodes.values()])),
+        "note": pa.array(["x"] * len(frames)),
+    }
+    return pa.table({**columns, **more})
+
+
+def info(names: Any, version: str = "v2.1", **more: Any) -> dict[str, Any]:
+    state = {"dtype": "float32", "shape": [3], "names": names}
+    return {"codebase_version": version, "fps": FPS, "features": {"observation.state": state, "action": state}, **more}
+
+
+def dataset(root: Path, description: dict[str, Any], files: dict[str, Any]) -> Path:
+    (root / "meta").mkdir(parents=True)
+    (root / "meta" / "info.json").write_text(json.dumps(description))
+    for name, content in files.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(content, root / name)
+    return root
+
+
+def version_2(root: Path, names: Any = JOINTS, scale: float = 1.0, kind: str = "fixed") -> Path:
+    files = {f"data/chunk-000/episode_{i:06d}.parquet": table({i: scale * motion(i)}, kind) for i in (0, 1, 2, 10)}
+    return dataset(root, info(names), files)
+
+
+def version_3(root: Path, names: Any = JOINTS) -> Path:
+    files = {
+        "data/chunk-000/file-000.parquet": table({0: motion(0), 1: motion(1, 50), 2: motion(2)[:30]}),
+        "data/chunk-000/file-001.parquet": table({3: motion(3)}),
+        "meta/episodes/chunk-000/file-000.parquet": pa.table({"episode_index": [0, 1, 2, 3]}),
+    }
+    return dataset(root, info({"motors": names}, "v3.0"), files)
+
+
+@pytest.fixture(scope="module")
+def planar3() -> Robot:
+    return load_robot("planar3")
+
+
+@pytest.mark.parametrize("kind", ["fixed", "list", "large"])
+def test_version_2_round_trip(kind: str, planar3: Robot, tmp_path: Path) -> None:
+    """One trajectory per file, in natural order, float32 as stored."""
+    demos = load_demonstrations(version_2(tmp_path / "set", kind=kind), planar3, units="radians")
+    assert [t.name for t in demos] == [f"set episode {i}" for i in (0, 1, 2, 10)]
+    for t, i in zip(demos, (0, 1, 2, 10), strict=True):
+        np.testing.assert_array_equal(t.q, motion(i).astype(np.float32))
+        np.testing.assert_allclose(t.time, np.arange(80) / FPS, rtol=0, atol=1e-6)
+        assert t.u is None
+
+
+def test_version_3_round_trip(planar3: Robot, tmp_path: Path) -> None:
+    """Many episodes in a file are separated; metadata tables are no episodes."""
+    demos = load_demonstrations(version_3(tmp_path / "set"), planar3, units="radians")
+    assert [len(t) for t in demos] == [80, 50, 30, 80]
+    np.testing.assert_array_equal(demos[1].q, motion(1, 50).astype(np.float32))
+
+
+def test_an_episode_may_go_on_in_the_next_file(planar3: Robot, tmp_path: Path) -> None:
+    """Cut between files in the middle of an episode: still one trajectory."""
+    whole = table({0: motion(0), 1: motion(1)})
+    files = {
+        "data/chunk-000/file-000.parquet": whole.slice(0, 100),
+        "data/chunk-000/file-001.parquet": whole.slice(100),
+    }
+    demos = load_demonstrations(dataset(tmp_path / "set", info(JOINTS, "v3.0"), files), planar3, units="radians")
+    assert [len(t) for t in demos] == [80, 80]
+    np.testing.assert_array_equal(demos[1].q, motion(1).astype(np.float32))
+
+
+def test_a_single_file_finds_its_data_set(planar3: Robot, tmp_path: Path) -> None:
+    """Names come from the meta folder above; without one they must be given."""
+    root = version_2(tmp_path / "set")
+    file = root / "data/chunk-000/episode_000001.parquet"
+    np.testing.assert_array_equal(
+        load_demonstrations(file, planar3, units="radians")[0].q, motion(1).astype(np.float32)
+    )
+    alone = tmp_path / "alone.parquet"
+    alone.write_bytes(file.read_bytes())
+    with pytest.raises(RecordingError, match="joint_names") as caught:
+        load_demonstrations(alone, planar3, units="radians")
+    assert caught.value.code == "no-joint-names"
+    demos = load_demonstrations(alone, planar3, units="radians", joint_names=["joint3", "joint2", "joint1"])
+    np.testing.assert_array_equal(demos[0].q, motion(1).astype(np.float32)[:, ::-1])
+
+
+@pytest.mark.parametrize(
+    ("scale", "units", "guess"),
+    [(1.0, "radians", "'radians'"), (57.29578, "degrees", "'degrees'"), (30.0, "normalised", "'normalised'")],
+)
+def test_units_are_never_guessed(scale: float, units, guess: str, planar3: Robot, tmp_path: Path) -> None:
+    """Not stated: refused, with what the values look like. Stated: converted, with a note unless they are radians."""
+    root = version_2(tmp_path / "set", scale=scale)
+    with pytest.raises(RecordingError, match=guess) as caught:
+        load_demonstrations(root, planar3)
+    assert caught.value.code == "units"
+    demos = load_demonstrations(root, planar3, units=units)
+    factor = {"radians": 1.0, "degrees": np.pi / 180, "normalised": 12.5 / 100}[units]
+    np.testing.assert_allclose(demos[2].q, motion(2) * scale * factor, rtol=1e-6, atol=1e-6)
+    assert bool(demos.notes) == (units != "radians")
+
+
+@pytest.mark.parametrize("units", ["degrees", "normalised"])
+def test_grippers_are_in_percent(units, robot_of, tmp_path: Path) -> None:
+    """LeRobot keeps the gripper in 0 .. 100 whatever the unit of the arm; '.pos' is taken off the names; both said."""
+    robot = load_robot("so101")
+    n = 40
+    names = [f"{j}.pos" for j in robot.joint_names]
+    state = np.tile(np.linspace(-20.0, 20.0, n)[:, None], (1, robot.nv))
+    g = robot.joint_names.index("gripper")
+    state[:, g] = np.linspace(0.0, 100.0, n)
+    description = info(names)
+    root = dataset(tmp_path / "set", description, {"data/chunk-000/episode_000000.parquet": table({0: state})})
+    demos = load_demonstrations(root, robot, units=units)
+    np.testing.assert_allclose(
+        demos[0].q[[0, -1], g], [robot.position_lower[g], robot.position_upper[g]], rtol=0, atol=1e-6
+    )
+    if units == "degrees":
+        np.testing.assert_allclose(demos[0].q[:, g - 1], np.radians(state[:, g - 1]), rtol=0, atol=1e-6)
+    said = " ".join(demos.notes)
+    assert "gripper" in said and ".pos" in said
+
+
+def test_velocities_in_the_state_or_beside_it(planar3: Robot, tmp_path: Path) -> None:
+    """'.vel' entries and observation.velocity are the recorded velocities."""
+    q = motion(0)
+    u = np.gradient(q, 1 / FPS, axis=0)
+    names = [f"{j}.pos" for j in JOINTS] + [f"{j}.vel" for j in JOINTS]
+    files = {"data/a.parquet": table({0: np.hstack([q, u])})}
+    demos = load_demonstrations(dataset(tmp_path / "one", info(names), files), planar3, units="radians")
+    np.testing.assert_array_equal(demos[0].u, u.astype(np.float32))
+    beside = {"observation.velocity": pa.array(u.tolist())}
+    files = {"data/a.parquet": table({0: q}, **beside)}
+    demos = load_demonstrations(dataset(tmp_path / "two", info(JOINTS), files), planar3, units="radians")
+    np.testing.assert_array_equal(demos[0].u, u)
+
+
+@pytest.mark.parametrize(
+    ("names", "read"),
+    [
+        (["a", "b"], ("a", "b")),
+        ({"motors": ["a", "b"]}, ("a", "b")),
+        ({"arm": ["a"], "hand": ["b"]}, ("a", "b")),
+        ({"b": 1, "a": 0}, ("a", "b")),
+        ({"b": 5, "a": 0}, None),
+        (None, None),
+        ([], None),
+        ({}, None),
+        ([1, 2], None),
+        ("ab", None),
+        ({"motors": "ab"}, None),
+    ],
+)
+def test_names_come_in_many_forms(names: Any, read: tuple[str, ...] | None) -> None:
+    """Lists, groups and index tables are understood, everything else is no name."""
+    assert entry_names(names) == read
+
+
+def test_missing_values_and_ragged_samples_are_refused(planar3: Robot, tmp_path: Path) -> None:
+    """Nulls, samples of unequal length and text are named; nothing is filled in."""
+    good = table({0: motion(0)})
+    states = motion(0).tolist()
+    broken = {
+        "not-finite": pa.array([*states[:-1], None], type=pa.list_(pa.float64())),
+        "ragged": pa.array([*states[:-1], [1.0]]),
+        "not-a-number": pa.array([[str(x) for x in row] for row in states]),
+    }
+    for code, column in broken.items():
+        bad = good.set_column(0, "observation.state", column)
+        root = dataset(tmp_path / code, info(JOINTS), {"data/a.parquet": bad})
+        with pytest.raises(RecordingError) as caught:
+            load_demonstrations(root, planar3, units="radians")
+        assert caught.value.code == code
+
+
+@pytest.mark.parametrize(
+    ("description", "code"),
+    [
+        ({"codebase_version": "v1.6"}, "version"),
+        ({"codebase_version": "v2.1", "features": {}}, "no-state"),
+        ({"codebase_version": "v2.1"}, "no-state"),
+        ([], "damaged"),
+        (info(["a"]), "shape"),
+        (info(None), "no-joint-names"),
+        (info(["a", "b", "c"]), "missing-joint"),
+    ],
+)
+def test_metadata_that_does_not_fit_is_refused(description: Any, code: str, planar3: Robot, tmp_path: Path) -> None:
+    """Another version, no state, names that do not fit: refused by name."""
+    root = dataset(tmp_path / "set", description, {"data/a.parquet": table({0: motion(0)})})
+    with pytest.raises(RecordingError) as caught:
+        load_demonstrations(root, planar3, units="radians")
+    assert caught.value.code == code
+
+
+def test_paths_in_the_metadata_are_not_followed(planar3: Robot, tmp_path: Path) -> None:
+    """data_path could name any file; the files are looked up in data/ instead."""
+    root = dataset(
+        tmp_path / "set", info(JOINTS, data_path="../../etc/passwd"), {"data/a.parquet": table({0: motion(0)})}
+    )
+    assert len(load_demonstrations(root, planar3, units="radians")) == 1
+
+
+def test_a_bomb_is_refused(planar3: Robot, tmp_path: Path) -> None:
+    """Kilobytes that hold tens of millions of equal numbers are refused before they are read."""
+    n = 20_000_000
+    state = pa.FixedSizeListArray.from_arrays(pa.array(np.zeros(3 * n, dtype=np.float32)), 3)
+    bomb = tmp_path / "bomb.parquet"
+    pq.write_table(pa.table({"observation.state": state}), bomb)
+    assert bomb.stat().st_size < 1_000_000
+    with pytest.raises(RecordingError) as caught:
+        load_demonstrations(bomb, planar3, units="radians", joint_names=JOINTS)
+    assert caught.value.code == "bomb"
+
+
+def test_episodes_are_read_one_by_one(planar3: Robot, tmp_path: Path) -> None:
+    """The first trajectory is there before a later, broken file is opened."""
+    root = version_2(tmp_path / "set")
+    (root / "data/chunk-000/episode_000010.parquet").write_bytes(b"PAR1 broken PAR1")
+    episodes = iter_demonstrations(root, planar3, units="radians")
+    assert next(episodes).name == "set episode 0"
+    with pytest.raises(RecordingError, match="episode_000010"):
+        list(episodes)

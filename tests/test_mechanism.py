@@ -1,0 +1,263 @@
+"""Mechanisms from recordings: the right type, accurate places, honest uncertainty, no answer where there is none."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import pickle
+
+import numpy as np
+import pytest
+from mechanism_motions import T, about, along, ball, demonstrate, wave
+
+import manip_learn as ml
+from manip_learn.constraint.features.place_fields import across
+from manip_learn.errors import NotIdentifiableError, UnknownNameError
+from manip_learn.learning.mechanisms.find_mechanism import find_mechanism
+from manip_learn.learning.mechanisms.mechanism import Mechanism
+
+AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
+PITCH = 0.04
+MIDDLE = {
+    "panda": [0.2, -0.4, 0.1, -2.0, 0.1, 1.7, 0.8],
+    "ur5": [0.3, -1.3, 1.7, -1.9, -1.4, 0.2],
+    "planar3": [0.4, 0.9, 0.7],
+}
+TIP = {"panda": "panda_hand_tcp", "ur5": "tool0", "planar3": "tip"}
+
+
+def place(robot, name, distance=0.3):
+    """A point so far from the tip, straight across AXIS."""
+    handle = robot.position(np.array(MIDDLE[name]), robot.frame(TIP[name]))
+    return handle + distance * (0.6 * across(AXIS)[0] + 0.8 * across(AXIS)[1])
+
+
+def paths(point):
+    """Name -> (path, type, rows)."""
+    return {
+        "line": (along(AXIS[None], 0.2, False), "line", 2),
+        "line, firm": (along(AXIS[None], 0.15, True), "line", 5),
+        "plane": (along(across(AXIS), 0.12, False), "plane", 1),
+        "hinge": (about(AXIS, point, 0.7, firm=False), "hinge", 2),
+        "hinge, firm": (about(AXIS, point, 0.7), "hinge", 5),
+        "ball": (ball(point, 0.25, False), "ball", 1),
+        "ball, firm": (ball(point, 0.25, True), "ball", 3),
+        "screw": (about(AXIS, point, 1.2, pitch=PITCH, firm=False), "screw", 2),
+        "screw, firm": (about(AXIS, point, 0.8, pitch=PITCH), "screw", 5),
+        "sleeve": (about(AXIS, point, 0.8, slide=0.08), "other", 4),
+    }
+
+
+def record(robot_of, name, path, seed=0, **options):
+    robot, rng = robot_of(name), np.random.default_rng(seed)
+    return demonstrate(robot, TIP[name], np.array(MIDDLE[name]), path, rng, **options)
+
+
+def find(robot_of, name, demos, **options):
+    return find_mechanism(robot_of(name), TIP[name], demos, np.random.default_rng(1), **options)
+
+
+def degrees_between(a, b):
+    return float(np.degrees(np.arcsin(min(1.0, np.linalg.norm(np.cross(a, b))))))
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("panda", k) for k in paths(np.zeros(3))] + [("ur5", k) for k in ("plane", "hinge", "screw, firm")],
+)
+def test_type_and_place(robot_of, name, kind):
+    """With encoder noise of 1e-4 rad and only 300 samples: the right type and rows, axis within 0.25 degrees, place and
+    radius within 1 mm, pitch within 1 %, each within four or five of its standard deviations; and the constraint holds
+    on the motion itself.
+    """
+    robot = robot_of(name)
+    point = place(robot, name)
+    path, kind_of, rows = paths(point)[kind]
+    demos = record(robot_of, name, path)
+    fit = find(robot_of, name, demos)
+    m = fit.mechanism
+    assert m is not None, fit.reason
+    assert (m.type, fit.selection.shape[0]) == (kind_of, rows)
+    assert m.grip == ("firm" if "firm" in kind or kind == "sleeve" else "loose")
+    if m.axis is not None:
+        error = degrees_between(m.axis, AXIS)
+        assert error < min(0.25, 4.0 * m.uncertainty["axis"] + 1e-3)
+    if kind_of in ("hinge", "ball", "screw", "other"):
+        off = m.point - point
+        off = np.linalg.norm(off if m.axis is None else off - (off @ AXIS) * AXIS)
+        assert off < min(1e-3, 5.0 * m.uncertainty["point"] + 1e-5)
+        assert m.radius == pytest.approx(0.3, abs=min(1e-3, 5.0 * m.uncertainty["radius"] + 1e-5))
+    assert (m.pitch is not None) == (kind_of == "screw")
+    if m.pitch is not None:
+        assert m.pitch == pytest.approx(PITCH, abs=min(4e-4, 4.0 * m.uncertainty["pitch"] + 1e-6))
+    constraint = ml.Constraint(fit.selection, fit.features)
+    q = record(robot_of, name, path, n=1, noise=0.0)[0].q
+    step, middle = np.diff(q, axis=0), 0.5 * (q[1:] + q[:-1])
+    left = np.array([constraint(x) @ u for x, u in zip(middle, step, strict=True)])
+    free = np.array([robot.jacobian(x, robot.frame(TIP[name])) @ u for x, u in zip(middle, step, strict=True)])
+    assert np.sqrt(np.sum(left**2) / np.sum(free**2)) < 3e-3
+
+
+def test_the_grip_may_be_elsewhere_each_time(robot_of):
+    """One hinge held firmly at another place each time is still one hinge; its radius is the mean."""
+    robot = robot_of("panda")
+    point = place(robot, "panda")
+    demos = []
+    for i, shift in enumerate((-0.04, 0.0, 0.05, 0.02)):
+        q = np.array(MIDDLE["panda"]) + shift * np.array([1.0, 1.0, -1.0, 1.0, 1.0, 0.5, 1.0])
+        rng = np.random.default_rng(i)
+        demos += demonstrate(robot, TIP["panda"], q, about(AXIS, point, 0.6, firm=i % 2 == 0), rng, n=2)
+    loose = find(robot_of, "panda", [d for i, d in enumerate(demos) if (i // 2) % 2]).mechanism
+    firm = find(robot_of, "panda", [d for i, d in enumerate(demos) if not (i // 2) % 2]).mechanism
+    for m, name in ((loose, "hinge"), (firm, "hinge, firm")):
+        assert m is not None and m.name == name
+        assert degrees_between(m.axis, AXIS) < 0.25
+
+
+def test_a_planar_arm(robot_of):
+    """Rows that a planar arm cannot move anyway are left out: a hinge leaves it one row, and mu is not zero."""
+    robot = robot_of("planar3")
+    up = np.array([0.0, 0.0, 1.0])
+    q = np.array(MIDDLE["planar3"])
+    centre = robot.position(q, robot.frame("tip")) + np.array([0.5, -0.4, 0.0])
+    fit = find(robot_of, "planar3", record(robot_of, "planar3", about(up, centre, 0.6, firm=False)))
+    assert fit.mechanism is not None and fit.mechanism.type == "hinge", fit.reason
+    np.testing.assert_allclose(fit.mechanism.point[:2], centre[:2], atol=4e-3)
+    assert fit.selection.shape[0] == 1
+    assert ml.manipulability(ml.Constraint(fit.selection, fit.features), q) > 0.1
+
+
+def test_uncertainty_tells_a_short_arc_from_a_long_one(robot_of):
+    """Five degrees of a door: the radius is off by far more than on forty, and its standard deviation says so."""
+    point = place(robot_of("panda"), "panda")
+    errors, sigmas = {}, {}
+    for arc in (5.0, 40.0):
+        path = about(AXIS, point, np.radians(arc), firm=False)
+        found = [find(robot_of, "panda", record(robot_of, "panda", path, seed)).mechanism for seed in range(2)]
+        assert all(m is not None and m.type == "hinge" for m in found)
+        errors[arc] = np.array([abs(m.radius - 0.3) for m in found])
+        sigmas[arc] = np.array([m.uncertainty["radius"] for m in found])
+        assert np.all(errors[arc] < 4.0 * sigmas[arc])
+    assert np.median(sigmas[5.0]) > 20.0 * np.median(sigmas[40.0])
+
+
+def test_too_short_an_arc_is_not_called_straight_without_a_word(robot_of):
+    """Three degrees of a door with bad encoders: no answer that says how much more, or a line with a warning."""
+    point = place(robot_of("panda"), "panda")
+    path = about(AXIS, point, np.radians(3.0), firm=False)
+    for seed in range(2):
+        fit = find(robot_of, "panda", record(robot_of, "panda", path, seed, n=3, noise=5e-4))
+        if fit.mechanism is None:
+            assert "at least" in fit.reason
+        elif fit.mechanism.type == "line":
+            assert any("hinge would fit as well" in w for w in fit.warnings)
+        else:
+            assert fit.mechanism.uncertainty["radius"] > 0.005
+
+
+def test_free_motion_is_no_mechanism(robot_of):
+    """Arms that wander freely are held by nothing."""
+    for name in ("panda", "ur5", "planar3"):
+        robot = robot_of(name)
+        names = robot.joint_names
+        for seed in range(2):
+            rng = np.random.default_rng(seed)
+            demos = [
+                ml.Trajectory(np.arange(T) * 0.02, MIDDLE[name] + wave(rng, np.full(robot.nv, 0.4)), None, names)
+                for _ in range(5)
+            ]
+            fit = find(robot_of, name, demos)
+            assert fit.mechanism is None and fit.features is None and fit.selection is None
+            assert fit.reason and fit.alternatives
+
+
+def test_a_repeated_reach_is_no_mechanism(robot_of):
+    """The same curved reach again and again lies on many surfaces: that is repetition, not contact."""
+    robot = robot_of("panda")
+    s = np.linspace(0.0, 1.0, T)
+    shape = 10 * s**3 - 15 * s**4 + 6 * s**5
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        goal = rng.normal(0.0, 0.5, robot.nv)
+        demos = []
+        for _ in range(6):
+            q = MIDDLE["panda"] + np.outer(shape, goal + rng.normal(0.0, 0.01, robot.nv))
+            q = q + wave(rng, np.full(robot.nv, 0.004)) + rng.normal(0.0, 1e-4, q.shape)
+            demos.append(ml.Trajectory(np.arange(T) * 0.02, q, None, robot.joint_names))
+        fit = find(robot_of, "panda", demos)
+        assert fit.mechanism is None
+        held = [a for a in fit.alternatives if a.recombination is not None]
+        assert all(a.recombination < 2.5 for a in held)
+
+
+def test_doors_in_different_places_are_not_one_hinge(robot_of):
+    """Each trajectory with a door of its own: no common place is invented, the reason says that they disagree."""
+    robot = robot_of("panda")
+    demos = []
+    for i, distance in enumerate((0.25, 0.33, 0.42, 0.5)):
+        axis = AXIS + 0.15 * np.array([np.cos(2.0 * i), np.sin(2.0 * i), 0.0])
+        axis /= np.linalg.norm(axis)
+        path = about(axis, place(robot, "panda", distance), 0.6)
+        demos += record(robot_of, "panda", path, seed=i, n=1)
+    fit = find(robot_of, "panda", demos)
+    assert fit.mechanism is None
+    assert "do not agree" in fit.reason or "holds the hand" in fit.reason
+
+
+def test_confirm_has_the_last_word(robot_of):
+    """A further test is given the features and the selection, and its no is final."""
+    demos = record(robot_of, "panda", along(AXIS[None], 0.2, False))
+    seen = []
+    fit = find(robot_of, "panda", demos, confirm=lambda features, selection: bool(seen.append(selection.shape)))
+    assert fit.mechanism is None and "refuses" in fit.reason and seen == [(2, 3)]
+    assert find(robot_of, "panda", demos, confirm=lambda *_: True).mechanism is not None
+
+
+def test_one_trajectory_is_an_answer_with_a_warning(robot_of):
+    """One opening of a door gives its axis, and says that repetition cannot be excluded."""
+    point = place(robot_of("panda"), "panda")
+    fit = find(robot_of, "panda", record(robot_of, "panda", about(AXIS, point, 0.7), n=1))
+    assert fit.mechanism is not None and fit.mechanism.name == "hinge, firm"
+    assert degrees_between(fit.mechanism.axis, AXIS) < 0.1
+    assert "one trajectory" in fit.warnings[0]
+
+
+def test_the_answer_does_not_depend_on_the_order(robot_of):
+    """Trajectories in another order give the same mechanism, bit for bit the same with the same rng."""
+    point = place(robot_of("panda"), "panda")
+    demos = record(robot_of, "panda", about(AXIS, point, 0.7, firm=False), n=3)
+    a, b, again = (find(robot_of, "panda", d).mechanism for d in (demos, demos[::-1], demos))
+    np.testing.assert_allclose(a.axis, b.axis, atol=1e-6)
+    assert a.radius == pytest.approx(b.radius, abs=1e-6)
+    np.testing.assert_array_equal(a.axis, again.axis)
+
+
+def test_a_mechanism_is_a_value():
+    """It cannot be changed, can be sent to another process, written as JSON, and says itself in words."""
+    m = Mechanism("hinge", np.array([0.1, 0.0, 0.995]), np.array([0.42, 0.38, 0.51]), 0.383, uncertainty={"axis": 0.1})
+    assert (
+        m.sentence
+        == ("a hinge: axis (0.10, 0.00, 0.99) through (0.42, 0.38, 0.51), 0.383 m from the hand; the hand may turn")
+        or "a hinge: axis (0.10, 0.00, 1.00)" in m.sentence
+    )
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        m.radius = 1.0  # type: ignore[misc]
+    with pytest.raises(ValueError, match="read-only"):
+        m.axis[0] = 1.0
+    with pytest.raises(TypeError):
+        m.uncertainty["axis"] = 0.0  # type: ignore[index]
+    back = pickle.loads(pickle.dumps(m))
+    assert back.sentence == m.sentence and back.uncertainty == m.uncertainty
+    assert json.loads(json.dumps(m.to_dict()))["type"] == "hinge"
+
+
+def test_what_cannot_be_looked_at_is_refused(robot_of):
+    """Too few samples, a hand at rest and unknown frames are errors that say so."""
+    robot = robot_of("panda")
+    rest = ml.Trajectory(np.arange(20.0), np.tile(MIDDLE["panda"], (20, 1)), None, robot.joint_names)
+    with pytest.raises(NotIdentifiableError, match="does not move"):
+        find(robot_of, "panda", [rest])
+    with pytest.raises(NotIdentifiableError, match="ten samples"):
+        find(robot_of, "panda", [rest.part(slice(0, 5))])
+    with pytest.raises(UnknownNameError):
+        find_mechanism(robot, "panda_hand_tpc", [rest], np.random.default_rng(0))

@@ -1,0 +1,108 @@
+"""NumPy archives: what np.savez wrote comes back, whatever the byte order; our rollouts can be learnt from again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from recording_corpus import JOINTS, TIME, Q, U
+
+from manip_learn.control.rollout import Rollout
+from manip_learn.errors import RecordingError
+from manip_learn.recordings import load_demonstrations
+from manip_learn.robot import Robot, load_robot
+
+
+@pytest.fixture(scope="module")
+def planar3() -> Robot:
+    return load_robot("planar3")
+
+
+def saved(path: Path, save: Callable = np.savez, **changes: Any) -> Path:
+    arrays = {"time": TIME, "q": Q, "u": U, "joint_names": np.array(JOINTS), **changes}
+    save(path, **{k: v for k, v in arrays.items() if v is not None})
+    return path
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+def test_round_trip(save: Callable, planar3: Robot, tmp_path: Path) -> None:
+    """Bit for bit, in the robot's order, without a note."""
+    order = [2, 0, 1]
+    path = saved(tmp_path / "a.npz", save, q=Q[:, order], u=U[:, order], joint_names=np.array(JOINTS)[order])
+    demos = load_demonstrations(path, planar3)
+    np.testing.assert_array_equal(demos[0].q, Q)
+    np.testing.assert_array_equal(demos[0].u, U)
+    np.testing.assert_array_equal(demos[0].time, TIME)
+    assert demos.notes == ()
+
+
+@pytest.mark.parametrize("dtype", [">f8", "<f4", ">f4", "<f2", "<i4", ">i8", "u1"])
+def test_other_number_types_are_converted_and_said(dtype: str, planar3: Robot, tmp_path: Path) -> None:
+    """Big-endian, short and integer numbers are read for what they are, with a note each."""
+    q = (Q * 3.0).astype(dtype)
+    demos = load_demonstrations(saved(tmp_path / "a.npz", q=q, u=None), planar3)
+    np.testing.assert_array_equal(demos[0].q, q.astype(np.float64))
+    assert any(dtype.strip("<>|") in note for note in demos.notes)
+
+
+def test_memory_order_does_not_matter(planar3: Robot, tmp_path: Path) -> None:
+    """Fortran order, slices and read-only arrays give the same numbers; the answer is C-ordered and read-only."""
+    wide = np.repeat(Q, 2, axis=1)[:, ::2]
+    wide.setflags(write=False)
+    for q in (np.asfortranarray(Q), wide):
+        demos = load_demonstrations(saved(tmp_path / "a.npz", q=q), planar3)
+        np.testing.assert_array_equal(demos[0].q, Q)
+        assert demos[0].q.flags.c_contiguous and not demos[0].q.flags.writeable
+
+
+def test_arrays_under_other_names(planar3: Robot, tmp_path: Path) -> None:
+    """rename reads them; the refusal without it names what is there."""
+    np.savez(tmp_path / "a.npz", t=TIME, qpos=Q)
+    with pytest.raises(RecordingError, match="'qpos'") as caught:
+        load_demonstrations(tmp_path / "a.npz", planar3)
+    assert caught.value.code == "missing-array"
+    demos = load_demonstrations(tmp_path / "a.npz", planar3, rename={"t": "time", "qpos": "q"}, joint_names=JOINTS)
+    np.testing.assert_array_equal(demos[0].q, Q)
+
+
+def test_surplus_joints_are_refused_like_in_a_table(planar3: Robot, tmp_path: Path) -> None:
+    """Users write these names themselves, so an unknown one is a mistake."""
+    q = np.column_stack([Q, TIME])
+    path = saved(tmp_path / "a.npz", q=q, u=None, joint_names=np.array([*JOINTS, "gripper"]))
+    with pytest.raises(RecordingError) as caught:
+        load_demonstrations(path, planar3)
+    assert caught.value.code == "unknown-column"
+
+
+def test_a_rollout_can_be_learnt_from_again(planar3: Robot, tmp_path: Path) -> None:
+    """Rollout.save -> load_demonstrations: the same motion; limits are not used to doubt our own units."""
+    rollout = Rollout(TIME, Q * 10.0, U * 10.0, TIME, ("ok",) * 60, JOINTS, TIME)
+    demos = load_demonstrations(rollout.save(tmp_path / "r.npz"), planar3)
+    np.testing.assert_array_equal(demos[0].q, rollout.q)
+    np.testing.assert_array_equal(demos[0].u, rollout.u)
+    assert any("beyond their limits" in note for note in demos.notes)
+
+
+def test_a_rollout_that_chatters_can_be_learnt_from_again(planar3: Robot, tmp_path: Path) -> None:
+    """Commands that change their sign at every step are what our simulation did, not a fault of units."""
+    u = np.where(np.arange(60)[:, None] % 2, -0.9, 1.0) * np.ones(3)
+    q = np.vstack([np.zeros(3), np.cumsum(0.02 * u, axis=0)[:-1]]) * 7.0
+    rollout = Rollout(TIME, q, 7.0 * u, TIME, ("ok",) * 60, JOINTS, TIME)
+    demos = load_demonstrations(rollout.save(tmp_path / "r.npz"), planar3)
+    np.testing.assert_array_equal(demos[0].u, rollout.u)
+    assert not any("does not follow" in note for note in demos.notes)
+
+
+def test_a_rollout_of_configurations_becomes_joint_positions(robot_of, tmp_path: Path) -> None:
+    """Continuous joints as (cos, sin) in a rollout are read as angles, with their full turns."""
+    robot = robot_of("wrist")
+    positions = np.column_stack([3.0 + TIME, 0.1 * TIME, 6.0 * TIME, 0.2 * TIME])
+    q = np.array([robot.configuration(p) for p in positions])
+    u = np.gradient(positions, TIME, axis=0)
+    rollout = Rollout(TIME, q, u, TIME, ("ok",) * 60, robot.joint_names, TIME)
+    demos = load_demonstrations(rollout.save(tmp_path / "r.npz"), robot)
+    np.testing.assert_allclose(demos[0].q, positions, rtol=0, atol=1e-9)
+    assert "full turns added" in " ".join(demos.notes)

@@ -1,0 +1,282 @@
+"""The recombination test: rows that the world holds are found, and nothing else is called certain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from generated_motions import arm_features, guided_motions, oblique, planar_features, random_posture, smooth_drive
+
+from manip_learn.constraint.features import CustomFeatures, FeatureMap, FrameJacobian
+from manip_learn.errors import RecordingError
+from manip_learn.learning.evidence.recombination import recombination_test
+from manip_learn.learning.evidence.row_evidence import RowEvidence
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.robot import Robot
+
+FREE = ("reaches", "wandering", "repeated reach", "one joint at a time", "slow reaches")
+
+
+def evidence(features: FeatureMap, trajectories: list[Trajectory], seed: int = 0) -> RowEvidence:
+    return recombination_test(features, trajectories, np.random.default_rng(seed))
+
+
+def reach(robot: Robot, start: np.ndarray, way: np.ndarray, seconds: float, name: str = "reach") -> Trajectory:
+    """A straight reach in the joints, smooth from rest to rest."""
+    time = np.linspace(0.0, seconds, max(int(60 * seconds), 5))
+    s = (time / seconds)[:, None]
+    q = start + way * (10 * s**3 - 15 * s**4 + 6 * s**5)
+    return Trajectory(time, q, way * 30 * s**2 * (1 - s) ** 2 / seconds, robot.joint_names, name)
+
+
+def free_motions(kind: str, robot: Robot, rng: np.random.Generator, n: int = 5) -> list[Trajectory]:
+    """Motions of an arm that nothing holds."""
+    centre, usual = random_posture(robot, rng, 0.2), 0.4 * rng.standard_normal(robot.nv)
+    out = []
+    for _ in range(n):
+        seconds, start = rng.uniform(1.5, 3.0), centre + 0.2 * rng.standard_normal(robot.nv)
+        if kind == "reaches":
+            out.append(reach(robot, start, 0.5 * rng.standard_normal(robot.nv), seconds))
+        elif kind == "slow reaches":
+            out.append(reach(robot, start, 0.1 * rng.standard_normal(robot.nv), 4 * seconds))
+        elif kind == "repeated reach":
+            way = usual + 0.02 * rng.standard_normal(robot.nv)
+            out.append(reach(robot, centre + 0.01 * rng.standard_normal(robot.nv), way, seconds))
+        elif kind == "wandering":
+            time, drive = np.arange(0.0, seconds, 0.02), smooth_drive(robot.nv, rng)
+            u = np.array([drive(t) for t in time])
+            out.append(Trajectory(time, start + 0.02 * np.cumsum(u, axis=0), u, robot.joint_names))
+        else:
+            legs = [np.eye(robot.nv)[rng.integers(robot.nv)] * rng.normal(0.0, 0.6) for _ in range(6)]
+            parts = [reach(robot, start + sum(legs[:i], np.zeros(robot.nv)), legs[i], 0.6) for i in range(6)]
+            time = np.concatenate([p.time + 0.7 * i for i, p in enumerate(parts)])
+            q, u = (np.vstack([getattr(p, name) for p in parts]) for name in ("q", "u"))
+            out.append(Trajectory(time, q, u, robot.joint_names))
+    return out
+
+
+def held_motions(s: int, seed: int, n: int = 5, noise: float = 0.02) -> tuple[FrameJacobian, list[Trajectory]]:
+    features, rng = arm_features(), np.random.default_rng(seed)
+    demos, _ = guided_motions(features, oblique(s, 3, rng), rng, n, 100, noise=noise)
+    return features, list(demos)
+
+
+@pytest.mark.parametrize("kind", FREE)
+def test_free_motion_is_never_called_held_for_certain(kind):
+    """Nothing holds the arm, however it is moved: no set of five demonstrations may give a clear answer."""
+    for axes in ("xyz", "pose"):
+        features = arm_features(axes)
+        for seed in range(4):
+            found = evidence(features, free_motions(kind, features.robot, np.random.default_rng(seed)), seed)
+            assert found.verdict != "clear", (axes, seed, found)
+
+
+def test_chance_finds_a_row_as_rarely_as_its_p_value_says():
+    """Joints that move independently are the null hypothesis itself: p <= 0.2 in about a fifth of the cases."""
+    features = arm_features()
+    p = [
+        evidence(features, free_motions("wandering", features.robot, np.random.default_rng(seed)), seed).p_values[0]
+        for seed in range(40)
+    ]
+    assert np.count_nonzero(np.array(p) <= 0.2) <= 16  # of 40, 8 expected: chance of more 0.2 %
+    assert np.median(p) > 0.2
+
+
+@pytest.mark.parametrize("s", [1, 2])
+def test_held_rows_are_counted_and_clear(s):
+    """Five noisy demonstrations of a contact give the right number of rows, without a warning."""
+    for seed in range(4):
+        features, trajectories = held_motions(s, seed)
+        found = evidence(features, trajectories)
+        assert (found.n_rows, found.verdict) == (s, "clear"), found
+        assert found.states == ("held",) * s + ("free",) * (3 - s)
+        assert found.explores
+
+
+def test_the_rows_found_are_those_that_are_held():
+    """The directions are those of the selection that the motion was made with, in the features' own units."""
+    features, rng = arm_features(), np.random.default_rng(3)
+    selection = oblique(2, 3, rng)
+    demos, _ = guided_motions(features, selection, rng, 5, 100, noise=0.01)
+    found = evidence(features, list(demos)).directions[:2]
+    np.testing.assert_allclose(found @ found.T, np.eye(2), atol=1e-12)
+    assert np.linalg.norm(found - found @ selection.T @ selection) < 0.02
+
+
+def test_a_repeated_reach_is_untried_not_held():
+    """What a repeated reach leaves out was never tried: it is neither held nor free."""
+    features = arm_features("pose")
+    found = evidence(features, free_motions("repeated reach", features.robot, np.random.default_rng(1)))
+    assert found.n_rows == 0
+    assert "untried" in found.states
+    assert not found.explores
+    assert "hardly tried" in found.sentence()
+
+
+def test_units_of_the_rows_do_not_matter():
+    """Rows in millimetres, mixed or in another order give the same evidence to rounding."""
+    features, trajectories = held_motions(1, 5)
+    mix = np.array([[1000.0, 2.0, 0.0], [0.0, 0.3, 1.0], [5.0, 0.0, 0.01]])
+    mixed = CustomFeatures(lambda q: mix @ features(q), ("a", "b", "c"), features.nv)
+    plain, other = evidence(features, trajectories), evidence(mixed, trajectories)
+    np.testing.assert_allclose(other.levels, plain.levels, rtol=1e-6)
+    np.testing.assert_allclose(other.strengths, plain.strengths, rtol=1e-6)
+
+
+def test_order_of_joints_and_of_trajectories_does_not_matter():
+    """Only the names change: levels are equal, and strengths but for the draw of the recombinations."""
+    features, trajectories = held_motions(2, 6)
+    order = np.random.default_rng(0).permutation(features.nv)
+    back = np.argsort(order)
+    renamed = CustomFeatures(lambda q: features(q[back])[:, order], features.row_names, features.nv)
+    names = tuple(features.robot.joint_names[j] for j in order)
+    relabelled = [Trajectory(t.time, t.q[:, order], t.u[:, order], names) for t in trajectories[::-1]]  # type: ignore[index]
+    plain, other = evidence(features, trajectories), evidence(renamed, relabelled)
+    np.testing.assert_allclose(other.levels, plain.levels, rtol=1e-9)
+    np.testing.assert_allclose(other.strengths, plain.strengths, rtol=0.25)
+    assert other.n_rows == plain.n_rows == 2
+
+
+def test_direction_and_clock_of_a_trajectory_do_not_matter():
+    """A drawer that is closed instead of opened, or at another speed, shows the same rows."""
+    features, trajectories = held_motions(2, 7)
+    changed = [
+        Trajectory(3.0 * t.time, t.q[::-1], -t.u[::-1] / 3.0, t.joint_names) if i % 2 else t  # type: ignore[index]
+        for i, t in enumerate(trajectories)
+    ]
+    plain, other = evidence(features, trajectories), evidence(features, changed)
+    np.testing.assert_allclose(other.levels, plain.levels, rtol=0.05)
+    assert (other.n_rows, other.verdict) == (2, "clear")
+
+
+def joined(parts: list[Trajectory], pause: float = 0.05) -> Trajectory:
+    """Motions one after the other, each from where the last one ended."""
+    times, ends = [], 0.0
+    for part in parts:
+        times.append(ends + part.time)
+        ends = times[-1][-1] + pause
+    q, u = (np.vstack([getattr(part, name) for part in parts]) for name in ("q", "u"))
+    return Trajectory(np.concatenate(times), q, u, parts[0].joint_names)
+
+
+@pytest.mark.parametrize("shares", [(0.9,) * 5, (1.0, 0.8, 0.6, 0.4, 0.2)])
+def test_out_and_back_with_other_turning_points_is_not_held(shares):
+    """A reach there and part of the way back, turned at another time each time, must not look like a contact."""
+    features, rng = arm_features("pose"), np.random.default_rng(8)
+    start, way, trajectories = random_posture(features.robot, rng, 0.2), 0.5 * rng.standard_normal(features.nv), []
+    for turn, share in zip((0.6, 0.9, 1.3, 1.7, 2.0), shares, strict=True):
+        there = reach(features.robot, start, way + 0.01 * rng.standard_normal(features.nv), turn)
+        trajectories.append(joined([there, reach(features.robot, there.q[-1], -share * way, 2.6 - turn)]))
+    found = evidence(features, trajectories)
+    assert found.verdict != "clear"
+    assert max(found.strengths) < 4.0
+
+
+def test_the_same_way_taken_in_both_directions_is_not_held():
+    """A repeated reach round a corner, half of the time from its end to its start, is still a repeated reach."""
+    features, rng = arm_features("pose"), np.random.default_rng(4)
+    start, (one, two), trajectories = random_posture(features.robot, rng, 0.2), 0.4 * rng.standard_normal((2, 7)), []
+    two = two if one @ two > 0.0 else -two
+    for i in range(6):
+        legs = [one, two] + 0.01 * rng.standard_normal((2, 7))
+        first = reach(features.robot, start, legs[0], 1.0)
+        there = joined([first, reach(features.robot, first.q[-1], legs[1], 1.5)])
+        back = Trajectory(there.time[-1] - there.time[::-1], there.q[::-1], -there.u[::-1], there.joint_names)  # type: ignore[index]
+        trajectories.append(back if i % 2 else there)
+    assert evidence(features, trajectories).n_rows == 0
+
+
+def test_a_held_row_does_not_make_the_next_one_look_held():
+    """Once its joints are exchanged a held row is used much; a free row that is used little stays as it was."""
+    rng, trajectories = np.random.default_rng(0), []
+    plain = CustomFeatures(lambda q: np.eye(3), ("a", "b", "c"), 3)
+    for _ in range(6):
+        time, drive = np.arange(0.0, 3.0, 0.02), smooth_drive(3, rng)
+        u = np.array([drive(t) for t in time]) * [1.0, 1.0, 0.25]
+        u[:, 1] = -u[:, 0]  # a + b is held, c is hardly used
+        trajectories.append(Trajectory(time, np.cumsum(0.02 * u, axis=0), u, ("1", "2", "3")))
+    found = evidence(plain, trajectories)
+    assert found.n_rows == 1
+    assert found.strengths[0] > 100.0
+    assert found.strengths[1] < 1.3
+
+
+def test_what_few_strokes_leave_out_by_chance_is_no_evidence():
+    """Five straight strokes use five of six directions; the sixth is not theirs in common: another stroke uses it."""
+    features = arm_features("pose")
+    first = [
+        evidence(features, free_motions("slow reaches", features.robot, np.random.default_rng(seed)), seed).strengths[0]
+        for seed in range(6)
+    ]
+    assert max(first) < 0.8
+
+
+def test_the_generator_alone_decides():
+    """The same generator gives the same evidence, another one other recombinations but the same answer."""
+    features, trajectories = held_motions(1, 9)
+    first, again, other = (evidence(features, trajectories, seed) for seed in (1, 1, 2))
+    assert first.strengths == again.strengths
+    assert first.strengths != other.strengths
+    assert first.n_rows == other.n_rows
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_fewer_than_three_trajectories_are_never_certain(n):
+    """However firmly it is held, one or two demonstrations give a weak answer and say why."""
+    features, trajectories = held_motions(2, 10, n, noise=0.0)
+    found = evidence(features, trajectories)
+    assert found.n_rows == 2
+    assert found.verdict == "weak"
+    assert "too few to be sure" in found.sentence()
+
+
+def test_one_point_to_point_motion_shows_nothing():
+    """A single straight reach uses one direction of six; none of the five others may be called held."""
+    features = arm_features("pose")
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        single = reach(features.robot, random_posture(features.robot, rng, 0.2), rng.standard_normal(7) * 0.3, 2.0)
+        found = evidence(features, [single], seed)
+        assert found.verdict == "none", found
+        assert not found.explores
+
+
+def test_trajectories_that_say_nothing_are_left_out():
+    """Rest, single samples and different lengths are no errors; nothing at all gives no rows and says so."""
+    features, trajectories = held_motions(2, 11, 6)
+    joints, q = features.robot.joint_names, trajectories[0].q
+    still = Trajectory(np.arange(50.0), q[:50], np.zeros((50, 7)), joints)
+    single = Trajectory(np.zeros(1), q[:1], np.ones((1, 7)), joints)
+    uneven = [t.part(slice(0, 30 + 14 * i)) for i, t in enumerate(trajectories)]
+    found = evidence(features, [still, *uneven, single])
+    assert (found.n_rows, found.n_trajectories) == (2, 6)
+    for nothing in ([], [still, still, still]):
+        empty = evidence(features, nothing)
+        assert (empty.n_rows, empty.verdict, empty.explores) == (0, "none", False)
+        assert "do not move" in empty.sentence()
+
+
+def test_rows_that_are_zero_throughout_are_no_evidence():
+    """A planar arm never moves along z: that row is left out, not counted as held."""
+    planar = planar_features()
+    every = FrameJacobian(planar.robot, "tip", "pose")
+    trajectories = free_motions("wandering", planar.robot, np.random.default_rng(2))
+    found = evidence(every, trajectories)
+    assert len(found.strengths) == 3
+    assert found.verdict != "clear"
+
+
+def test_more_trajectories_than_are_used_and_few_samples_each():
+    """Forty trajectories of ten samples are enough, and no more expensive than sixteen."""
+    features, trajectories = held_motions(1, 12, 40)
+    found = evidence(features, [t.part(slice(i, i + 10)) for i, t in enumerate(trajectories)])
+    assert (found.n_rows, found.n_trajectories) == (1, 16)
+
+
+def test_what_cannot_be_tested_is_refused():
+    """Missing velocities and another robot's joints are errors that name the trajectory."""
+    features, trajectories = held_motions(1, 13, 3)
+    t = trajectories[0]
+    with pytest.raises(RecordingError, match="no velocities"):
+        evidence(features, [Trajectory(t.time, t.q, None, t.joint_names)])
+    with pytest.raises(RecordingError, match="3 joint velocities"):
+        evidence(features, [Trajectory(t.time, t.q[:, :3], t.u[:, :3], ("a", "b", "c"))])  # type: ignore[index]

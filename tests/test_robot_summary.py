@@ -1,0 +1,96 @@
+"""What `inspect` tells about a robot, its likely tips among it."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import numpy as np
+import pytest
+from urdf_corpus_case import ARM
+
+from manip_learn.robot.loading import load_robot
+from manip_learn.robot.robot_summary import inspect_robot
+from manip_learn.robot.tips import likely_tips
+from manip_learn.robot.urdf_robot import captured_c_stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "tips"),
+    [
+        ("planar3", ("tip",)),
+        ("panda", ("panda_hand_tcp",)),
+        ("xarm7", ("link_eef",)),
+        ("kinova", ("j2s6s200_end_effector",)),
+        ("so101", ("gripper_frame_link",)),
+        ("ur5", ("ee_link", "tool0")),
+        ("tiago_dual", ("hand_left_grasping_frame", "hand_right_grasping_frame")),
+        ("solo12", ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")),
+        ("hector", ()),
+    ],
+)
+def test_likely_tips(name, tips):
+    """One tip is an answer, two are a question; a robot that does not move has none."""
+    assert likely_tips(load_robot(name)) == tips
+
+
+def test_tips_are_frames_that_move():
+    """Every proposal can be given to `FrameJacobian` and has a Jacobian that is not zero."""
+    for name in ("sawyer", "baxter", "talos", "allegro_left_hand", "romeo_small"):
+        robot = load_robot(name)
+        for tip in likely_tips(robot):
+            assert np.abs(robot.jacobian(robot.neutral(), robot.frame(tip))).max() > 0
+
+
+def test_locked_branches_have_no_tips():
+    """With one arm locked, the other arm's tip is the answer."""
+    robot = load_robot("tiago_dual")
+    left = [n for n in robot.joint_names if "left" in n and "wheel" not in n]
+    assert likely_tips(load_robot("tiago_dual", locked=left)) == ("hand_right_grasping_frame",)
+
+
+def test_summary_of_a_real_robot():
+    """Names, kinds, units, limits, mimics, meshes and the comparison with yourdfpy are all there."""
+    summary = inspect_robot(load_robot("panda"))
+    assert (summary.name, summary.nq, summary.nv) == ("panda", 8, 8)
+    assert [j.unit for j in summary.joints] == ["rad"] * 7 + ["m"]
+    assert summary.joints[0].kind == "revolute" and summary.joints[0].upper == pytest.approx(2.8973)
+    assert summary.mimics[0].joint == "panda_finger_joint2"
+    assert summary.cross_check is not None and summary.cross_check.agrees
+    assert len(summary.meshes_found) == 10 and not summary.meshes_missing
+    assert summary.tips == ("panda_hand_tcp",) and "panda_hand" in summary.frames
+    assert summary.warnings == ()
+
+
+def test_summary_says_what_is_wrong(tmp_path):
+    """Warnings of validation, missing meshes, and the kind of each coordinate of a moving base."""
+    path = tmp_path / "arm.urdf"
+    mesh = '<visual><geometry><mesh filename="gone.stl"/></geometry></visual>'
+    path.write_text(
+        ARM.replace('<link name="tip"/>', f'<link name="tip">{mesh}</link>').replace('velocity="1" ', ""),
+        encoding="utf-8",
+    )
+    summary = inspect_robot(load_robot(path, base="planar"))
+    assert [j.unit for j in summary.joints] == ["m", "m", "rad", "rad", "rad"]
+    assert [j.name for j in summary.joints][:3] == ["root_joint.x", "root_joint.y", "root_joint.rz"]
+    assert any("no velocity limit" in w for w in summary.warnings)
+    assert any("gone.stl" in w for w in summary.warnings)
+    assert list(summary.meshes_missing) == ["gone.stl"]
+
+
+def test_c_stderr_is_caught_and_given_back(capfd):
+    """Lines written below Python are collected, in order, also when the block fails; afterwards stderr works again."""
+    with pytest.raises(ValueError), captured_c_stderr() as lines:
+        os.write(2, b"first\n\n  second \xff\n")
+        raise ValueError
+    assert lines == ["first", "second \ufffd"]
+    os.write(2, b"visible\n")
+    assert capfd.readouterr().err == "visible\n"
+
+
+def test_python_stderr_is_caught_too(capfd):
+    """What Python code prints meanwhile is not lost."""
+    with captured_c_stderr() as lines:
+        print("hello", file=sys.stderr)
+    assert lines in (["hello"], [])
+    assert "hello" in "".join(lines) + capfd.readouterr().err

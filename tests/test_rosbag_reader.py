@@ -1,0 +1,337 @@
+"""ROS bags, written by the rosbags library: what was published comes back, for any publisher."""
+
+from __future__ import annotations
+
+import bz2
+import shutil
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manip_learn.errors import RecordingError
+from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.readers.joint_state_layout import cdr_layout, ros1_layout
+from manip_learn.robot import Robot, load_robot
+
+pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
+
+from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin  # noqa: E402
+from rosbags.rosbag2 import Writer as Writer2  # noqa: E402
+from rosbags.typesys import Stores, get_typestore  # noqa: E402
+
+ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)
+JOINT_STATE = "sensor_msgs/msg/JointState"
+JOINTS = ("joint1", "joint2", "joint3")
+START = 1_700_000_000_123_456_789
+STEPS = np.arange(200, dtype=np.int64) * 10_000_000
+T = STEPS * 1e-9
+Q = np.column_stack([np.sin(T), 1.0 + np.cos(T), 0.5 * T])
+U = np.column_stack([np.cos(T), -np.sin(T), 0.5 + 0.0 * T])
+KINDS = ("ros1", "sqlite", "mcap")
+
+
+def joint_state(types, stamp: int, names, q, u=(), effort=(), frame: str = "base"):
+    extra = {"seq": 7} if types is ROS1 else {}
+    header = types.types["std_msgs/msg/Header"](
+        stamp=types.types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9),
+        frame_id=frame,
+        **extra,
+    )
+    arrays = [np.asarray(x, dtype=np.float64) for x in (q, u, effort)]
+    return types.types[JOINT_STATE](header, list(names), *arrays)
+
+
+def write_bag(path: Path, kind: str, messages: list[tuple[str, int, object]], **options) -> Path:
+    """A bag of (topic, recorder's stamp, JointState without its header's types); returns its path."""
+    types = ROS1 if kind == "ros1" else ROS2
+    if kind == "ros1":
+        path = path.with_suffix(".bag")
+        writer = Writer1(path)
+        if "compression" in options:
+            writer.set_compression(options["compression"])
+    else:
+        plugin = StoragePlugin.SQLITE3 if kind == "sqlite" else StoragePlugin.MCAP
+        writer = Writer2(path, version=9, storage_plugin=plugin)
+        if "mode" in options:
+            writer.set_compression(options["mode"], CompressionFormat.ZSTD)
+    with writer:
+        connections = {}
+        for topic, stamp, content in messages:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, JOINT_STATE, typestore=types)
+            message = joint_state(types, *content)
+            raw = (
+                types.serialize_ros1(message, JOINT_STATE)
+                if kind == "ros1"
+                else types.serialize_cdr(message, JOINT_STATE)
+            )
+            writer.write(connections[topic], stamp, raw)
+    return path
+
+
+def all_in_one(names=JOINTS, q=Q, u=U, topic="/joint_states", delay: int = 3_000_000):
+    order = [JOINTS.index(n) for n in names]
+    return [
+        (topic, START + int(s) + delay, (START + int(s), names, a[order], b[order] if u is not None else ()))
+        for s, a, b in zip(STEPS, q, U if u is None else u, strict=True)
+    ]
+
+
+@pytest.fixture(scope="module")
+def planar3() -> Robot:
+    return load_robot("planar3")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_round_trip(kind: str, planar3: Robot, tmp_path: Path) -> None:
+    """Positions and velocities come back bit for bit, matched by name; time is the header's, from 0."""
+    demos = load_demonstrations(write_bag(tmp_path / "bag", kind, all_in_one(("joint3", "joint1", "joint2"))), planar3)
+    assert len(demos) == 1 and demos.notes == ()
+    np.testing.assert_array_equal(demos[0].q, Q)
+    np.testing.assert_array_equal(demos[0].u, U)
+    np.testing.assert_allclose(demos[0].time, T, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_is_recognised_by_content(kind: str, planar3: Robot, tmp_path: Path) -> None:
+    """A single bag file with a misleading name, and unusual characters in its path, is read."""
+    bag = write_bag(tmp_path / "bag", kind, all_in_one())
+    file = bag if bag.is_file() else next(p for p in bag.iterdir() if p.suffix in (".db3", ".mcap"))
+    odd = tmp_path / "a b?#%20&x.csv"
+    shutil.copy(file, odd)
+    np.testing.assert_array_equal(load_demonstrations(odd, planar3)[0].q, Q)
+
+
+@pytest.mark.parametrize("compression", [Writer1.CompressionFormat.BZ2, Writer1.CompressionFormat.LZ4])
+def test_compressed_ros1_bags(compression, planar3: Robot, tmp_path: Path) -> None:
+    """Both compressions of ROS 1 are read."""
+    bag = write_bag(tmp_path / "bag", "ros1", all_in_one(), compression=compression)
+    np.testing.assert_array_equal(load_demonstrations(bag, planar3)[0].q, Q)
+
+
+@pytest.mark.parametrize(
+    ("kind", "mode"),
+    [("sqlite", CompressionMode.MESSAGE), ("sqlite", CompressionMode.FILE), ("mcap", CompressionMode.STORAGE)],
+)
+def test_compressed_ros2_bags(kind: str, mode, planar3: Robot, tmp_path: Path) -> None:
+    """Compressed messages, files and MCAP blocks are read."""
+    bag = write_bag(tmp_path / "bag", kind, all_in_one(), mode=mode)
+    np.testing.assert_array_equal(load_demonstrations(bag, planar3)[0].q, Q)
+
+
+def test_empty_velocities_are_none(planar3: Robot, tmp_path: Path) -> None:
+    """Publishers that leave velocity empty give u = None, not zeros."""
+    demos = load_demonstrations(write_bag(tmp_path / "bag", "mcap", all_in_one(u=None)), planar3)
+    assert demos[0].u is None and demos.notes == ()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_several_publishers_are_merged_by_name(kind: str, planar3: Robot, tmp_path: Path) -> None:
+    """Joints from two topics, one at half the rate and half a step late, are put on common stamps, and it is said."""
+    arm = [
+        ("/arm", START + int(s), (START + int(s), ("joint2", "joint1"), q[[1, 0]]))
+        for s, q in zip(STEPS, Q, strict=True)
+    ]
+    late = STEPS[::2] + 5_000_000
+    slide = [("/slide", START + int(s), (START + int(s), ("joint3", "finger"), (0.5 * s * 1e-9, 0.01))) for s in late]
+    messages = sorted([*arm, *slide], key=lambda m: m[1])
+    demos = load_demonstrations(write_bag(tmp_path / "bag", kind, messages), planar3)
+    np.testing.assert_allclose(demos[0].q, Q[1:-1], rtol=0, atol=1e-9)
+    said = " ".join(demos.notes)
+    assert "joint3 come from /slide: interpolated" in said and "finger" in said and "2 samples left out" in said
+
+
+def test_two_kinds_of_messages_on_one_topic_are_merged(planar3: Robot, tmp_path: Path) -> None:
+    """Arm and gripper that share /joint_states, in messages of their own, are one recording."""
+    messages = []
+    for s, q in zip(STEPS, Q, strict=True):
+        stamp = START + int(s)
+        messages.append(("/joint_states", stamp, (stamp, ("joint1", "joint2"), q[:2], U[0, :2])))
+        messages.append(("/joint_states", stamp, (stamp, ("joint3",), q[2:])))
+    demos = load_demonstrations(write_bag(tmp_path / "bag", "sqlite", messages), planar3)
+    np.testing.assert_allclose(demos[0].q, Q, rtol=0, atol=1e-12)
+    assert demos[0].u is None and "velocities are not used" in " ".join(demos.notes)
+
+
+def test_measured_and_commanded_states_are_not_mixed(planar3: Robot, tmp_path: Path) -> None:
+    """Two topics with the same joints: a question; topics=[...] answers it; /joint_states is preferred, said aloud."""
+    messages = sorted([*all_in_one(topic="/real"), *all_in_one(q=Q + 0.1, topic="/command")], key=lambda m: m[1])
+    bag = write_bag(tmp_path / "bag", "mcap", messages)
+    with pytest.raises(RecordingError, match=r"topics=\['/real'\]") as caught:
+        load_demonstrations(bag, planar3)
+    assert caught.value.code == "ambiguous-topic"
+    np.testing.assert_array_equal(load_demonstrations(bag, planar3, topics=["/command"])[0].q, Q + 0.1)
+    with pytest.raises(RecordingError, match="/command"):
+        load_demonstrations(bag, planar3, topics=["/wnted"])
+    messages = sorted([*all_in_one(), *all_in_one(q=Q + 0.1, topic="/command")], key=lambda m: m[1])
+    demos = load_demonstrations(write_bag(tmp_path / "usual", "mcap", messages), planar3)
+    np.testing.assert_array_equal(demos[0].q, Q)
+    assert "/command" in " ".join(demos.notes)
+
+
+def test_missing_joints_are_named_with_near_matches(planar3: Robot, tmp_path: Path) -> None:
+    """A joint that is not published is rejected, with the closest name and the two remedies."""
+    messages = [(t, r, (s, ("joint1", "joint2", "joint_3"), q)) for t, r, (s, _, q, _) in all_in_one()]
+    bag = write_bag(tmp_path / "bag", "ros1", messages)
+    with pytest.raises(RecordingError, match="'joint_3'.*--lock joint3") as caught:
+        load_demonstrations(bag, planar3)
+    assert caught.value.code == "missing-joint" and caught.value.column == "joint3"
+    demos = load_demonstrations(bag, planar3, rename={"joint_3": "joint3"})
+    np.testing.assert_array_equal(demos[0].q, Q)
+
+
+def test_stamps_that_are_not_set_late_or_doubled(planar3: Robot, tmp_path: Path) -> None:
+    """No header stamps: the recorder's; late messages are sorted; the last of equal stamps is kept; all said aloud."""
+    zero = [(t, r, (0, *c[1:])) for t, r, c in all_in_one()]
+    demos = load_demonstrations(write_bag(tmp_path / "zero", "mcap", zero), planar3)
+    np.testing.assert_allclose(demos[0].time, T, rtol=0, atol=1e-12)
+    assert "not set" in " ".join(demos.notes)
+    late = all_in_one()
+    late[50], late[51] = ((*late[50][:2], late[51][2]), (*late[51][:2], late[50][2]))
+    demos = load_demonstrations(write_bag(tmp_path / "late", "mcap", late), planar3)
+    np.testing.assert_array_equal(demos[0].q, Q)
+    assert "came late" in " ".join(demos.notes)
+    doubled = all_in_one()
+    doubled[50] = (*doubled[50][:2], (doubled[51][2][0], *doubled[50][2][1:]))
+    demos = load_demonstrations(write_bag(tmp_path / "doubled", "mcap", doubled), planar3)
+    np.testing.assert_array_equal(demos[0].q, np.delete(Q, 50, axis=0))
+    assert "repeated stamp" in " ".join(demos.notes)
+
+
+def test_a_clock_that_was_reset_is_refused(planar3: Robot, tmp_path: Path) -> None:
+    """Two runs in one bag must not be sorted into each other."""
+    messages = all_in_one()
+    again = [(t, r + 10**10, (s - 10**10, *c)) for t, r, (s, *c) in messages]
+    with pytest.raises(RecordingError, match="goes back") as caught:
+        load_demonstrations(write_bag(tmp_path / "bag", "sqlite", [*messages, *again]), planar3)
+    assert caught.value.code == "time-order"
+
+
+def test_bags_without_joint_states_say_what_they_have(planar3: Robot, tmp_path: Path) -> None:
+    """The refusal lists the topics that are there."""
+    with Writer2(tmp_path / "bag", version=9) as writer:
+        connection = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=ROS2)
+        message = ROS2.types["std_msgs/msg/String"]("hello")
+        writer.write(connection, 1, ROS2.serialize_cdr(message, "std_msgs/msg/String"))
+    with pytest.raises(RecordingError, match="/chatter") as caught:
+        load_demonstrations(tmp_path / "bag", planar3)
+    assert caught.value.code == "no-joint-states"
+
+
+@pytest.mark.parametrize(
+    "names", [("a",), ("a", "bb"), ("abc", "d", ""), ("joint_with_a_long_name", "b\u00e4", "ccc"), ()]
+)
+@pytest.mark.parametrize("frame", ["", "b", "base_link"])
+@pytest.mark.parametrize("parts", ["q", "qu", "que", "u", ""])
+def test_layouts_agree_with_the_library(names: tuple[str, ...], frame: str, parts: str) -> None:
+    """Every alignment: our reading of names, stamp, positions and velocities is the library's, ROS 1 and CDR."""
+    n = len(names)
+    arrays = [np.linspace(i, i + 1, n) if p in parts else () for i, p in enumerate("que")]
+    for types, layout_of in ((ROS1, ros1_layout), (ROS2, cdr_layout)):
+        message = joint_state(types, START, names, *arrays, frame=frame)
+        raw = types.serialize_ros1(message, JOINT_STATE) if types is ROS1 else types.serialize_cdr(message, JOINT_STATE)
+        layout = layout_of(bytes(raw))
+        rows = np.frombuffer(raw, dtype=np.uint8)[None]
+        assert layout.names == names and layout.matches(rows)[0] and layout.stamps(rows)[0] == START
+        for letter, array, read in (
+            ("q", arrays[0], layout.positions(rows)),
+            ("u", arrays[1], layout.velocities(rows)),
+        ):
+            if letter in parts and n:
+                assert read is not None
+                np.testing.assert_array_equal(read[0], array)
+            else:
+                assert read is None
+
+
+def test_big_endian_messages() -> None:
+    """CDR of the other byte order is read as the library reads it."""
+    message = joint_state(ROS2, START, JOINTS, Q[3], U[3])
+    raw = bytes(ROS2.serialize_cdr(message, JOINT_STATE, little_endian=False))
+    layout, rows = cdr_layout(raw), np.frombuffer(raw, dtype=np.uint8)[None]
+    np.testing.assert_array_equal(layout.positions(rows), Q[3:4])
+    assert layout.stamps(rows)[0] == START and layout.names == JOINTS
+
+
+def test_messages_of_another_layout_do_not_match() -> None:
+    """One letter of a name changed: the fast path must not take the message for one of the known layout."""
+    one = bytes(ROS2.serialize_cdr(joint_state(ROS2, START, JOINTS, Q[0]), JOINT_STATE))
+    other = np.frombuffer(one.replace(b"joint2", b"jointX"), dtype=np.uint8)[None]
+    assert not cdr_layout(one).matches(other)[0]
+
+
+def test_truncated_messages_are_refused() -> None:
+    """A message that ends early is an error, not a short answer."""
+    raw = bytes(ROS1.serialize_ros1(joint_state(ROS1, START, JOINTS, Q[0]), JOINT_STATE))
+    for end in range(0, len(raw), 5):
+        with pytest.raises((ValueError, struct.error)):
+            ros1_layout(raw[:end])
+
+
+def test_damaged_bags_are_refused(planar3: Robot, tmp_path: Path) -> None:
+    """A bag cut off or overwritten anywhere is refused, or read right; never a traceback."""
+    rng = np.random.default_rng(5)
+    for kind in KINDS:
+        bag = write_bag(tmp_path / kind, kind, all_in_one()[:20])
+        file = bag if bag.is_file() else next(p for p in bag.iterdir() if p.suffix in (".db3", ".mcap"))
+        content = file.read_bytes()
+        for trial in range(40):
+            broken = bytearray(content)
+            if trial % 2:
+                broken = broken[: rng.integers(20, len(content))]
+            else:
+                at = int(rng.integers(13, len(content) - 8))
+                broken[at : at + 8] = rng.bytes(8)
+            target = tmp_path / "broken.bin"
+            target.write_bytes(bytes(broken))
+            try:
+                load_demonstrations(target, planar3)
+            except RecordingError as error:
+                assert "\n" not in str(error)
+
+
+def test_a_bomb_in_a_ros1_bag_is_refused(planar3: Robot, tmp_path: Path) -> None:
+    """A block of 100 bytes that unpacks to 64 MB is refused before it is unpacked."""
+    bag = write_bag(tmp_path / "bag", "ros1", all_in_one(), compression=Writer1.CompressionFormat.BZ2)
+    content = bag.read_bytes()
+    start = content.index(b"BZh")
+    (size,) = struct.unpack_from("<I", content, start - 4)
+    bomb = bz2.compress(bytes(64_000_000))
+    bomb += bytes(size - len(bomb))
+    bag.write_bytes(content[:start] + bomb + content[start + size :])
+    with pytest.raises(RecordingError) as caught:
+        load_demonstrations(bag, planar3)
+    assert caught.value.code == "bomb"
+
+
+@pytest.mark.parametrize("claim", [10**12, 10])
+def test_a_bomb_in_an_mcap_is_refused(claim: int, planar3: Robot, tmp_path: Path) -> None:
+    """Blocks that claim a terabyte, or less than what is in them, are refused before they are unpacked."""
+    bag = write_bag(tmp_path / "bag", "mcap", all_in_one(), mode=CompressionMode.STORAGE)
+    file = next(bag.glob("*.mcap"))
+    content = bytearray(file.read_bytes())
+    at = content.index(b"zstd")
+    struct.pack_into("<Q", content, at - 16, claim)
+    file.write_bytes(bytes(content))
+    for path in (bag, file):
+        with pytest.raises(RecordingError) as caught:
+            load_demonstrations(path, planar3)
+        assert caught.value.code == "bomb"
+
+
+def test_continuous_joints_of_slow_publishers_do_not_wrap(robot_of, tmp_path: Path) -> None:
+    """Interpolation between -pi and pi goes the short way."""
+    robot = robot_of("wrist")
+    fast = STEPS
+    slow = np.arange(STEPS[0], STEPS[-1] + 1, 50_000_000)
+
+    def angle(s: int) -> float:
+        return float((3.0 + s * 1e-9 + np.pi) % (2 * np.pi) - np.pi)
+
+    messages = [("/a", START + int(s), (START + int(s), ("joint1", "joint3", "joint2"), (0.1, 0.2, 0.3))) for s in fast]
+    messages += [("/b", START + int(s), (START + int(s), ("joint0",), (angle(s),))) for s in slow]
+    demos = load_demonstrations(write_bag(tmp_path / "bag", "mcap", sorted(messages, key=lambda m: m[1])), robot)
+    np.testing.assert_allclose(demos[0].q[:, 0], 3.0 + demos[0].time, rtol=0, atol=1e-9)

@@ -1,0 +1,189 @@
+"""Generated recordings of tasks obey the truth that comes with them, and come again from the same seed."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manip_learn.recordings import load_demonstrations
+from manip_learn.robot import Robot, load_robot
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+DATA = EXAMPLES / "data"
+SHIPPED = ("panda_drawer_whole", "xarm7_drawer_then_table", "ur5_loose_door", "panda_drawer_mixed")
+HELD = (
+    "drawer drawer_firm drawer_offset drawer_moved drawer_slip drawer_other_direction drawer_then_table "
+    "door door_firm door_offset door_moved door_other_place door_then_drawer "
+    "table table_flat hinge screw sleeve tether joystick"
+).split()
+FREE = "free free_slow free_repeated free_one_joint free_sticking free_few_joints".split()
+ALL = {*HELD, *FREE, "door_slip", "glass"}
+LOCKED = {"panda": ("panda_finger_joint1", "panda_finger_joint2")}
+EXACT, SIMULATED, NOISY = 1e-9, 2e-5, 2e-4  # [m]; with 1e-4 rad of noise, a lever of up to 0.9 m and several joints
+
+
+@pytest.fixture
+def part(monkeypatch: pytest.MonkeyPatch):
+    """Imports a module of examples/ as it would be found there."""
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+
+    def load(name: str) -> ModuleType:
+        return importlib.import_module(name)
+
+    return load
+
+
+def arm(name: str) -> Robot:
+    return load_robot(name, locked=LOCKED.get(name, ()))
+
+
+def worst(part, robot: Robot, trajectories: list, truth: dict[str, Any]) -> tuple[float, float]:
+    """Largest violation of the truth in any window of any demonstration [m], [rad]."""
+    check, found = part("make_recordings.truth_check"), [(0.0, 0.0)]
+    for number, (time, q) in enumerate(trajectories):
+        for mechanism, poses in check.windows_of(robot, truth, number, time, q):
+            found.append(check.violation(mechanism, poses))
+    linear, angular = np.max(found, axis=0)
+    return linear, angular
+
+
+def test_the_kinds_and_robots_are_the_promised_ones(part) -> None:
+    """The names that studies rely on exist, and no other."""
+    assert set(part("make_recordings.kinds").KINDS) == ALL
+    assert set(part("make_recordings.arms").ROBOTS) == {"panda", "xarm7", "ur5", "sawyer"}
+
+
+@pytest.mark.parametrize("kind", HELD)
+def test_the_tip_obeys_the_truth(part, kind: str) -> None:
+    """Without noise the windows obey type, axis, point, radius and pitch exactly, and last a second in all."""
+    name = ("panda", "xarm7", "ur5")[HELD.index(kind) % 3]
+    trajectories, truth = part("make_recordings.kinematic_sets").make_set(kind, name, 5, 2, noise=0.0)
+    linear, angular = worst(part, arm(name), trajectories, truth)
+    assert linear < EXACT and angular < EXACT
+    assert all(sum(end - start for start, end, _ in windows) > 1.0 for windows in truth["windows"])
+
+
+@pytest.mark.parametrize("kind", ["drawer", "door", "screw", "table_flat", "tether"])
+def test_the_rows_of_the_truth_stop_the_tip_in_contact_only(part, kind: str) -> None:
+    """What `rows` takes of the tip's velocity is zero in the windows; on the way there and back nothing is."""
+    trajectories, truth = part("make_recordings.kinematic_sets").make_set(kind, "panda", 6, 2, noise=0.0)
+    robot, mechanism = arm("panda"), truth["mechanisms"][0]
+    rows, tip = np.array(mechanism["rows"]).reshape(-1, 6), robot.frame(truth["tip"])
+    for (time, q), windows in zip(trajectories, truth["windows"], strict=True):
+        u = 0.5 * (q[2:] - q[:-2]) * truth["rate"]
+        motion = np.array([robot.jacobian(a, tip) @ b for a, b in zip(q[1:-1], u, strict=True)])
+        inside = (time[1:-1] > windows[0][0] + 0.02) & (time[1:-1] < windows[0][1] - 0.02)
+        speed = np.sqrt(np.mean(np.sum(motion[inside] ** 2, axis=1)))
+        assert np.max(np.abs(motion[inside] @ rows.T), initial=0.0) < 2e-3 * speed
+        spread = np.linalg.svd(motion[~inside] / np.sqrt(np.sum(~inside)), compute_uv=False)
+        assert spread[-1] > 0.01
+
+
+def test_a_wrong_truth_is_told(part) -> None:
+    """The check is no rubber stamp: an axis that is 2 degrees off, or a point 1 cm off, is seen."""
+    trajectories, truth = part("make_recordings.kinematic_sets").make_set("door", "panda", 5, 2, noise=0.0)
+    door = truth["mechanisms"][0]
+    axis, point = np.array(door["axis"]), np.array(door["point"])
+    aside = np.cross(axis, [0.3, 0.5, 0.8])
+    aside /= np.linalg.norm(aside)
+    for change in ({"axis": list(axis + np.deg2rad(2.0) * aside)}, {"point": list(point + 0.01 * aside)}):
+        linear, _ = worst(part, arm("panda"), trajectories, truth | {"mechanisms": [door | change]})
+        assert linear > 3e-4, change
+
+
+def test_the_same_seed_gives_the_same_recordings(part) -> None:
+    """Equal to the last bit; another seed, robot or kind gives others; the noise is drawn apart from the motion."""
+    make_set = part("make_recordings.kinematic_sets").make_set
+    first, truth = make_set("door_then_drawer", "ur5", 8, 2)
+    again, same = make_set("door_then_drawer", "ur5", 8, 2)
+    clean, _ = make_set("door_then_drawer", "ur5", 8, 2, noise=0.0)
+    other, _ = make_set("door_then_drawer", "ur5", 9, 2)
+    assert truth == same and truth == json.loads(json.dumps(truth))
+    for (time, q), (time_again, q_again), (_, q_clean) in zip(first, again, clean, strict=True):
+        assert np.array_equal(time, time_again) and np.array_equal(q, q_again)
+        assert np.std(q - q_clean) == pytest.approx(1e-4, rel=0.1)
+    assert first[0][1].shape != other[0][1].shape or not np.allclose(first[0][1], other[0][1])
+
+
+def test_the_contaminated_ones_are_named(part) -> None:
+    """At least one and less than half of the demonstrations are with the other drawer, which runs elsewhere."""
+    _, truth = part("make_recordings.kinematic_sets").make_set("drawer_other_direction", "xarm7", 5, 8)
+    with_other = [number for number, windows in enumerate(truth["windows"]) if windows[0][2] == 1]
+    assert with_other == truth["contaminated"] and 1 <= len(with_other) <= 3
+    first, second = (np.array(mechanism["axis"]) for mechanism in truth["mechanisms"])
+    assert abs(first @ second) < np.cos(np.deg2rad(25.0))
+
+
+def test_a_grip_that_slips_holds_twice(part) -> None:
+    """Halfway the tip leaves the rail and goes on beside it; the others hold once."""
+    _, truth = part("make_recordings.kinematic_sets").make_set("drawer_slip", "panda", 5, 6)
+    for number, windows in enumerate(truth["windows"]):
+        assert len(windows) == (2 if number in truth["contaminated"] else 1)
+    assert truth["contaminated"]
+
+
+@pytest.mark.parametrize("kind", FREE)
+def test_free_motion_names_no_mechanism_and_stays_inside_the_limits(part, kind: str) -> None:
+    """No window, no mechanism; the arm keeps its limits."""
+    trajectories, truth = part("make_recordings.kinematic_sets").make_set(kind, "sawyer", 5, 3)
+    robot = arm("sawyer")
+    assert truth["mechanisms"] == [] and truth["windows"] == [[], [], []]
+    for _, q in trajectories:
+        assert np.all(q > robot.position_lower) and np.all(q < robot.position_upper) and np.ptp(q) > 0.2
+
+
+def test_a_recording_may_be_cut_to_the_contact(part) -> None:
+    """Without approach and retreat the one window is the whole recording."""
+    trajectories, truth = part("make_recordings.kinematic_sets").make_set("hinge", "panda", 5, 2, whole=False)
+    for (time, _), windows in zip(trajectories, truth["windows"], strict=True):
+        assert windows == [[0.0, pytest.approx(time[-1], abs=0.011), 0]]
+
+
+@pytest.mark.parametrize(("kind", "robot", "count"), [("soup", "panda", 2), ("door", "r2d2", 2), ("door", "panda", 0)])
+def test_what_does_not_exist_is_refused(part, kind: str, robot: str, count: int) -> None:
+    """An unknown kind or robot, or no demonstration at all, is an error that lists what there is."""
+    with pytest.raises(ValueError, match="there are|at least 1"):
+        part("make_recordings.kinematic_sets").make_set(kind, robot, 1, count)
+
+
+SIMULATIONS = [("drawer_slip", "panda"), ("screw", "ur5"), ("door", "xarm7")]
+
+
+@pytest.mark.parametrize(
+    ("kind", "robot"), [SIMULATIONS[0], *(pytest.param(*each, marks=pytest.mark.slow) for each in SIMULATIONS[1:])]
+)
+def test_the_simulated_grip_holds(part, kind: str, robot: str) -> None:
+    """In rigid-body dynamics the windows obey the truth to 20 micrometres, a fifth of what the encoders let one see."""
+    pytest.importorskip("mujoco")
+    trajectories, truth = part("make_recordings.physics_sets").make_set(kind, robot, 5, 2, noise=0.0)
+    linear, angular = worst(part, arm(robot), trajectories, truth)
+    assert linear < SIMULATED and angular < 1e-4
+    again, _ = part("make_recordings.physics_sets").make_set(kind, robot, 5, 2, noise=0.0)
+    assert all(np.array_equal(a[1], b[1]) for a, b in zip(trajectories, again, strict=True))
+
+
+def test_the_command_writes_recordings_that_can_be_loaded(part, tmp_path: Path) -> None:
+    """One CSV file per demonstration with the robot's joints and a truth.json; thinned on request."""
+    arguments = f"door_firm --robot xarm7 --seed 3 --demos 2 --out {tmp_path} --kinematic --thin 2"
+    part("record_tasks_physics").main(arguments.split())
+    truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))
+    demos = load_demonstrations(sorted(tmp_path.glob("*.csv")), arm("xarm7"))
+    assert len(demos.trajectories) == 2 == len(truth["windows"]) and truth["rate"] == 50.0
+
+
+@pytest.mark.parametrize("folder", SHIPPED)
+def test_shipped_recordings_obey_their_truth(part, folder: str) -> None:
+    """Each shipped window obeys the shipped truth to the noise of the encoders; the reader accepts the files."""
+    truth = json.loads((DATA / folder / "truth.json").read_text(encoding="utf-8"))
+    rows = [np.loadtxt(path, delimiter=",", skiprows=1) for path in sorted((DATA / folder).glob("demo_*.csv"))]
+    assert len(rows) == len(truth["windows"])
+    robot = arm(truth["robot"])
+    assert len(load_demonstrations(DATA / folder, robot).trajectories) == len(rows)
+    linear, _ = worst(part, robot, [(r[:, 0], r[:, 1:]) for r in rows], truth)
+    assert 1e-5 < linear < NOISY

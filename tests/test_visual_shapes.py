@@ -1,0 +1,179 @@
+"""Shapes to draw: where the file puts them, and primitive ones where a mesh is unavailable."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from urdf_corpus_case import ARM
+from urdf_corpus_meshes import stl
+
+from manip_learn.robot.description.catalogue import example_package_dir, example_robots
+from manip_learn.robot.loading import load_robot
+from manip_learn.robot.visuals.mesh_content import mesh_colour
+from manip_learn.robot.visuals.visual_elements import Box, Capsule, Cylinder, Sphere, Triangles
+from manip_learn.robot.visuals.visual_shapes import resolve_meshes, visual_shapes
+
+TIP = '<link name="tip"/>'
+
+
+def arm_with(tmp_path, visuals: str, head: str = ""):
+    """The two-joint arm with something on its tip."""
+    path = tmp_path / "urdf" / "arm.urdf"
+    path.parent.mkdir(exist_ok=True)
+    text = ARM.replace(TIP, f'<link name="tip">{visuals}</link>').replace(
+        '<link name="base"/>', f'{head}<link name="base"/>'
+    )
+    path.write_text(text, encoding="utf-8")
+    return load_robot(path)
+
+
+def test_shapes_sizes_and_colours(tmp_path):
+    """All primitives, colours given in place, by name, out of range, or not at all."""
+    robot = arm_with(
+        tmp_path,
+        '<visual><geometry><box size="1 2 3"/></geometry><material name="red"/></visual>'
+        '<visual><geometry><sphere radius="0.5"/></geometry>'
+        '<material name="x"><color rgba="0 1 0 0.5"/></material></visual>'
+        '<visual><geometry><cylinder radius="0.1" length="2"/></geometry>'
+        '<material name="y"><color rgba="9 -1 0 1"/></material></visual>'
+        '<visual><geometry><capsule radius="0.1" length="2"/></geometry><material name="unknown"/></visual>',
+        '<material name="red"><color rgba="1 0 0 1"/></material>',
+    )
+    box, sphere, cylinder, capsule = visual_shapes(robot)
+    assert (box.shape, box.colour) == (Box((1, 2, 3)), (1, 0, 0, 1))
+    assert (sphere.shape, sphere.colour) == (Sphere(0.5), (0, 1, 0, 0.5))
+    assert (cylinder.shape, cylinder.colour) == (Cylinder(0.1, 2), (1, 0, 0, 1))
+    assert capsule.shape == Capsule(0.1, 2) and capsule.colour[3] == 1
+    assert {v.link for v in (box, sphere, cylinder, capsule)} == {"tip"}
+
+
+@pytest.mark.parametrize("name", ["panda", "xarm7", "talos_arm"])
+def test_shapes_are_where_pinocchio_has_them(name):
+    """Joint, placement and scaled mesh size agree with Pinocchio's own geometry reader."""
+    robot = load_robot(name)
+    model = robot.pinocchio_model
+    geometry = pin.buildGeomFromUrdf(
+        model, str(example_robots()[name]), pin.GeometryType.VISUAL, package_dirs=[str(example_package_dir())]
+    )
+    theirs = sorted((g.parentJoint, *g.placement.homogeneous.round(6).ravel()) for g in geometry.geometryObjects)
+    visuals = visual_shapes(robot)
+    ours = sorted((v.joint, *v.placement.round(6).ravel()) for v in visuals)
+    np.testing.assert_allclose(ours, theirs, atol=2e-6)
+    assert not any(v.stand_in for v in visuals)
+    sizes = sorted(float(np.ptp(v.shape.vertices, axis=0).max()) for v in visuals if isinstance(v.shape, Triangles))
+    reference = sorted(
+        float(np.ptp(np.asarray(g.geometry.vertices()) * g.meshScale, axis=0).max())
+        for g in geometry.geometryObjects
+        if g.meshPath and g.meshPath not in ("BOX", "CYLINDER", "SPHERE", "CAPSULE")
+    )
+    np.testing.assert_allclose(sizes, reference, rtol=1e-5)
+
+
+def test_locked_joints_carry_their_shapes_along():
+    """The fingers' shapes stay at the hand, at the position of the lock."""
+    free, held = load_robot("panda"), load_robot("panda", locked={"panda_finger_joint1": 0.03})
+    q = held.neutral()
+    full = np.append(q, 0.03)
+
+    def world(robot, posture):
+        data = robot.pinocchio_model.createData()
+        pin.forwardKinematics(robot.pinocchio_model, data, robot.pinocchio_configuration(posture))
+        shapes = visual_shapes(robot, meshes=False)
+        return [data.oMi[v.joint].homogeneous @ v.placement for v in shapes if "finger" in v.link]
+
+    for a, b in zip(world(free, full), world(held, q), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-12)
+
+
+def test_scale_and_mirror(tmp_path):
+    """Scale is applied to the vertices; a mirrored mesh keeps its outside outside."""
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "a.stl").write_bytes(stl())
+    mesh = '<visual><geometry><mesh filename="../meshes/a.stl" scale="{}"/></geometry></visual>'
+    plain, mirrored = visual_shapes(arm_with(tmp_path, mesh.format("2 3 4") + mesh.format("-2 3 4")))
+    assert isinstance(plain.shape, Triangles) and isinstance(mirrored.shape, Triangles)
+    np.testing.assert_array_equal(plain.shape.vertices.max(axis=0), [2, 3, 0])
+    np.testing.assert_array_equal(mirrored.shape.vertices.min(axis=0), [-2, 0, 0])
+    normals = [
+        np.cross(t[1] - t[0], t[2] - t[0])[2] for t in (s.shape.vertices[s.shape.faces[0]] for s in (plain, mirrored))
+    ]
+    assert min(normals) > 0
+
+
+def test_a_missing_mesh_becomes_a_plain_shape(tmp_path):
+    """The link is still drawn, once, with the reason; the report names the address."""
+    mesh = '<visual><geometry><mesh filename="package://gone/a.stl"/></geometry></visual>'
+    robot = arm_with(tmp_path, mesh + mesh)
+    (shape,) = visual_shapes(robot)
+    assert isinstance(shape.shape, Sphere) and "package_dirs" in shape.stand_in
+    report = resolve_meshes(robot)
+    assert list(report.missing) == ["package://gone/a.stl"] and not report.found
+    assert len(report.warnings) == 1
+
+
+def test_links_without_shapes_are_drawn_as_sticks(tmp_path):
+    """A robot without visuals has a rod from each link to the next joint, and a ball at its end."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM, encoding="utf-8")
+    visuals = {v.link: v for v in visual_shapes(load_robot(path))}
+    assert set(visuals) == {"base", "upper", "tip"}
+    assert isinstance(visuals["tip"].shape, Sphere)
+    rod = visuals["upper"]
+    assert isinstance(rod.shape, Cylinder) and rod.shape.length == pytest.approx(0.4)
+    np.testing.assert_allclose(rod.placement[:3, 3], [0.2, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(np.abs(rod.placement[:3, 2]), [1, 0, 0], atol=1e-12)
+    assert all(v.stand_in for v in visuals.values())
+
+
+def test_meshes_are_found_from_another_folder(tmp_path, monkeypatch):
+    """A robot loaded by a relative path keeps its meshes when the program changes its folder."""
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "a.stl").write_bytes(stl())
+    arm_with(tmp_path, '<visual><geometry><mesh filename="../meshes/a.stl"/></geometry></visual>')
+    monkeypatch.chdir(tmp_path)
+    robot = load_robot("urdf/arm.urdf", package_dirs=["meshes"])
+    monkeypatch.chdir("/")
+    assert isinstance(visual_shapes(robot)[0].shape, Triangles)
+    assert robot.package_dirs == (tmp_path / "meshes",)
+
+
+def test_without_meshes_no_file_is_opened(monkeypatch):
+    """`meshes=False` draws plain shapes only."""
+    monkeypatch.setattr("manip_learn.robot.visuals.visual_shapes.read_meshes", None)
+    shapes = visual_shapes(load_robot("panda"), meshes=False)
+    assert shapes and not any(isinstance(v.shape, Triangles) for v in shapes)
+
+
+def test_arrays_cannot_be_changed():
+    """What is returned is read-only."""
+    for v in visual_shapes(load_robot("xarm7")):
+        assert not v.placement.flags.writeable
+        assert isinstance(v.shape, Triangles) and not v.shape.vertices.flags.writeable
+
+
+def test_a_mesh_without_a_material_has_the_colour_of_its_file():
+    """Panda's hand is mostly white in its COLLADA file; an STL has no colour and is grey."""
+    colours = {v.link: v.colour for v in visual_shapes(load_robot("panda"))}
+    assert min(colours["panda_hand"][:3]) > 0.8 and colours["panda_hand"][3] == 1
+    grey = visual_shapes(load_robot("z1"))
+    assert all(v.colour[3] == 1 for v in grey)
+
+
+def test_colours_of_broken_collada_are_left_alone(tmp_path):
+    """No text makes the colour fail; the material with the most polygons wins."""
+    material = '<material id="m{0}"><instance_effect url="#e{0}"/></material>'
+    effect = '<effect id="e{0}"><diffuse><color>{1}</color></diffuse></effect>'
+    text = "".join(material.format(i) for i in (1, 2)) + effect.format(1, "1 0 0 1") + effect.format(2, "0 0 1 0")
+    path = tmp_path / "a.dae"
+    path.write_text(text + '<triangles material="m1" count="3"><triangles count="9" material="m2">', encoding="utf-8")
+    assert mesh_colour(path) == (0, 0, 1, 1)
+    for content in (
+        b"",
+        b"\xff" * 100,
+        text.replace("0 0 1 0", "blue").encode(),
+        text.replace("1 0 0 1", "nan 0 0").encode(),
+    ):
+        path.write_bytes(content)
+        assert mesh_colour(path) is None
+    assert mesh_colour(tmp_path / "gone.dae") is None
