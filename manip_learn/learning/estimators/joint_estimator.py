@@ -87,7 +87,9 @@ def estimate_joint(
     if chosen.held_out > unexplained * null_energy(samples, chosen.fit):
         raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
     fit = _fit_from_random_starts(samples, chosen.fit, rng)
-    own_samples, fit = (samples, fit) if isotropic else _fit_whitened(samples, fit)
+    # the covariance of the residual is that of the noise only where the policy model explains the motion
+    is_explained = chosen.held_out <= POOR * null_energy(samples, chosen.fit)
+    own_samples, fit = _fit_whitened(samples, fit) if is_explained and not isotropic else (samples, fit)
     gradients, hessians = scores(own_samples, fit)
     return Estimate(
         "joint",

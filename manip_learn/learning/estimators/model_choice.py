@@ -25,6 +25,8 @@ from manip_learn.learning.samples import Samples
 
 # standard errors of a difference of held-out costs, over trajectories, that count as worse
 WORSE = 2.0
+# held-out cost over the least beyond which a model is worse, however much the trajectories scatter
+MOST_WORSE = 1.1
 # how many times the regressors of the best a richer model may have
 ONE_DEGREE = 3.0
 # residuals for each of its parameters that make a richer model cheap
@@ -39,10 +41,12 @@ class JudgedModel:
     Attributes:
         model: beta(q).
         costs: sum |N (u - pi)|^2 of each trajectory, pi fitted to the others, shape (g,).
+        variance: Residual variance per degree of freedom, pi fitted to all [(rad/s)^2].
     """
 
     model: PolicyModel
     costs: Float[np.ndarray, " g"]
+    variance: float
 
     @property
     def held_out(self) -> float:
@@ -66,13 +70,20 @@ def choose_model(judged: Sequence[JudgedModel], most_parameters: float) -> Judge
         most_parameters: Regressors that the residuals are many enough for, see `CHEAP`.
     """
     best = min(judged, key=lambda one: one.held_out)
-    most = max(min(ONE_DEGREE * best.model.n_terms, most_parameters), best.model.n_terms)
+    most = largest_size(best.model, most_parameters)
     near = [one for one in judged if one.model.n_terms <= most and not _is_worse(one.costs, best.costs)]
     return max(near, key=lambda one: one.model.n_terms)
 
 
+def largest_size(model: PolicyModel, most_parameters: float) -> float:
+    """Regressors that a model richer than a given one may have."""
+    return max(min(ONE_DEGREE * model.n_terms, most_parameters), model.n_terms)
+
+
 def _is_worse(costs: np.ndarray, best: np.ndarray) -> bool:
     difference = costs - best
+    if costs.sum() > MOST_WORSE * best.sum():
+        return True
     return bool(difference.mean() > WORSE * difference.std(ddof=1) / np.sqrt(len(difference)))
 
 
@@ -86,7 +97,9 @@ def _judged(samples: Samples, projections: Projections, model: PolicyModel, n_fo
         theta, _ = solve_policy(beta[~held], N[~held], u[~held], Solver(total - own))
         y = u[held] - beta[held] @ theta
         np.add.at(costs, samples.trajectory[held], np.einsum("ni,nij,nj->n", y, N[held], y, optimize=True))
-    return JudgedModel(model, costs)
+    _, y = solve_policy(beta, N, u, Solver(total))
+    freedom = max(float(np.einsum("nii->", N)) - total.shape[0], 1.0)
+    return JudgedModel(model, costs, float(np.einsum("ni,nij,nj->", y, N, y, optimize=True)) / freedom)
 
 
 def _folds(trajectory: Int[np.ndarray, " n"], n_folds: int) -> Iterator[np.ndarray]:

@@ -9,7 +9,14 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.learning.estimators.conditional_pca import conditional_pca
-from manip_learn.learning.estimators.model_choice import CHEAP, choose_model, judge_models
+from manip_learn.learning.estimators.model_choice import (
+    CHEAP,
+    MOST_WORSE,
+    JudgedModel,
+    choose_model,
+    judge_models,
+    largest_size,
+)
 from manip_learn.learning.estimators.policy_model import PolicyModel
 from manip_learn.learning.estimators.row_count import POOR
 from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, held_out_costs
@@ -26,6 +33,13 @@ VANISHING = 1e-16
 SCAN_COLUMNS = 120
 # changes of the model
 ROUNDS = 4
+# held-out share of the energy below which extrapolation no longer decides between models
+PREDICTED = 1e-3
+# residual variance over that of a smaller model that is not chance with `CLOSER_CHEAP` residuals per parameter
+CLOSER = 0.9
+CLOSER_CHEAP = 10.0
+# models that are fitted although they predicted worse
+MOST_TRIALS = 3
 # enough steps to compare
 COMPARE: dict[str, Any] = {"max_iterations": 8, "gain": 1e-4}
 
@@ -54,7 +68,7 @@ def is_better(samples: Samples, trial: CrossValidatedFit, best: CrossValidatedFi
     A Lambda that takes up all motion leaves little, explained or not.
     """
     shares = [one.held_out / null_energy(samples, one.fit) for one in (trial, best)]
-    return trial.held_out < factor * best.held_out and shares[0] < shares[1]
+    return trial.held_out < factor * best.held_out and shares[0] < max(factor, 1.0) * shares[1]
 
 
 def has_enough(samples: Samples, s: int, model: PolicyModel) -> bool:
@@ -81,6 +95,8 @@ def search_model(
         return best, residuals
     if best.held_out > POOR * null_energy(samples, best.fit):
         best = _fit_from_other_starts(samples, s, usable, best)
+    residuals_per_joint = len(samples) * (samples.nv - s) / samples.nv
+    judged: list[JudgedModel] = []
     for _ in range(ROUNDS):
         if best.held_out <= EXACT * best.fit.energy:
             return _climb_exact_models(samples, models, usable, best, residuals)
@@ -90,17 +106,35 @@ def search_model(
         predicts_best = min(judged, key=lambda one: one.held_out)
         settled = predicts_best.model.name == best.fit.model.name
         # a model that is too rich bends Lambda while that is far off: first the model that predicts best
-        chosen = (
-            choose_model(judged, len(samples) * (samples.nv - s) / (CHEAP * samples.nv)) if settled else predicts_best
-        )
+        chosen = choose_model(judged, residuals_per_joint / CHEAP) if settled else predicts_best
         if chosen.model.name != best.fit.model.name:
             trial = cross_validate(samples, chosen.model, best.fit.whitened_selection)
-            if not settled and not is_better(samples, trial, best, 1.0):
+            if not is_better(samples, trial, best, MOST_WORSE if settled else 1.0):
                 break
             best = trial
         if settled:
             break
-    return best, residuals
+    return _try_closer_models(samples, judged, best, residuals_per_joint / CLOSER_CHEAP), residuals
+
+
+def _try_closer_models(
+    samples: Samples, judged: list[JudgedModel], best: CrossValidatedFit, most_parameters: float
+) -> CrossValidatedFit:
+    """A model that leaves a smaller variance, if it predicts better, or nearly everything, at its own Lambda.
+
+    At the Lambda of a model that is too small, a richer one may extrapolate so badly to single trajectories that
+    cross-validation rejects it; the variance of its residual shows nevertheless that it describes the motion.
+    """
+    if best.held_out > POOR * null_energy(samples, best.fit):
+        return best
+    own = next(one for one in judged if one.model.name == best.fit.model.name)
+    most = largest_size(best.fit.model, most_parameters)
+    closer = [one for one in judged if one.variance < CLOSER * own.variance and one.model.n_terms <= most]
+    for one in sorted(closer, key=lambda one: one.variance)[:MOST_TRIALS]:
+        trial = cross_validate(samples, one.model, best.fit.whitened_selection)
+        if is_better(samples, trial, best, WORTH) or trial.held_out < PREDICTED * null_energy(samples, trial.fit):
+            return trial
+    return best
 
 
 def _climb_exact_models(
