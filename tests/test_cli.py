@@ -106,6 +106,24 @@ def test_replay_shows_what_was_learnt(run, learnt):
     assert code == 2 and name in err and len(err.splitlines()) == 1
 
 
+def test_learn_writes_a_replay_of_the_recordings(run):
+    """`--html` plays every recording, with the phases that are in the answer; it does not go with --dask."""
+    whole = DATA / "panda_drawer_whole"
+    code, out, err = run("learn", "panda", whole, "--frame", "panda_hand_tcp", "--html", "a.html", "--json")
+    assert (code, err) == (0, "")
+    answer, data = json.loads(out), data_in(Path("a.html"))
+    assert answer["html"] == str(Path("a.html").resolve())
+    shown = {r["name"]: r["phases"] for r in data["rollouts"]}
+    assert len(shown) == 6
+    for name, bands in shown.items():
+        told = [p for p in answer["phases"] if p["trajectory"] == name]
+        expected = [[p["start"], p["end"], -1 if p["constraint"] is None else p["constraint"]] for p in told]
+        np.testing.assert_allclose(bands, expected)
+    assert data["mechanism"]["type"] == "line" and data["mechanism"]["lines"]
+    code, _, err = run("learn", "panda", whole, "--frame", "panda_hand_tcp", "--html", "a.html", "--dask", "local")
+    assert code == 2 and "--html" in err
+
+
 def test_inspect_answers(run):
     """Joints with their limits, frames, warnings, and the comparison with yourdfpy."""
     code, out, err = run("inspect", "sawyer", "--json")

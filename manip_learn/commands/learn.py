@@ -14,12 +14,14 @@ from manip_learn.errors import FeatureError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.candidate import EstimatorName
 from manip_learn.learning.learner import ESTIMATORS, Switch
+from manip_learn.learning.overview import distinct_names
+from manip_learn.playback import ReplayResult, replay
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import ReadOptions
 from manip_learn.recordings.preprocessing import subsample
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.recordings.velocities import with_velocities
-from manip_learn.robot.robot import Reference
+from manip_learn.robot.robot import Reference, Robot
 
 REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": ("local",), "auto": ("world", "local")}
 
@@ -34,6 +36,7 @@ class Learnt:
     frame: str
     out: Path | None
     notes: tuple[str, ...]
+    page: ReplayResult | None = None
 
     @property
     def constraint(self) -> Constraint:
@@ -53,6 +56,7 @@ class Learnt:
             frame=self.frame,
             notes=[*self.notes, *self.report.notes],
             out=None if self.out is None else str(self.out),
+            html=None if self.page is None else str(self.page.html),
         )
         return content
 
@@ -75,6 +79,7 @@ def learn(
     n_constraints: int | None = None,
     estimator: str = "auto",
     out: Path | None = None,
+    html: Path | None = None,
     locked: list[str] | None = None,
     package_dirs: list[str] | None = None,
     seed: int = 0,
@@ -87,19 +92,20 @@ def learn(
     dask: str | None = None,
     progress: Progress | None = None,
 ) -> Learnt:
-    """Learn a constraint from recordings and write it to a file if one is named.
+    """Learn a constraint from recordings; write it, and a replay of the recordings, to files if they are named.
 
     Raises:
         FeatureError: Unknown axes or reference.
-        RecordingError: `points` together with `dask`.
+        RecordingError: `points` or `html` together with `dask`.
         ManipLearnError: Anything else that is wrong with the robot, the recordings, the settings or the output.
     """
     if reference not in REFERENCES:
         raise FeatureError(f"--reference must be world, local or auto, not {reference!r}")
-    if points is not None and dask is not None:
-        raise RecordingError(
-            "--points works on recordings in memory, not with --dask: give one of the two", code="option"
-        )
+    for option, value in (("--points", points), ("--html", html)):
+        if value is not None and dask is not None:
+            raise RecordingError(
+                f"{option} works on recordings in memory, not with --dask: give one of the two", code="option"
+            )
     if dask is not None and not (start is None and until is None):
         raise RecordingError(
             "--from and --until cut recordings in memory, not with --dask: cut the files first", code="option"
@@ -110,6 +116,7 @@ def learn(
     robot, demos, chosen, notes = load(robot_name, recordings, frame, locked or [], package_dirs or [], options)
     if isinstance(demos, Demonstrations) and (start is not None or until is not None):
         demos = Demonstrations([t[start:until] for t in demos], demos.notes)
+    recorded = demos
     if points is not None and isinstance(demos, Demonstrations):
         demos = Demonstrations([subsample(t, points) for t in with_velocities(demos, robot)], demos.notes)
     candidates = [FrameJacobian(robot, chosen, axes, r) for r in REFERENCES[reference]]
@@ -127,7 +134,39 @@ def learn(
     with cluster_client(dask) as client:
         learner.fit(demos, client=client, progress=progress)
     written = learner.constraint_.save(out) if out is not None else None
-    return Learnt(learner.constraints_, learner.reports_, chosen, written, tuple(notes))
+    page = None
+    if html is not None and isinstance(recorded, Demonstrations):
+        page = replay_of_recordings(robot, recorded, learner.report_, html, chosen)
+    return Learnt(learner.constraints_, learner.reports_, chosen, written, tuple(notes), page)
+
+
+def replay_of_recordings(
+    robot: Robot, recordings: Demonstrations, report: LearningReport, html: Path, frame: str
+) -> ReplayResult:
+    """Write a page that plays the recordings, with what was learnt about them.
+
+    Args:
+        robot: Whose joints were recorded.
+        recordings: What was learnt from.
+        report: Phases, mechanism and odd trajectories.
+        html: File to write.
+        frame: Frame that was guided.
+
+    Raises:
+        RecordingError: A recording that cannot be played.
+        OutputError: The file cannot be written.
+    """
+    odd = [f"{name} does not agree with the others: {reason}" for name, reason in report.odd_trajectories]
+    return replay(
+        robot,
+        dict(zip(distinct_names(recordings), recordings, strict=True)),
+        html,
+        tip=frame,
+        open_browser=False,
+        phases=report.phases,
+        mechanism=report.mechanism,
+        notes=odd,
+    )
 
 
 def _switch(option: str, value: str) -> Switch:

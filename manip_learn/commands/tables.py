@@ -66,6 +66,9 @@ def print_learnt(console: Console, learnt: Learnt) -> None:
         console.print(f"[yellow]warning: {escape(warning)}[/yellow]", highlight=False)
     if learnt.out is not None:
         console.print(f"written: {escape(str(learnt.out))}", highlight=False, soft_wrap=True)
+    if learnt.page is not None:
+        page = learnt.page
+        console.print(f"replay: {escape(str(page.html))} ({page.bytes / 1e6:.1f} MB)", highlight=False, soft_wrap=True)
 
 
 def _spread(mechanism: Mechanism) -> str:

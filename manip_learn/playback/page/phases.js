@@ -61,10 +61,10 @@ function drawSliderBands(element, rollout, duration) {
 }
 
 // One colour a point of the path, as the vertices of its tube need them.
-function pathColours(rollout, sides) {
-  const n = rollout.pathTimes.length, colours = new Float32Array(3 * n * sides), known = new Map();
+function pathColours(rollout, times, sides) {
+  const n = times.length, colours = new Float32Array(3 * n * sides), known = new Map();
   for (let i = 0; i < n; i++) {
-    const hex = (phaseAt(rollout, rollout.pathTimes[i]) || NO_PHASE).colour;
+    const hex = (phaseAt(rollout, times[i]) || NO_PHASE).colour;
     if (!known.has(hex)) known.set(hex, linear(hex));
     for (let k = 0; k < sides; k++) known.get(hex).toArray(colours, 3 * (i * sides + k));
   }

@@ -118,7 +118,7 @@ class Legend {
       const words = document.createElement("p");
       words.id = "mechanism";
       words.textContent = `Mechanism: ${mechanism.sentence}`;
-      element.append(words);
+      element.prepend(words);
     }
     this.setTime(0);
   }

@@ -206,14 +206,23 @@ class RobotInstance {
   }
 }
 
+// Points that are some way apart, the first and the last kept: at rest, noise would tangle the tube.
+function spaced(path, times, distance) {
+  const kept = [0], last = times.length - 1, far = (i, j) => Math.hypot(path[3 * i] - path[3 * j], path[3 * i + 1] - path[3 * j + 1], path[3 * i + 2] - path[3 * j + 2]);
+  for (let i = 1; i < last; i++) if (far(i, kept[kept.length - 1]) >= distance) kept.push(i);
+  kept.push(last);
+  return { points: Float32Array.from(kept.flatMap((i) => [...path.subarray(3 * i, 3 * i + 3)])), times: Float32Array.from(kept, (i) => times[i]) };
+}
+
 // The tip's way: faint as a whole, strong up to now, and a ball where the tip is.
 class TipPath {
   constructor(rollout, radius, parent) {
     const colour = linear(rollout.colour);
-    this.times = rollout.pathTimes;
+    const { points, times } = spaced(rollout.path, rollout.pathTimes, 0.5 * radius);
+    this.times = times;
     this.group = new THREE.Group();
     this.sides = 8;
-    const geometry = tubeGeometry(rollout.path, radius, this.sides), past = geometry.clone();
+    const geometry = tubeGeometry(points, radius, this.sides), past = geometry.clone();
     const faint = new THREE.MeshBasicMaterial({ color: colour, transparent: true, opacity: 0.28, depthWrite: false, ...behind(rollout.index) });
     const strong = new THREE.MeshStandardMaterial({ color: colour, roughness: 0.6, emissive: colour, emissiveIntensity: 0.25, ...behind(rollout.index) });
     this.rollout = rollout;
@@ -225,7 +234,7 @@ class TipPath {
 
   // Unlit, so that the colours are those of the legend.
   colouredByPhase(rollout, geometry, past, faint) {
-    const colours = pathColours(rollout, this.sides);
+    const colours = pathColours(rollout, this.times, this.sides);
     for (const tube of [geometry, past]) tube.setAttribute("color", colours);
     Object.assign(faint, { vertexColors: true, color: new THREE.Color(1, 1, 1), opacity: 0.5 });
     return new THREE.MeshBasicMaterial({ vertexColors: true, ...behind(rollout.index) });
