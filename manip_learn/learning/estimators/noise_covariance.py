@@ -20,13 +20,15 @@ BEYOND_CHANCE = 5.0
 # weight of the isotropic covariance in samples per sample, for entries that the null spaces hardly show
 PRIOR = 1e-3
 LEAST, MOST = 1e-2, 1e2  # variances beside their mean
+# largest variance over the least below which equal weights cost a few per cent at most
+UNEQUAL = 2.0
 ENOUGH = 20  # residuals for each entry of the covariance
 
 
 def whitening_factor(
     samples: Samples, whitened_selection: Float[np.ndarray, "s r"], y: Float[np.ndarray, "n nv"]
 ) -> Float[np.ndarray, "nv nv"] | None:
-    """L with L L^T the covariance of the noise over its mean variance; None where it is isotropic but for chance.
+    """L with L L^T the covariance of the noise over its mean variance; None where it is nearly isotropic.
 
     Args:
         samples: What was recorded.
@@ -40,6 +42,8 @@ def whitening_factor(
         return None
     sigma2 = float(np.sum(e**2)) / (len(y) * z)
     Sigma = _covariance(N, e / np.sqrt(sigma2))
+    if np.linalg.cond(Sigma) < UNEQUAL:
+        return None
     gain = _log_likelihood_ratio(N, e / np.sqrt(sigma2), Sigma, z)
     if gain < entries + BEYOND_CHANCE * np.sqrt(2.0 * entries):
         return None
