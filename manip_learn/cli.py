@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -11,8 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
-from manip_learn.commands.arguments import ConstraintFile, Dask, Json, Lock, Packages, Recordings, RobotName
-from manip_learn.commands.output import console, finite, progress, waiting
+from manip_learn.commands import arguments as shared
+from manip_learn.commands.output import answer, progress, waiting
 from manip_learn.commands.read_options import ReadOptions, takes_read_options
 from manip_learn.commands.vectors import joined_vectors, vector
 from manip_learn.errors import ManipLearnError
@@ -32,52 +31,58 @@ def demo(
     robot: Annotated[str, typer.Option(help="sawyer or planar3.")] = "sawyer",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("demo_out"),
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the replay.")] = True,
-    as_json: Json = False,
+    as_json: shared.Json = False,
 ) -> None:
     """Learn from shipped recordings, compare three policies, write the replay."""
     from manip_learn.commands.demo import demo as run
 
     with progress(as_json) as report:
         result = run(robot, out, browser and not as_json, report)
-    _answer(as_json, result.to_dict(), "print_demo", result)
+    answer(as_json, result.to_dict(), "print_demo", result)
 
 
 @app.command()
-def inspect(robot: RobotName, lock: Lock = None, package_dir: Packages = None, as_json: Json = False) -> None:
+def inspect(
+    robot: shared.RobotName,
+    lock: shared.Lock = None,
+    package_dir: shared.Packages = None,
+    objects: shared.Objects = None,
+    as_json: shared.Json = False,
+) -> None:
     """Show joints, frames, limits and warnings of a robot."""
     from manip_learn.commands.inspect import inspect as run
     from manip_learn.commands.inspect import summary_dict
 
-    summary = run(robot, lock, package_dir)
-    _answer(as_json, summary_dict(summary), "print_robot", summary)
+    summary = run(robot, lock, package_dir, objects)
+    answer(as_json, summary_dict(summary), "print_robot", summary)
 
 
 @app.command()
 @takes_read_options
 def learn(
-    robot: RobotName,
-    recordings: Recordings,
+    robot: shared.RobotName,
+    recordings: shared.Recordings,
     frame: Annotated[str | None, typer.Option(help="The frame that was guided, e.g. the tool's tip.")] = None,
+    relative_to: Annotated[str | None, typer.Option(help="Frame, e.g. an object, from which it is seen.")] = None,
     axes: Annotated[str, typer.Option(help="xyz, pose, planar, rotation, or any of 'x y z rx ry rz'.")] = "xyz",
     reference: Annotated[str, typer.Option(help="world, local, or auto (the larger gap).")] = "auto",
     constraints: Annotated[int | None, typer.Option(help="Number of constraints; default: from the data.")] = None,
     estimator: Annotated[str, typer.Option(help="auto, null-space, joint or separate.")] = "auto",
     out: Annotated[Path | None, typer.Option(help="Constraint file to write (JSON).")] = None,
     html: Annotated[Path | None, typer.Option(help="Replay of the recordings to write, with their phases.")] = None,
-    lock: Lock = None,
-    package_dir: Packages = None,
+    lock: shared.Lock = None,
+    package_dir: shared.Packages = None,
+    objects: shared.Objects = None,
     *,
     options: ReadOptions,
-    phases: Annotated[
-        str, typer.Option(help="auto: find the stretches in which a constraint holds; off: take recordings as a whole.")
-    ] = "auto",
+    phases: shared.Phases = "auto",
     mechanism: Annotated[str, typer.Option(help="auto: say what holds the hand (hinge, line, ...); off.")] = "auto",
     start: Annotated[float | None, typer.Option("--from", help="Leave out what was recorded before [s].")] = None,
     until: Annotated[float | None, typer.Option(help="Leave out what was recorded after [s].")] = None,
     points: Annotated[int | None, typer.Option(help="Use at most this many samples of each trajectory.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap and of random starts.")] = 0,
-    dask: Dask = None,
-    as_json: Json = False,
+    dask: shared.Dask = None,
+    as_json: shared.Json = False,
 ) -> None:
     """Learn a constraint from recordings and report it."""
     from manip_learn.commands.learn import learn as run
@@ -87,6 +92,7 @@ def learn(
             robot,
             recordings,
             frame=frame,
+            relative_to=relative_to,
             axes=axes,
             reference=reference,
             n_constraints=constraints,
@@ -95,6 +101,7 @@ def learn(
             html=html,
             locked=lock,
             package_dirs=package_dir,
+            objects=objects,
             seed=seed,
             points=points,
             phases=phases,
@@ -105,21 +112,22 @@ def learn(
             dask=dask,
             progress=report,
         )
-    _answer(as_json, learnt.to_dict(), "print_learnt", learnt)
+    answer(as_json, learnt.to_dict(), "print_learnt", learnt)
 
 
 @app.command()
 @takes_read_options
 def audit(
-    robot: RobotName,
-    constraint: ConstraintFile,
-    recordings: Recordings,
+    robot: shared.RobotName,
+    constraint: shared.ConstraintFile,
+    recordings: shared.Recordings,
     csv: Annotated[Path | None, typer.Option(help="Table to write, one line per episode (CSV).")] = None,
-    package_dir: Packages = None,
+    package_dir: shared.Packages = None,
+    objects: shared.Objects = None,
     *,
     options: ReadOptions,
-    dask: Dask = None,
-    as_json: Json = False,
+    dask: shared.Dask = None,
+    as_json: shared.Json = False,
 ) -> None:
     """Judge recorded episodes by a constraint: rank them, and name those to leave out."""
     from manip_learn.commands.audit import audit as run
@@ -131,23 +139,20 @@ def audit(
             recordings,
             csv=csv,
             package_dirs=package_dir,
+            objects=objects,
             options=options,
             dask=dask,
             progress=report,
         )
-    _answer(as_json, audited.to_dict(), "print_audit", audited)
+    answer(as_json, audited.to_dict(), "print_audit", audited)
 
 
 @app.command()
 def control(
-    robot: RobotName,
-    constraint: ConstraintFile,
-    start: Annotated[
-        str | None, typer.Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the rest posture.")
-    ] = None,
-    target: Annotated[
-        str | None, typer.Option(help="Target position, one value per axis (default: hold still).")
-    ] = None,
+    robot: shared.RobotName,
+    constraint: shared.ConstraintFile,
+    start: shared.Start = None,
+    target: shared.Target = None,
     policy: Annotated[str, typer.Option(help="manipulability, zero or attractor.")] = "manipulability",
     rest: Annotated[str | None, typer.Option(help="Rest posture of the attractor [rad].")] = None,
     gain: Annotated[float, typer.Option(help="Gain of the policy.")] = 1.0,
@@ -157,8 +162,9 @@ def control(
     inverse: Annotated[str, typer.Option(help="damped, exact or truncated.")] = "damped",
     tolerance: Annotated[float, typer.Option(help="Final error that counts as reached [m or rad].")] = 0.01,
     out: Annotated[Path | None, typer.Option(help="Rollout file to write (NPZ).")] = None,
-    package_dir: Packages = None,
-    as_json: Json = False,
+    package_dir: shared.Packages = None,
+    objects: shared.Objects = None,
+    as_json: shared.Json = False,
 ) -> None:
     """Simulate a controller that performs the task and increases its manipulability."""
     from manip_learn.commands.control import control as run
@@ -181,23 +187,24 @@ def control(
             package_dirs=package_dir,
             progress=report,
         )
-    _answer(as_json, result.to_dict(), "print_controlled", result)
+    answer(as_json, result.to_dict(), "print_controlled", result)
 
 
 @app.command()
+@takes_read_options
 def replay(
-    robot: RobotName,
-    rollouts: Annotated[
-        list[str], typer.Argument(metavar="ROLLOUT...", help="Written by `control --out`; or recordings.")
-    ],
+    robot: shared.RobotName,
+    rollouts: shared.Rollouts,
     html: Annotated[Path, typer.Option(help="File to write.")] = Path("replay.html"),
     open_browser: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
     tip: Annotated[str | None, typer.Option(help="Frame whose path is drawn.")] = None,
-    constraint: Annotated[
-        Path | None, typer.Option(help="Constraint file: show the phases and the mechanism that were learnt with it.")
-    ] = None,
-    package_dir: Packages = None,
-    as_json: Json = False,
+    constraint: shared.Shown = None,
+    lock: shared.Lock = None,
+    package_dir: shared.Packages = None,
+    objects: shared.Objects = None,
+    *,
+    options: ReadOptions,
+    as_json: shared.Json = False,
 ) -> None:
     """Write a browser replay with the manipulability plot: one file, no server, no network."""
     from manip_learn.commands.replay import replay as run
@@ -209,12 +216,15 @@ def replay(
             html=html,
             open_browser=open_browser,
             tip=tip,
+            locked=lock,
             package_dirs=package_dir,
+            objects=objects,
+            options=options,
             constraint_file=constraint,
         )
-    answer = {"html": str(page.html), "bytes": page.bytes, "notes": list(page.notes)}
+    content = {"html": str(page.html), "bytes": page.bytes, "notes": list(page.notes)}
     if as_json:
-        _answer(True, answer)
+        answer(True, content)
         return
     for note in page.notes:
         typer.echo(f"note: {note}")
@@ -231,17 +241,14 @@ def reproduce(
     out: Annotated[Path | None, typer.Option(help="Folder for numbers, figures and replays.")] = None,
     workers: Annotated[int | None, typer.Option(help="Processes; default: all cores.")] = None,
     backend: Annotated[str, typer.Option(help="loky, threading or dask.")] = "loky",
-    as_json: Json = False,
+    as_json: shared.Json = False,
 ) -> None:
     """Run the experiments of "Learning Singularity Avoidance", and compare with the printed numbers."""
     from manip_learn.commands.reproduce import reproduce as run
 
     with progress(as_json) as report:
         result = run(experiment, trials=trials, seed=seed, out=out, workers=workers, backend=backend, progress=report)
-    _answer(as_json, result.to_dict(), "print_reproduction", result)
-
-
-# ---- in and out ------------------------------------------------------------------------------------------------------
+    answer(as_json, result.to_dict(), "print_reproduction", result)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -285,15 +292,6 @@ def _run(command: Callable[[], Any]) -> int:
 def _complain(sentence: str) -> int:
     print(f"manip-learn: {' '.join(sentence.split())}", file=sys.stderr)
     return 2
-
-
-def _answer(as_json: bool, content: dict[str, Any], printer: str = "", value: Any = None) -> None:
-    if as_json:
-        print(json.dumps(finite(content), indent=2, allow_nan=False))
-        return
-    from manip_learn.commands import tables
-
-    getattr(tables, printer)(console(), value)
 
 
 if __name__ == "__main__":

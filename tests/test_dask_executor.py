@@ -161,7 +161,7 @@ def test_command_line(client, features, tmp_path, capsys):
     selections = [re.search(r'"n_constraints": (\d)', text).group(1) for text in (there, here)]  # type: ignore[union-attr]
     assert selections == ["2", "2"]
     assert main([*words, "--dask", "local", "--points", "5"]) == 2
-    assert "leave one out" in capsys.readouterr().err
+    assert "give one of the two" in capsys.readouterr().err
 
 
 def test_without_a_scheduler(monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -13,3 +14,15 @@ Packages = Annotated[list[str] | None, typer.Option("--package-dir", help="Folde
 Recordings = Annotated[list[str], typer.Argument(metavar="RECORDING...", help="Files, or a folder of them.")]
 ConstraintFile = Annotated[str, typer.Argument(metavar="CONSTRAINT.JSON", help="Written by `learn --out`.")]
 Dask = Annotated[str | None, typer.Option(help="Scheduler address, or local: work on a dask cluster.")]
+Objects = Annotated[
+    list[str] | None, typer.Option("--object", help="Object whose pose is recorded (NAME.x ... NAME.rz); repeatable.")
+]
+Rollouts = Annotated[list[str], typer.Argument(metavar="ROLLOUT...", help="Written by `control --out`; or recordings.")]
+Start = Annotated[str | None, typer.Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the rest posture.")]
+Target = Annotated[str | None, typer.Option(help="Target position, one value per axis (default: hold still).")]
+Phases = Annotated[
+    str, typer.Option(help="auto: find the stretches in which a constraint holds; off: take recordings as a whole.")
+]
+Shown = Annotated[
+    Path | None, typer.Option(help="Constraint file: show the phases and the mechanism that were learnt with it.")
+]

@@ -35,6 +35,7 @@ def audit(
     *,
     csv: Path | None = None,
     package_dirs: list[str] | None = None,
+    objects: list[str] | None = None,
     options: ReadOptions | None = None,
     dask: str | None = None,
     progress: Progress | None = None,
@@ -44,7 +45,7 @@ def audit(
     Raises:
         ManipLearnError: Anything that is wrong with the robot, the constraint file, the recordings or the output.
     """
-    robot = robot_of_constraint(robot_name, constraint_file, package_dirs or [])
+    robot = robot_of_constraint(robot_name, constraint_file, package_dirs or [], objects)
     constraint = Constraint.load(constraint_file, robot)
     source = RecordingSource(recordings, robot, **(options or {}))
     with cluster_client(dask) as client:

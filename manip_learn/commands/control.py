@@ -73,6 +73,7 @@ def control(
     tolerance: float = 0.01,
     out: Path | None = None,
     package_dirs: list[str] | None = None,
+    objects: list[str] | None = None,
     progress: Progress | None = None,
 ) -> Controlled:
     """Simulate a controller and write the rollout to a file if one is named.
@@ -80,7 +81,7 @@ def control(
     Raises:
         ManipLearnError: Anything that is wrong with the robot, the constraint file, the numbers or the output.
     """
-    robot = robot_of_constraint(robot_name, constraint_file, package_dirs or [])
+    robot = robot_of_constraint(robot_name, constraint_file, package_dirs or [], objects)
     constraint = Constraint.load(constraint_file, robot)
     q0 = robot.neutral() if start is None else robot.checked_posture(start)
     _check_start(robot, q0)

@@ -10,13 +10,18 @@ from manip_learn.robot import load_robot
 from manip_learn.robot.robot_summary import RobotSummary, inspect_robot
 
 
-def inspect(robot_name: str, locked: list[str] | None = None, package_dirs: list[str] | None = None) -> RobotSummary:
+def inspect(
+    robot_name: str,
+    locked: list[str] | None = None,
+    package_dirs: list[str] | None = None,
+    objects: list[str] | None = None,
+) -> RobotSummary:
     """Load a robot and look at it.
 
     Raises:
         ManipLearnError: The robot cannot be loaded.
     """
-    return inspect_robot(load_robot(robot_name, package_dirs or [], locked or []))
+    return inspect_robot(load_robot(robot_name, package_dirs or [], locked or [], objects=objects or ()))
 
 
 def summary_dict(summary: RobotSummary) -> dict[str, Any]:

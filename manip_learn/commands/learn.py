@@ -9,7 +9,7 @@ from typing import Any, final, get_args
 from manip_learn.commands.cluster import cluster_client
 from manip_learn.commands.robot_loading import load_for_recordings, source_for_recordings
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeFrameJacobian
 from manip_learn.errors import FeatureError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.candidate import EstimatorName
@@ -74,6 +74,7 @@ def learn(
     recordings: list[str],
     *,
     frame: str | None = None,
+    relative_to: str | None = None,
     axes: str = "xyz",
     reference: str = "auto",
     n_constraints: int | None = None,
@@ -82,6 +83,7 @@ def learn(
     html: Path | None = None,
     locked: list[str] | None = None,
     package_dirs: list[str] | None = None,
+    objects: list[str] | None = None,
     seed: int = 0,
     points: int | None = None,
     phases: str = "auto",
@@ -93,6 +95,8 @@ def learn(
     progress: Progress | None = None,
 ) -> Learnt:
     """Learn a constraint from recordings; write it, and a replay of the recordings, to files if they are named.
+
+    With `relative_to` the velocity of the frame is seen from that other one, in its axes; `reference` does not count.
 
     Raises:
         FeatureError: Unknown axes or reference.
@@ -113,13 +117,17 @@ def learn(
     if progress is not None:
         progress("reading", 0.0)
     load = load_for_recordings if dask is None else source_for_recordings
-    robot, demos, chosen, notes = load(robot_name, recordings, frame, locked or [], package_dirs or [], options)
+    robot, demos, chosen, notes = load(
+        robot_name, recordings, frame, locked or [], package_dirs or [], options, objects or [], relative_to
+    )
     if isinstance(demos, Demonstrations) and (start is not None or until is not None):
         demos = Demonstrations([t[start:until] for t in demos], demos.notes)
     recorded = demos
     if points is not None and isinstance(demos, Demonstrations):
         demos = Demonstrations([subsample(t, points) for t in with_velocities(demos, robot)], demos.notes)
-    candidates = [FrameJacobian(robot, chosen, axes, r) for r in REFERENCES[reference]]
+    candidates: list[FeatureMap] = [FrameJacobian(robot, chosen, axes, r) for r in REFERENCES[reference]]
+    if relative_to is not None:
+        candidates = [RelativeFrameJacobian(robot, chosen, relative_to, axes)]
     most = min(min(c.n_rows, c.nv) for c in candidates)
     if n_constraints is not None and not 1 <= n_constraints <= most:
         raise FeatureError(f"--constraints must be between 1 and {most} for the axes {axes!r}, got {n_constraints}")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -57,3 +58,13 @@ def waiting(quiet: bool, what: str) -> Iterator[None]:
         return
     with console(stderr=True).status(what):
         yield
+
+
+def answer(as_json: bool, content: dict[str, Any], printer: str = "", value: Any = None) -> None:
+    """Print the answer of a command: one JSON document, or what the printer in `tables` makes of the value."""
+    if as_json:
+        print(json.dumps(finite(content), indent=2, allow_nan=False))
+        return
+    from manip_learn.commands import tables
+
+    getattr(tables, printer)(console(), value)

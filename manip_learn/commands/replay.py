@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from manip_learn.commands.control import robot_of_constraint
-from manip_learn.commands.robot_loading import load_for_joints
+from manip_learn.commands.robot_loading import load_for_joints, robot_of_constraint
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
@@ -16,6 +15,7 @@ from manip_learn.playback import ReplayResult
 from manip_learn.playback import replay as write_replay
 from manip_learn.playback.phase_bands import phases_from_json
 from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.load_demonstrations import ReadOptions
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import Robot, load_robot
 
@@ -27,7 +27,10 @@ def replay(
     html: Path | None = None,
     open_browser: bool = False,
     tip: str | None = None,
+    locked: list[str] | None = None,
     package_dirs: list[str] | None = None,
+    objects: list[str] | None = None,
+    options: ReadOptions | None = None,
     constraint_file: Path | None = None,
 ) -> ReplayResult:
     """Write a replay of rollouts (NPZ of `control`) or of recordings.
@@ -45,18 +48,18 @@ def replay(
     robot: Robot | None = None
     learnt: dict[str, Any] = {}
     if constraint_file is not None:
-        robot = robot_of_constraint(robot_name, str(constraint_file), dirs)
+        robot = robot_of_constraint(robot_name, str(constraint_file), dirs, objects)
         constraint = Constraint.load(constraint_file, robot)
         learnt = constraint.provenance
         tip = tip or getattr(constraint.features, "frame", None)
     for file in files:
         if _is_rollout(Path(file)):
             rollout = Rollout.load(file)
-            robot = robot or load_for_joints(robot_name, rollout.joint_names, package_dirs=dirs)
+            robot = robot or load_for_joints(robot_name, rollout.joint_names, locked or (), dirs, objects or ())
             named[_unique(Path(file).stem, named)] = rollout
         else:
-            robot = robot or load_robot(robot_name, dirs)
-            for trajectory in load_demonstrations(file, robot):
+            robot = robot or load_robot(robot_name, dirs, locked or (), objects=objects or ())
+            for trajectory in load_demonstrations(file, robot, **(options or {})):
                 named[_unique(trajectory.name, named)] = trajectory
     if robot is None or not named:
         raise RecordingError("name at least one rollout file; `manip-learn control ... --out rollout.npz` writes one")

@@ -43,6 +43,8 @@ def load_for_recordings(
     locked: Sequence[str] = (),
     package_dirs: Sequence[str] = (),
     options: ReadOptions | None = None,
+    objects: Sequence[str] = (),
+    relative_to: str | None = None,
 ) -> tuple[Robot, Demonstrations, str, list[str]]:
     """Robot, demonstrations, frame, and notes on joints that were locked because nothing is recorded for them.
 
@@ -52,7 +54,11 @@ def load_for_recordings(
     Raises:
         ManipLearnError: Any of the errors of loading robots and recordings.
     """
-    return _locking(name, frame, locked, package_dirs, lambda r: load_demonstrations(recordings, r, **(options or {})))
+
+    def loaded(robot: Robot) -> Demonstrations:
+        return load_demonstrations(recordings, robot, **(options or {}))
+
+    return _locking(name, frame, locked, package_dirs, objects, relative_to, loaded)
 
 
 def source_for_recordings(
@@ -62,6 +68,8 @@ def source_for_recordings(
     locked: Sequence[str] = (),
     package_dirs: Sequence[str] = (),
     options: ReadOptions | None = None,
+    objects: Sequence[str] = (),
+    relative_to: str | None = None,
 ) -> tuple[Robot, RecordingSource, str, list[str]]:
     """As `load_for_recordings`, for recordings larger than memory: the first is read, and joints locked by what it has.
 
@@ -74,27 +82,40 @@ def source_for_recordings(
         next(source.part(0))
         return source
 
-    return _locking(name, frame, locked, package_dirs, opened)
+    return _locking(name, frame, locked, package_dirs, objects, relative_to, opened)
 
 
 def _locking(
-    name: str, frame: str | None, locked: Sequence[str], package_dirs: Sequence[str], read: Callable[[Robot], Read]
+    name: str,
+    frame: str | None,
+    locked: Sequence[str],
+    package_dirs: Sequence[str],
+    objects: Sequence[str],
+    relative_to: str | None,
+    read: Callable[[Robot], Read],
 ) -> tuple[Robot, Read, str, list[str]]:
     """Robot, what was read for it, frame and notes, with the joints locked for which nothing is recorded."""
     held = list(locked)
-    robot = load_robot(name, package_dirs, held)
+    robot = load_robot(name, package_dirs, held, objects=objects)
     chosen = choose_frame(robot, frame)
+    frames = [chosen] if relative_to is None else [chosen, robot.frame(relative_to).name]
     notes: list[str] = []
     while True:
         try:
             return robot, read(robot), chosen, notes
         except RecordingError as error:
             joint = error.column
-            if error.code != "missing-joint" or joint not in robot.joint_names or robot.moves(joint, chosen):
+            if (
+                error.code != "missing-joint"
+                or joint not in robot.joint_names
+                or any(robot.moves(joint, f) for f in frames)
+            ):
                 raise
             held.append(joint)
-            robot = load_robot(name, package_dirs, held)
-            notes.append(f"joint {joint!r} is not recorded and does not move {chosen!r}: it was locked")
+            robot = load_robot(name, package_dirs, held, objects=objects)
+            notes.append(
+                f"joint {joint!r} is not recorded and does not move {' or '.join(map(repr, frames))}: it was locked"
+            )
 
 
 def load_for_joints(
@@ -102,13 +123,14 @@ def load_for_joints(
     joints: Sequence[str],
     locked: Sequence[str] | Mapping[str, float | None] = (),
     package_dirs: Sequence[str] = (),
+    objects: Sequence[str] = (),
 ) -> Robot:
     """The robot with just these joints moving; its other joints are locked.
 
     Raises:
         UnknownNameError: The robot lacks one of the joints.
     """
-    robot = load_robot(name, package_dirs, locked)
+    robot = load_robot(name, package_dirs, locked, objects=objects)
     if tuple(robot.joint_names) == tuple(joints):
         return robot
     for joint in joints:
@@ -116,12 +138,14 @@ def load_for_joints(
             raise UnknownNameError("joint", joint, robot.joint_names, f"robot {robot.name!r}")
     others = [j for j in robot.joint_names if j not in joints]
     if isinstance(locked, Mapping):
-        return load_robot(name, package_dirs, {**locked, **dict.fromkeys(others, None)})
-    return load_robot(name, package_dirs, [*locked, *others])
+        return load_robot(name, package_dirs, {**locked, **dict.fromkeys(others, None)}, objects=objects)
+    return load_robot(name, package_dirs, [*locked, *others], objects=objects)
 
 
-def robot_of_constraint(robot_name: str, constraint_file: str, package_dirs: list[str]) -> Robot:
-    """The robot with the joints locked that were locked when the constraint was learnt.
+def robot_of_constraint(
+    robot_name: str, constraint_file: str, package_dirs: list[str], objects: Sequence[str] | None = None
+) -> Robot:
+    """The robot with the joints locked that were locked when the constraint was learnt, and with the same objects.
 
     Raises:
         ConstraintMismatchError: The constraint was learnt on another robot.
@@ -129,10 +153,17 @@ def robot_of_constraint(robot_name: str, constraint_file: str, package_dirs: lis
     try:
         described = json.loads(Path(constraint_file).read_bytes()).get("robot") or {}
         joints, locked = list(described["joint_names"]), dict(described.get("locked", {}))
+        saved = [str(name) for name in described.get("objects", [])]
     except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError):
-        return load_robot(robot_name, package_dirs)  # Constraint.load says what is wrong with the file
+        # Constraint.load says what is wrong with the file
+        return load_robot(robot_name, package_dirs, objects=objects or ())
+    if objects and sorted(objects) != sorted(saved):
+        raise ConstraintMismatchError(
+            f"{constraint_file} was learnt with {_listed(saved)}, --object names {_listed(objects)}: leave "
+            "--object out, the file knows"
+        )
     try:
-        return load_for_joints(robot_name, joints, locked, package_dirs)
+        return load_for_joints(robot_name, joints, locked, package_dirs, saved)
     except UnknownNameError as error:
         if error.kind != "joint":
             raise
@@ -140,3 +171,7 @@ def robot_of_constraint(robot_name: str, constraint_file: str, package_dirs: lis
             f"{constraint_file} was made for robot {described.get('name')!r} with the joints "
             f"{', '.join(map(str, joints))}, {robot_name!r} lacks {error.name!r}: name the robot that it was learnt on"
         ) from error
+
+
+def _listed(objects: Sequence[str]) -> str:
+    return f"object(s) {', '.join(map(repr, objects))}" if objects else "no object"

@@ -143,6 +143,7 @@ class Constraint:
                 "nv": robot.nv,
                 "joint_names": list(robot.joint_names),
                 "locked": dict(robot.locked),
+                "objects": list(robot.objects),
             }
         return {
             "format": FORMAT,
@@ -251,7 +252,8 @@ def _check_robot(path: Path, content: dict[str, Any], robot: Robot, same_urdf: b
         named = ", ".join(map(str, joints)) if isinstance(joints, list) else repr(joints)
         raise ConstraintMismatchError(
             f"{path} was made for robot {saved.get('name')!r} with the joints {named}; "
-            f"{robot.name!r} has {', '.join(robot.joint_names)}: load that robot, with the same locked joints"
+            f"{robot.name!r} has {', '.join(robot.joint_names)}: load that robot, with the same locked joints "
+            "and objects"
         )
     if same_urdf and saved.get("fingerprint") != robot.fingerprint:
         raise ConstraintMismatchError(

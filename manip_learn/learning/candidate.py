@@ -137,7 +137,7 @@ def learn_candidate(
         RecordingError: Outliers.
     """
     samples = Samples.of(features, data)
-    check_fastest(samples, data, joint_names)
+    check_fastest(samples.u, data, joint_names)
     warnings = check_samples(samples, joint_names, settings.n_constraints)
     rng = np.random.default_rng(settings.seed)
     # what all samples refine afterwards need not be as good as these can make it

@@ -94,6 +94,9 @@ def divide(
         rng: For the comparisons with chance.
         phases: Whether to look for phases.
     """
+    widths = {t.u.shape[1] for t in demonstrations if t.u is not None}
+    if any(widths != {f.nv} for f in feature_maps):
+        return undivided(demonstrations, feature_maps)  # refused where the samples are collected
     usable = tuple(f for f in feature_maps if _moves(f, demonstrations))
     if not usable:
         return undivided(demonstrations, feature_maps)

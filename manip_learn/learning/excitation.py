@@ -33,18 +33,18 @@ def energy_shares(energy: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
     return energy / max(float(energy.sum()), np.finfo(np.float64).tiny)
 
 
-def check_fastest(samples: Samples, data: DataSummary, joint_names: Sequence[str]) -> None:
+def check_fastest(u: Float[np.ndarray, "n nv"], data: DataSummary, joint_names: Sequence[str]) -> None:
     """Refuse a velocity that is far out of line with all others.
 
     Args:
-        samples: All of them or an even choice, for what is usual.
+        u: Velocities of all samples or an even choice, for what is usual [rad/s].
         data: Of all of them.
         joint_names: For the message.
 
     Raises:
         RecordingError: There is one.
     """
-    speed = np.linalg.norm(samples.u, axis=1)
+    speed = np.linalg.norm(u, axis=1)
     fastest, (sample, trajectory) = data.fastest, data.fastest_at
     if not np.any(speed > 0.0):
         return

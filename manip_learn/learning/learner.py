@@ -19,6 +19,7 @@ from manip_learn.learning.calibration import JointOffsets
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
 from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, check_joints
 from manip_learn.learning.division import Division, Part, divide, undivided
+from manip_learn.learning.excitation import check_fastest
 from manip_learn.learning.overview import RecordingOverview
 from manip_learn.learning.report import LearningReport, build_report
 from manip_learn.linalg import one_thread
@@ -171,15 +172,15 @@ class ConstraintLearner:
 
         with one_thread():
             started = time.perf_counter()
+            everything = DataSummary.of(demonstrations)
+            check_fastest(everything.u, everything, demonstrations.joint_names)
             division = self._divide(demonstrations)
-            if progress is not None:
-                progress("learning", 0.5)
             try:
                 answers, refusals = self._answers(division, fit)
             except NotIdentifiableError as refusal:
                 raise advise(refusal, demonstrations, self._feature_maps, division, phases=self.phases) from refusal
             warnings = (*division.warnings, *refusals)
-            if progress is not None:
+            if progress is not None and client is None:
                 progress("learning", 1.0)
             self._conclude(answers, dataclasses.replace(division, warnings=warnings), demonstrations, started)
 

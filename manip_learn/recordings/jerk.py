@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.recordings.velocities import local_weights, noise_variance
+from manip_learn.recordings.local_fit import local_weights, noise_variance
 
 HALF_WIDTHS = (3, 4, 5, 7, 10, 15, 20, 30, 45)  # [samples]
 CLEAR = 5.0  # times the jerk that noise alone would leave: its peak is then that of the motion

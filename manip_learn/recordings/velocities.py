@@ -7,25 +7,20 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.local_fit import DEGREES, HALF_WIDTHS, best_window, fits, local_fit, noise_variance
+from manip_learn.recordings.pose_velocities import continuous_rotation_vectors, smooth_pose
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.joints import JointBlock
 from manip_learn.robot.robot import Robot
 
 VelocityMethod = Literal["auto", "midpoint", "smooth"]
 
-# half widths of the smoothing window [samples] and degrees of its polynomial among which "auto" chooses
-HALF_WIDTHS = (2, 3, 5, 7, 10, 15, 20, 30)
-DEGREES = (2, 3, 5)
-# noise averages out over the samples of a recording, bias does not
-BIAS_WEIGHT = 4.0
 # noise below this share of the motion's own step is what printing to 7 digits leaves: no smoothing needed
 CLEAN_SHARE = 1e-3
-# share of a window by which its time stamps may be off an even grid
-EVEN = 1e-9
-# windows among which degree and width are compared, spread over the trajectory
-COMPARED = 150
 # fewer samples leave no room for a window, or, if they are clean, for one that beats midpoints
 SHORT, SHORT_AND_CLEAN = 8, 24
 
@@ -44,7 +39,8 @@ def derive_velocities(
 
     Args:
         trajectory: Positions at increasing times; recorded velocities are not used.
-        robot: The robot; its continuous joints may wrap.
+        robot: The robot; its continuous joints may wrap. The velocity of a floating body is its twist in its own axes
+            (Pinocchio's convention for free-flyer joints), see `smooth_pose`.
         method: `"midpoint"`: ((q_t + q_t+1) / 2, dq / dt); `"smooth"`: a polynomial fitted to the samples of a window
             by least squares (Savitzky and Golay, 1964, here with true time stamps), value and slope at its centre;
             `"auto"`: smooth, but midpoint for very short trajectories and for short ones that are clean.
@@ -66,20 +62,55 @@ def derive_velocities(
     if method not in ("auto", "midpoint", "smooth"):
         raise RecordingError(f"velocities must be 'auto', 'midpoint' or 'smooth', not {method!r}", code="method")
     x = positions_along(trajectory, robot)
-    if x is None:  # a floating or planar base: differences on the manifold only
+    if x is None:  # a planar base: differences on the manifold only
         return _manifold_midpoints(trajectory, robot)
     time, T = trajectory.time, len(trajectory)
     if method == "auto":
         midpoint = T < SHORT or (T < SHORT_AND_CLEAN and _is_clean(time, x))
         method = "midpoint" if midpoint and half_width is None else "smooth"
+    bodies = [b for b in robot.blocks if b.kind == "floating"]
+    if method == "midpoint" and bodies:
+        return _manifold_midpoints(trajectory, robot)
     if method == "midpoint":
         slope = np.diff(x, axis=0) / np.diff(time)[:, None]
         return Trajectory(
             0.5 * (time[1:] + time[:-1]), 0.5 * (x[1:] + x[:-1]), slope, trajectory.joint_names, trajectory.name
         )
+    if bodies:
+        return _with_bodies(trajectory, robot, x, bodies, half_width, degree)
     m, d = _window(trajectory, x, half_width, degree)
     value, slope = local_fit(time, x, m, d)
     return Trajectory(time[m : T - m], value, slope, trajectory.joint_names, trajectory.name)
+
+
+def _with_bodies(
+    trajectory: Trajectory,
+    robot: Robot,
+    x: Float[np.ndarray, "T nv"],
+    bodies: Sequence[JointBlock],
+    half_width: int | None,
+    degree: int | None,
+) -> Trajectory:
+    """Joints and floating bodies, each with the window that its own noise asks for; as long as the widest allows."""
+    T, time = len(trajectory), trajectory.time
+    loose = {i for b in bodies for i in range(b.v.start, b.v.stop)}
+    fixed = np.array([i for i in range(robot.nv) if i not in loose], dtype=int)
+    parts: list[tuple[int, np.ndarray | slice, np.ndarray, np.ndarray]] = []
+    if fixed.size:
+        m, d = _window(trajectory, x[:, fixed], half_width, degree)
+        parts.append((m, fixed, *local_fit(time, x[:, fixed], m, d)))
+    for b in bodies:
+        m, d = _window(trajectory, x[:, b.v], half_width, degree)
+        position, rotation = x[:, b.v][:, :3], Rotation.from_rotvec(x[:, b.v][:, 3:])
+        parts.append((m, b.v, *smooth_pose(time, position, rotation, m, d)))
+    widest = max(m for m, *_ in parts)
+    q, u = np.empty((T - 2 * widest, robot.nv)), np.empty((T - 2 * widest, robot.nv))
+    for m, columns, value, slope in parts:
+        inner = slice(widest - m, widest - m + len(q))
+        q[:, columns], u[:, columns] = value[inner], slope[inner]
+    for b in bodies:
+        q[:, b.v.start + 3 : b.v.stop] = continuous_rotation_vectors(q[:, b.v.start + 3 : b.v.stop])
+    return Trajectory(time[widest : T - widest], q, u, trajectory.joint_names, trajectory.name)
 
 
 def _window(trajectory: Trajectory, x: np.ndarray, half_width: int | None, degree: int | None) -> tuple[int, int]:
@@ -94,7 +125,7 @@ def _window(trajectory: Trajectory, x: np.ndarray, half_width: int | None, degre
     if half_width is not None and degree is not None and 1 <= degree <= 2 * half_width:
         return half_width, degree
     longest = max(5, T // 3) if half_width is None else T
-    if T < 5 or not any(_fits(m, d, longest) for m in widths for d in degrees):
+    if T < 5 or not any(fits(m, d, longest) for m in widths for d in degrees):
         raise RecordingError(
             f"{trajectory.name}: no window of degree {' or '.join(map(str, degrees))} and half width "
             f"{' or '.join(map(str, widths))} fits {T} samples: leave the choice to the data, or use 'midpoint'",
@@ -129,8 +160,8 @@ def _note(before: Sequence[Trajectory], after: Sequence[Trajectory]) -> str:
 
 
 def positions_along(trajectory: Trajectory, robot: Robot) -> Float[np.ndarray, "T nv"] | None:
-    """Joint positions without jumps: continuous joints unwrapped. None for a robot with a floating or planar base."""
-    if any(b.kind in ("floating", "planar", "other") for b in robot.blocks):
+    """Joint positions without jumps: continuous joints and rotation vectors unwrapped. None with a planar base."""
+    if any(b.kind in ("planar", "other") for b in robot.blocks):
         return None
     x = trajectory.q
     if x.shape[1] != robot.nv:
@@ -140,81 +171,9 @@ def positions_along(trajectory: Trajectory, robot: Robot) -> Float[np.ndarray, "
         for b in robot.blocks:
             if b.kind == "continuous":
                 x[:, b.v] = np.unwrap(x[:, b.v], axis=0)
+            elif b.kind == "floating":
+                x[:, b.v.start + 3 : b.v.stop] = continuous_rotation_vectors(x[:, b.v.start + 3 : b.v.stop])
     return x
-
-
-def local_fit(
-    time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"], half_width: int, degree: int
-) -> tuple[Float[np.ndarray, "N nv"], Float[np.ndarray, "N nv"]]:
-    """Value and slope at the centre of each window of 2 half_width + 1 samples, by least squares."""
-    weights = local_weights(time, half_width, degree)
-    windows = np.lib.stride_tricks.sliding_window_view(x, 2 * half_width + 1, axis=0)  # (N, nv, W)
-    value, slope = np.einsum("ndw,njw->dnj", weights[:, :2], windows, optimize=True)
-    return value, slope
-
-
-def local_weights(time: np.ndarray, half_width: int, degree: int, stride: int = 1) -> Float[np.ndarray, "N d W"]:
-    """Weights for the coefficients of the polynomial fitted to each window, in powers of the time from its centre.
-
-    The coefficient of power 1 is a slope [1/s]; those of power k > 1 belong to time over the window's longest offset.
-    """
-    windows = np.lib.stride_tricks.sliding_window_view(time, 2 * half_width + 1)[::stride]
-    offset = windows - windows[:, half_width : half_width + 1]
-    scale = np.max(np.abs(offset), axis=1, keepdims=True)
-    n = len(offset)
-    if np.max(np.abs(offset - offset[0])) <= EVEN * np.min(scale):
-        offset, scale = offset[:1], scale[:1]  # evenly sampled: one window serves for all
-    powers = (offset / scale)[:, None, :] ** np.arange(degree + 1)[None, :, None]
-    weights = np.linalg.solve(powers @ powers.transpose(0, 2, 1), powers)
-    weights[:, 1] /= scale
-    return np.broadcast_to(weights, (n, *weights.shape[1:]))
-
-
-def best_window(
-    time: Float[np.ndarray, " T"],
-    x: Float[np.ndarray, "T nv"],
-    half_widths: Sequence[int] = HALF_WIDTHS,
-    degrees: Sequence[int] = DEGREES,
-    longest: int | None = None,
-) -> tuple[int, int]:
-    """Half width [samples] and degree whose slope has the smallest estimated error, all joints together."""
-    noise2 = noise_variance(time, x)
-    best, best_error = (half_widths[0], degrees[0]), np.inf
-    for m in half_widths:
-        if 2 * m + 1 > len(time):
-            break
-        stride = max(1, (len(time) - 2 * m) // COMPARED)
-        windows = np.lib.stride_tricks.sliding_window_view(x, 2 * m + 1, axis=0)[::stride]
-        for degree in degrees:
-            if not _fits(m, degree, longest or x.shape[0]):
-                continue
-            slope = local_weights(time, m, degree, stride)[:, 1]
-            richer = local_weights(time, m, degree + 2, stride)[:, 1] - slope
-            difference = np.einsum("nw,njw->nj", richer, windows, optimize=True)
-            # the difference of the two fits holds the bias and its own share of the noise: take that off again
-            own = np.mean(np.sum(richer**2, axis=1)) * noise2
-            bias2 = np.maximum(np.mean(difference**2, axis=0) - own, 0.0)
-            error = float(np.sum(BIAS_WEIGHT * bias2 + np.mean(np.sum(slope**2, axis=1)) * noise2))
-            if error < best_error:
-                best, best_error = (m, degree), error
-    return best
-
-
-def _fits(half_width: int, degree: int, longest: int) -> bool:
-    """Whether the window is short enough, and has samples enough for the richer polynomial that judges it."""
-    return degree + 3 <= 2 * half_width + 1 <= longest
-
-
-def noise_variance(time: np.ndarray, x: np.ndarray) -> Float[np.ndarray, " nv"]:
-    """Variance of white noise on the samples from what a local parabola through five points leaves over."""
-    windows_t = np.lib.stride_tricks.sliding_window_view(time, 5)
-    offset = windows_t - windows_t[:, 2:3]
-    powers = (offset / np.max(np.abs(offset), axis=1, keepdims=True))[:, None, :] ** np.arange(4)[None, :, None]
-    fit = powers.transpose(0, 2, 1) @ np.linalg.solve(powers @ powers.transpose(0, 2, 1), powers)
-    windows = np.lib.stride_tricks.sliding_window_view(x, 5, axis=0)
-    left = windows - np.einsum("nvw,njw->njv", fit, windows, optimize=True)
-    # a cubic leaves one degree of freedom of five; the median passes over the few places where the motion is not smooth
-    return np.median(np.sum(left**2, axis=2), axis=0) / 0.455
 
 
 def _is_clean(time: np.ndarray, x: np.ndarray) -> bool:

@@ -14,6 +14,7 @@ from manip_learn.robot.description.catalogue import find_robot
 from manip_learn.robot.description.description_file import expanded_xacro, read_description
 from manip_learn.robot.description.locking import Locked, names_of
 from manip_learn.robot.description.mjcf_reader import validate_mjcf
+from manip_learn.robot.description.objects import object_names
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.urdf_robot import robot_from_urdf, robot_from_validated
 
@@ -29,6 +30,7 @@ def load_robot(
     *,
     base: Base = "fixed",
     xacro: bool = False,
+    objects: Sequence[str] = (),
 ) -> Robot:
     """Load a robot by its name or from a file; nothing is repaired or ignored without a sentence in `Robot.warnings`.
 
@@ -40,6 +42,10 @@ def load_robot(
             None for that same place.
         base: Whether the root link is `"fixed"`, or free to move in space (`"floating"`) or in the plane (`"planar"`).
         xacro: Whether a .xacro file may be expanded. Off by default, since expanding runs its author's expressions.
+        objects: Names of things whose pose is recorded beside the joints, e.g. `("box",)`: each becomes a link of that
+            name on a floating joint of that name, which hangs on the root link, six more degrees of freedom
+            `box.x box.y box.z box.rx box.ry box.rz` (position [m] and rotation vector [rad] in the root link's frame)
+            without limits. No motor moves them: a controller that is given such a robot commands their twist too.
 
     Raises:
         UnknownNameError: No such robot, or a locked joint that does not exist; lists near matches.
@@ -55,8 +61,9 @@ def load_robot(
     if base not in ("fixed", *BASES):
         raise RobotError(f"base is {base!r}; it must be one of 'fixed', 'floating', 'planar'", code="base")
     root_joint = BASES[base]() if base in BASES else None
+    names = object_names(objects)
     content = expanded_xacro(path, allowed=xacro) if path.suffix == ".xacro" else read_description(path)
-    return robot_from_text(content, path, package_dirs=folders, locked=locked, root_joint=root_joint)
+    return robot_from_text(content, path, package_dirs=folders, locked=locked, root_joint=root_joint, objects=names)
 
 
 def robot_from_text(
@@ -66,6 +73,7 @@ def robot_from_text(
     package_dirs: Sequence[Path] = (),
     locked: Locked = (),
     root_joint: pin.JointModel | None = None,
+    objects: Sequence[str] = (),
 ) -> Robot:
     """Robot from the text of a URDF or an MJCF file; `path` is where it came from. See `load_robot`.
 
@@ -74,9 +82,13 @@ def robot_from_text(
         UnknownNameError: A locked joint that does not exist.
     """
     if not _is_mjcf(content):
-        return robot_from_urdf(content, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint)
+        return robot_from_urdf(
+            content, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint, objects=objects
+        )
     validated, urdf = validate_mjcf(content, path, names_of(locked))
-    return robot_from_validated(validated, urdf, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint)
+    return robot_from_validated(
+        validated, urdf, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint, objects=objects
+    )
 
 
 def _path(name: str | os.PathLike[str]) -> Path:

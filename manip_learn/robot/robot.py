@@ -57,6 +57,7 @@ class Robot:
         warnings: What was repaired or ignored while loading, one sentence each.
         description: Text of the URDF as it was read, xacro expanded; None if there was none.
         locked: Joints that are held still, and where [rad or m].
+        objects: Names of things that are no part of the robot and whose pose is recorded: floating joints.
     """
 
     def __init__(
@@ -71,6 +72,7 @@ class Robot:
         warnings: Sequence[str] = (),
         description: bytes | None = None,
         locked: Mapping[str, float] | None = None,
+        objects: Sequence[str] = (),
     ):
         self._model = model
         self.name: str = name or model.name
@@ -80,6 +82,7 @@ class Robot:
         self.mimics = tuple(mimics)
         self.description = description
         self.locked: dict[str, float] = dict(locked or {})
+        self.objects: tuple[str, ...] = tuple(objects)
         self._build_blocks()
         limits = joint_limits(model, self.blocks, self.mimics)
         self.position_lower, self.position_upper, self.velocity_limit = limits.lower, limits.upper, limits.velocity

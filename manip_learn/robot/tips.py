@@ -60,12 +60,12 @@ def default_tip(robot: Robot) -> str:
 
 
 def _joints_above(robot: Robot) -> dict[str, frozenset[int]]:
-    """Of each link the joints that move it."""
+    """Of each link of the robot itself the joints that move it."""
     model = robot.pinocchio_model
     return {
         f.name: frozenset(model.supports[f.parentJoint]) - {0}
         for f in model.frames
-        if f.type == pin.FrameType.BODY and f.name in robot.frame_names
+        if f.type == pin.FrameType.BODY and f.name in robot.frame_names and f.name not in robot.objects
     }
 
 

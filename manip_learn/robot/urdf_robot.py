@@ -19,6 +19,7 @@ from manip_learn.errors import RobotError
 from manip_learn.robot.description.kinematic_urdf import LARGE, kinematic_urdf
 from manip_learn.robot.description.locking import Locked, locked_positions, names_of, with_fixed
 from manip_learn.robot.description.mimic import Mimic
+from manip_learn.robot.description.objects import with_objects
 from manip_learn.robot.description.urdf_elements import UrdfFile
 from manip_learn.robot.description.validation import ValidatedRobot, validate_urdf
 from manip_learn.robot.robot import Robot
@@ -34,6 +35,7 @@ def robot_from_urdf(
     package_dirs: Sequence[Path] = (),
     locked: Locked = (),
     root_joint: pin.JointModel | None = None,
+    objects: Sequence[str] = (),
 ) -> Robot:
     """Robot from the text of a URDF.
 
@@ -43,6 +45,7 @@ def robot_from_urdf(
         package_dirs: Folders of mesh packages.
         locked: Joints to hold still; names, or names -> positions [rad or m].
         root_joint: Joint between the world and the root link; None if it is fixed.
+        objects: Names of things whose pose is recorded, see `load_robot`.
 
     Raises:
         RobotError: The description is invalid, or Pinocchio refuses it.
@@ -50,7 +53,13 @@ def robot_from_urdf(
     """
     validated = validate_urdf(content, path, names_of(locked))
     return robot_from_validated(
-        validated, content, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint
+        validated,
+        content,
+        path,
+        package_dirs=package_dirs,
+        locked=locked,
+        root_joint=root_joint,
+        objects=objects,
     )
 
 
@@ -62,14 +71,15 @@ def robot_from_validated(
     package_dirs: Sequence[Path] = (),
     locked: Locked = (),
     root_joint: pin.JointModel | None = None,
+    objects: Sequence[str] = (),
 ) -> Robot:
     """Robot from a validated description; `content` is kept as its description. See `robot_from_urdf`.
 
     Raises:
-        RobotError: Pinocchio refuses it, or a joint cannot be locked.
+        RobotError: Pinocchio refuses it, a joint cannot be locked, or an object has the name of a link or joint.
         UnknownNameError: A locked joint that does not exist.
     """
-    urdf, warnings = validated.urdf, list(validated.warnings)
+    urdf, warnings = with_objects(validated.urdf, objects), list(validated.warnings)
     if root_joint is not None and urdf.joint("root_joint") is not None:
         raise RobotError(
             f"{path}: a joint is called 'root_joint', the name of the moving base; rename it",
@@ -89,6 +99,7 @@ def robot_from_validated(
         fingerprint=_fingerprint(urdf, still, validated.mimics.followers, root_joint),
         mimics=[m for m in validated.mimics.followers if m.joint not in still],
         locked=still,
+        objects=objects,
         warnings=warnings,
     )
 

@@ -92,7 +92,8 @@ def time_offset(subject: Subject) -> None:
     """When the recordings were made does not matter."""
     motion = subject.motion()
     later = mapped(motion.demonstrations, time=lambda t: t.time + 1.7e9)
-    _must_equal(subject, subject.fitted(motion.features, motion.demonstrations), subject.fitted(motion.features, later))
+    expected = subject.fitted(motion.features, motion.demonstrations)
+    _must_equal(subject, expected, subject.fitted(motion.features, later), same_clock=False)
 
 
 def order_of_trajectories(subject: Subject) -> None:
@@ -144,10 +145,16 @@ def demonstrations_from_a_generator(subject: Subject) -> None:
     _must_equal(subject, subject.fitted(motion.features, (t for t in motion.demonstrations)), expected)
 
 
-def _must_equal(subject: Subject, one: Learner, other: Learner) -> None:
+def _must_equal(subject: Subject, one: Learner, other: Learner, *, same_clock: bool = True) -> None:
     if not np.array_equal(one.constraint_.selection, other.constraint_.selection):
         subject.broken("two answers that must be the same differ")
     reports = [dataclasses.replace(learner.report_, seconds=0.0) for learner in (one, other)]
+    if not same_clock:
+        # stamps of 1.7e9 s are known to 2e-7 s only: what is weighted by the steps between them differs in as much
+        strengths = [[row.strength for row in report.row_evidence] for report in reports]
+        if not np.allclose(*strengths, rtol=1e-3):
+            subject.broken("the evidence depends on the clock")
+        reports = [dataclasses.replace(report, phases=(), row_evidence=(), evidence="") for report in reports]
     if repr(reports[0]) != repr(reports[1]):  # NaN is not equal to itself
         subject.broken("two reports that must be the same differ")
 

@@ -25,6 +25,9 @@ SPLIT_GAIN = 1.4
 ODD_FACTOR = 2.5
 ODD_SPREAD = 6.0
 ODD_SHARE = 0.005
+# and by more than white noise on its velocities takes a random walk: its range exceeds 4 standard deviations of its end
+# in one of 10,000 trajectories
+ODD_NOISE = 4.0
 
 
 @final
@@ -95,10 +98,10 @@ def _agreement(
         held = np.isin(motion.trajectory, members)
         rows = refit(motion, held, len(rows), scale)
         scale = scale_of(motion, rows, held)
-        lengths, ways = drifts(motion, rows)
+        lengths, ways, noise = drifts(motion, rows)
         drift = lengths / np.maximum(ways, 1e-12)
         usual = float(np.median(drift[members]))
-        agrees = _agrees(lengths, drift, members)
+        agrees = _agrees(lengths, drift, members) | (lengths <= ODD_NOISE * noise)
         if not np.any(agrees):
             break
         members = np.flatnonzero(agrees)

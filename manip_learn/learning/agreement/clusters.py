@@ -67,16 +67,20 @@ def clusters_of(motion: PhaseMotion, among: Sequence[int], counts: Iterable[int]
 
 def drifts(
     motion: PhaseMotion, rows: Float[np.ndarray, "s r"]
-) -> tuple[Float[np.ndarray, " g"], Float[np.ndarray, " g"]]:
-    """How far each trajectory gets along the rows, and how far it gets at all [rad of a typical joint].
+) -> tuple[Float[np.ndarray, " g"], Float[np.ndarray, " g"], Float[np.ndarray, " g"]]:
+    """How far each trajectory gets along the rows, how far it gets at all, and how far white noise on its velocities
+    alone would take it along the rows: one standard deviation at its end [rad of a typical joint].
 
     Velocities are summed up before they are judged: what the noise adds averages out, a wrong direction does not.
     """
-    along, ways = np.zeros(motion.n_trajectories), np.zeros(motion.n_trajectories)
+    along, ways, noise = np.zeros((3, motion.n_trajectories))
     for i, (a, b) in enumerate(zip(motion.first[:-1], motion.first[1:], strict=True)):
-        way = np.cumsum(motion.rates[a:b] * motion.weight[a:b, None], axis=0)
+        steps = motion.rates[a:b] * motion.weight[a:b, None]
+        way = np.cumsum(steps, axis=0)
         along[i], ways[i] = _extent(way @ rows.T), _extent(way)
-    return np.maximum(along, 1e-12), ways
+        # of neighbours: what is common to them is motion
+        noise[i] = np.sqrt(0.5 * np.sum(np.diff(steps @ rows.T, axis=0) ** 2))
+    return np.maximum(along, 1e-12), ways, noise
 
 
 def _extent(way: Float[np.ndarray, "n k"]) -> float:
@@ -130,7 +134,7 @@ def _grown(motion: PhaseMotion, rows: Float[np.ndarray, "s r"], among: Sequence[
 
 
 def _totals(motion: PhaseMotion, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " g"]:
-    return np.bincount(motion.trajectory, values, minlength=motion.n_trajectories)
+    return np.bincount(motion.trajectory, values, minlength=motion.n_trajectories).astype(np.float64)
 
 
 def _samples_of(motion: PhaseMotion, members: Sequence[int]) -> Bool[np.ndarray, " n"]:

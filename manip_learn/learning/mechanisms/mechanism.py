@@ -66,6 +66,12 @@ class Mechanism:
                 object.__setattr__(self, what, vector)
         object.__setattr__(self, "uncertainty", MappingProxyType(dict(self.uncertainty)))
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Mechanism) and self.to_dict() == other.to_dict()
+
+    def __hash__(self) -> int:
+        return hash((self.type, self.name))
+
     def __reduce__(self):
         # a read-only view of a dictionary cannot be pickled
         values = (self.type, self.axis, self.point, self.radius, self.pitch, self.grip, self.orientation)

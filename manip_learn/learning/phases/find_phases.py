@@ -19,6 +19,7 @@ from manip_learn.recordings.trajectory import Trajectory
 SHORTEST_RECORDING = 1.5
 # one constraint fits if its levels are this much below the others, and so few samples move along its rows by so much
 CLEAR_GAP, FEW, BROKEN = 10.0, 0.02, 0.2
+NOISY = 3.0  # standard deviations of the velocities' noise, which break no row
 
 
 def needs_phases(features: FeatureMap | Sequence[FeatureMap], trajectories: Sequence[Trajectory]) -> bool:
@@ -51,7 +52,8 @@ def _one_fits(motion: PhaseMotion, nv: int) -> bool:
         rows, levels = fitted_rows(motion, motion.weight, s)
         if levels[s] < CLEAR_GAP * levels[s - 1]:
             continue
-        broken = broken_energy(motion, rows[None])[:, 0] > s * BROKEN**2 * motion.free
+        allowed = s * (BROKEN**2 * motion.free + NOISY**2 * motion.noise)
+        broken = broken_energy(motion, rows[None])[:, 0] > allowed
         if np.count_nonzero(broken & moving) <= FEW * np.count_nonzero(moving):
             return True
     return False

@@ -18,6 +18,9 @@ LEAST_GAP = 2.5
 # hypotheses of one number of rows that are scored, those with the clearest gaps
 MOST = 400
 
+# keeps what does not move at all positive definite
+TINY = 1e-200
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -47,7 +50,7 @@ def window_hypotheses(motion: PhaseMotion, largest: int, most: int = MOST) -> li
     if len(M) == 0:
         return out
     r = M.shape[1]
-    floor = 1e-9 * np.trace(S, axis1=1, axis2=2)[:, None, None] / r * np.eye(r)
+    floor = np.maximum(1e-9 * np.trace(S, axis1=1, axis2=2)[:, None, None] / r, TINY) * np.eye(r)
     inverse = np.linalg.inv(np.linalg.cholesky(S + floor))
     values, vectors = np.linalg.eigh(inverse @ M @ inverse.transpose(0, 2, 1))
     directions = np.matmul(vectors.transpose(0, 2, 1), inverse)  # rows x with x S x^T = 1
@@ -100,7 +103,7 @@ def fitted_rows(
     r = motion.rates.shape[1]
     M = (motion.rates * weights[:, None]).T @ motion.rates
     S = np.tensordot(weights, motion.gram, axes=1)
-    L = np.linalg.cholesky(S + 1e-9 * np.trace(S) / r * np.eye(r))
+    L = np.linalg.cholesky(S + max(1e-9 * np.trace(S) / r, TINY) * np.eye(r))
     inverse = np.linalg.inv(L)
     values, vectors = np.linalg.eigh(inverse @ M @ inverse.T)
     rows = np.linalg.qr((vectors[:, :s].T @ inverse).T)[0].T

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from manip_learn.errors import RecordingError, closest_names
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
+from manip_learn.recordings.validation.object_poses import with_rotation_vectors
 from manip_learn.robot import Robot
 
 LOCKED_MOTION = 0.02  # [rad or m], more than encoder noise
@@ -41,20 +42,22 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
         RecordingError: A joint without a column, a column without a joint, velocities for some joints only.
     """
     robot = request.robot
-    names = recording.position_names
     _refuse_repeated(recording)
+    recording = with_rotation_vectors(recording, robot.objects, in_degrees=request.units == "degrees")
+    names = recording.position_names
     missing = [j for j in robot.joint_names if j not in names]
     if missing:
         raise _missing(recording, robot, missing)
     notes = _surplus_notes(recording, robot)
+    velocities, said = _velocities(recording, robot)
     q = recording.positions[:, [names.index(j) for j in robot.joint_names]]
     return replace(
         recording,
         position_names=robot.joint_names,
         positions=q,
         velocity_names=robot.joint_names,
-        velocities=_velocities(recording, robot),
-        notes=(*recording.notes, *notes),
+        velocities=velocities,
+        notes=(*recording.notes, *notes, *said),
     )
 
 
@@ -74,6 +77,15 @@ def _missing(recording: Recording, robot: Robot, missing: list[str]) -> Recordin
     else:
         columns = ", ".join(map(repr, recording.position_names[:10])) or "none"
         hint = f"; it has {columns}"
+    thing = next((n for n in robot.objects if missing[0].startswith(f"{n}.")), None)
+    if thing is not None:
+        return recording.refusal(
+            "missing-object",
+            f"nothing is recorded for {shown}, the pose of object {thing!r}{hint}. It needs {thing}.x {thing}.y "
+            f"{thing}.z [m] and {thing}.rx {thing}.ry {thing}.rz (rotation vector [rad]) or {thing}.qx {thing}.qy "
+            f"{thing}.qz {thing}.qw; leave the object out if its pose was not recorded",
+            column=missing[0],
+        )
     locked = ", ".join(map(repr, missing))
     return recording.refusal(
         "missing-joint",
@@ -128,13 +140,16 @@ def _unmoved_note(recording: Recording, robot: Robot, name: str, values: np.ndar
     return note
 
 
-def _velocities(recording: Recording, robot: Robot) -> Float[np.ndarray, "T nv"] | None:
+def _velocities(recording: Recording, robot: Robot) -> tuple[Float[np.ndarray, "T nv"] | None, list[str]]:
     if recording.velocities is None:
-        return None
+        return None, []
     names = recording.velocity_names
     there = [j for j in robot.joint_names if j in names]
     if not there:
-        return None
+        return None, []
+    if robot.objects and not recording.trusted:
+        # a camera gives poses, and what a file calls their velocity may be in any frame
+        return None, ["recorded velocities are not used: those of objects and joints are derived alike from positions"]
     absent = [j for j in robot.joint_names if j not in names]
     if absent:
         ignored = ", ".join(repr(j + "_velocity") for j in there[:3])
@@ -144,4 +159,4 @@ def _velocities(recording: Recording, robot: Robot) -> Float[np.ndarray, "T nv"]
             f"record all, or none (ignore_columns=({ignored}, ...))",
             column=absent[0],
         )
-    return recording.velocities[:, [names.index(j) for j in robot.joint_names]]
+    return recording.velocities[:, [names.index(j) for j in robot.joint_names]], []

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
+from manip_learn.recordings.validation.object_poses import object_coordinates
 from manip_learn.robot import Robot
 
 NOTABLE = 1e-6  # [rad or m] beyond a limit
@@ -142,7 +143,8 @@ def _refuse_jumps(
 ) -> None:
     change, steps = np.abs(np.diff(q, axis=0)), np.diff(time)
     limit = np.where(np.isfinite(robot.velocity_limit), 10 * robot.velocity_limit, 50.0)
-    jump = angular & (change > JUMP) & (change > limit * steps[:, None])
+    # a rotation vector may jump where its rotation does not, close to a full turn
+    jump = angular & ~object_coordinates(robot) & (change > JUMP) & (change > limit * steps[:, None])
     if np.any(jump):
         sample, i = (int(k) for k in np.argwhere(jump)[0])
         turn = abs(change[sample, i] - 2 * np.pi) < 0.5

@@ -6,11 +6,13 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.pose_velocities import continuous_rotation_vectors
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, match_joints
 from manip_learn.recordings.validation.limit_checks import check_limits
+from manip_learn.recordings.validation.object_poses import object_coordinates
 from manip_learn.recordings.validation.time_checks import (
     bunched_note,
     doubt_slow_time,
@@ -97,14 +99,16 @@ def _in_radians(
         kept = f"; {', '.join(lengths)} taken as metres" if lengths else ""
         return q * factor, None if u is None else u * factor, [f"degrees converted to radians, as asked{kept}"]
     if request.units == "normalised":
-        lower, upper = robot.position_lower, robot.position_upper
+        # the pose of an object is in metres and radians whatever the unit of the motors
+        pose = object_coordinates(robot)
+        lower, upper = np.where(pose, -100.0, robot.position_lower), np.where(pose, 100.0, robot.position_upper)
         unlimited = [n for n, a, b in zip(robot.joint_names, lower, upper, strict=True) if not np.isfinite(b - a)]
         if unlimited:
             raise recording.refusal(
                 "units",
                 f"joint {unlimited[0]!r} has no limits, so its normalised values have no meaning: convert the file",
             )
-        if np.max(np.abs(q)) > 110.0:
+        if np.max(np.abs(q[:, ~pose]), initial=0.0) > 110.0:
             raise recording.refusal(
                 "units", f"values reach {np.max(np.abs(q)):.4g}: normalised ones are -100 .. 100; state other units"
             )
@@ -131,14 +135,29 @@ def _kept(recording: Recording, keep: np.ndarray) -> Recording:
 
 
 def _unwrapped(robot: Robot, q: Float[np.ndarray, "T nv"]) -> tuple[Float[np.ndarray, "T nv"], list[str]]:
+    q, poses = _continuous_poses(robot, q)
     columns = [b.v.start for b in robot.blocks if b.kind == "continuous"]
     wrapped = [i for i in columns if np.any(np.abs(np.diff(q[:, i])) > np.pi)]
     if not wrapped:
-        return q, []
+        return q, poses
     q = q.copy()
     q[:, wrapped] = np.unwrap(q[:, wrapped], axis=0)
     names = ", ".join(robot.joint_names[i] for i in wrapped)
-    return q, [f"continuous joint(s) {names}: full turns added where the angle wraps (the posture is the same)"]
+    return q, [*poses, f"continuous joint(s) {names}: full turns added where the angle wraps (the posture is the same)"]
+
+
+def _continuous_poses(robot: Robot, q: Float[np.ndarray, "T nv"]) -> tuple[Float[np.ndarray, "T nv"], list[str]]:
+    """Rotation vectors of objects without jumps."""
+    out, notes = q, []
+    for block in robot.blocks:
+        if block.name in robot.objects:
+            part = slice(block.v.start + 3, block.v.stop)
+            vectors = continuous_rotation_vectors(q[:, part])
+            if not np.array_equal(vectors, q[:, part]):
+                out = out.copy()
+                out[:, part] = vectors
+                notes.append(f"object {block.name!r}: full turns added where its rotation vector wraps (same pose)")
+    return out, notes
 
 
 def _split(

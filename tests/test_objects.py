@@ -1,0 +1,269 @@
+"""Objects whose pose is recorded: floating joints of a robot, their twists, and constraints relative to them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from conftest import chain_urdf
+from scipy.spatial.transform import Rotation
+
+import manip_learn as ml
+from manip_learn.cli import main
+from manip_learn.errors import ConstraintMismatchError, RecordingError, RobotError
+from manip_learn.recordings.pose_velocities import continuous_rotation_vectors
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot import Robot, load_robot
+from manip_learn.robot.tips import default_tip
+
+BOX = ("box.x", "box.y", "box.z", "box.rx", "box.ry", "box.rz")
+TIP = "right_gripper_tip"
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("sawyer", objects=("box",))
+
+
+@pytest.fixture(scope="module")
+def two_arms(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    """Two arms of six joints on one base, tips `left` and `right`, half a metre apart."""
+    joints = [("revolute", "0 0 1", "0 0 0.2", "0 0 0"), ("revolute", "0 1 0", "0.1 0 0.2", "0 0 0")]
+    joints += [("revolute", "0 1 0", "0.4 0 0", "0 0 0.1")]
+    joints += [("revolute", "1 0 0", "0.3 0 0", "0 0 0"), ("revolute", "0 1 0", "0.1 0 0", "0 0 0")]
+    joints += [("revolute", "0 0 1", "0.1 0 0", "0 0 0")]
+    text = chain_urdf("two", joints)
+    body = text[text.index(">") + 1 : text.rindex("</robot>")]
+    parts = []
+    for side, y in (("left", 0.25), ("right", -0.25)):
+        arm = body.replace('"link', f'"{side}_link').replace('"joint', f'"{side}_joint').replace('"base"', f'"{side}"')
+        arm = arm.replace('"tip', f'"{side}_tip')
+        mount = f'<joint name="{side}_mount" type="fixed"><parent link="torso"/><child link="{side}"/>'
+        parts.append(arm + mount + f'<origin xyz="0 {y} 0"/></joint>')
+    path = tmp_path_factory.mktemp("two") / "two.urdf"
+    path.write_text(f'<robot name="two"><link name="torso"/>{"".join(parts)}</robot>')
+    return load_robot(path)
+
+
+def smooth(rng: np.random.Generator, time: np.ndarray, n: int, size: float) -> np.ndarray:
+    """Sums of three sinusoids, shape (T, n)."""
+    w, phase = rng.uniform(0.5, 3.0, (3, n)), rng.uniform(0, 2 * np.pi, (3, n))
+    return size * np.sum(np.sin(w * time[:, None, None] + phase), axis=1) / 3.0
+
+
+def held_relative(
+    features: ml.RelativeFrameJacobian, free: np.ndarray, rng: np.random.Generator, n: int = 6
+) -> list[Trajectory]:
+    """Motions whose relative twist lies in the columns of `free`, with everything else moving as it likes."""
+    robot, trajectories = features.robot, []
+    for k in range(n):
+        time = np.arange(300) * 0.01
+        push, slide = smooth(rng, time, robot.nv, 0.5), smooth(rng, time, max(free.shape[1], 1), 0.3)
+        q = [robot.random_configuration(rng)]
+        for _ in range(3):  # a posture in the middle of the limits
+            q[0] = robot.configuration(0.5 * robot.positions(q[0]))
+        for i in range(len(time) - 1):
+            u = np.zeros(robot.nv)
+            for _ in range(2):  # the second time at the middle of the step
+                Phi = features(robot.integrate(q[i], 0.005 * u))
+                wanted = free @ slide[i, : free.shape[1]]
+                u = push[i] + np.linalg.pinv(Phi) @ (wanted - Phi @ push[i])
+            q.append(robot.integrate(q[i], 0.01 * u))
+        positions = np.array([robot.positions(row) for row in q])
+        trajectories.append(Trajectory(time, positions, None, robot.joint_names, f"motion {k}"))
+    return trajectories
+
+
+def test_an_object_is_a_floating_joint_on_the_root_link(robot: Robot) -> None:
+    """Six more coordinates without limits; the pose of its frame is what the six numbers say."""
+    plain = load_robot("sawyer")
+    assert robot.objects == ("box",) and plain.objects == ()
+    assert robot.nv == plain.nv + 6 and set(robot.joint_names) == {*plain.joint_names, *BOX}
+    columns = [robot.joint_names.index(n) for n in BOX]
+    assert np.all(np.isinf(robot.position_lower[columns])) and np.all(np.isinf(robot.position_upper[columns]))
+    assert np.all(np.isinf(robot.velocity_limit[columns]))
+    x = np.zeros(robot.nv)
+    x[columns] = 0.4, -0.2, 0.3, 0.1, 0.7, -0.5
+    pose = robot.pose(x, "box")
+    np.testing.assert_allclose(pose[:3, 3], x[columns][:3], atol=1e-12)
+    np.testing.assert_allclose(pose[:3, :3], Rotation.from_rotvec(x[columns][3:]).as_matrix(), atol=1e-12)
+
+
+def test_an_object_is_no_tip(robot: Robot) -> None:
+    """What `learn` and `replay` take for the tip of the arm does not change."""
+    plain = load_robot("sawyer")
+    assert ml.likely_tips(robot) == ml.likely_tips(plain) and default_tip(robot) == default_tip(plain)
+
+
+@pytest.mark.parametrize("names", [("",), ("right_l6",), ("right_j0",), ("a", "a"), (" a",), ("universe",), (3,)])
+def test_names_that_cannot_be_used(names) -> None:
+    """Empty, taken, repeated or reserved names are refused."""
+    with pytest.raises(RobotError) as caught:
+        load_robot("sawyer", objects=names)
+    assert caught.value.code == "object-name"
+
+
+def test_a_constraint_knows_its_objects(robot: Robot, tmp_path: Path) -> None:
+    """Saved and loaded with the same objects; refused without them, or with others."""
+    features = ml.RelativeFrameJacobian(robot, TIP, "box")
+    file = ml.Constraint(np.eye(6)[:5], features).save(tmp_path / "c.json")
+    assert json.loads(file.read_text())["robot"]["objects"] == ["box"]
+    q = robot.random_configuration(np.random.default_rng(0))
+    np.testing.assert_array_equal(ml.Constraint.load(file, load_robot("sawyer", objects=["box"]))(q), features(q)[:5])
+    for objects in ((), ("cup",), ("box", "cup")):
+        with pytest.raises(ConstraintMismatchError):
+            ml.Constraint.load(file, load_robot("sawyer", objects=objects))
+    assert load_robot("sawyer", objects=["box"]).fingerprint == robot.fingerprint != load_robot("sawyer").fingerprint
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_velocities_are_local_twists(robot: Robot, noise: float, rng: np.random.Generator) -> None:
+    """Derived velocities of an object agree with differences on the manifold, in Pinocchio's free-flyer convention."""
+    time = np.arange(400) * 0.01
+    x = smooth(rng, time, robot.nv, 0.5)
+    clean = [robot.configuration(row) for row in x]
+    rates = np.array([robot.difference(a, b) for a, b in zip(clean[:-2], clean[2:], strict=True)]) / 0.02
+    noisy = np.array([robot.positions(robot.integrate(q, noise * rng.standard_normal(robot.nv))) for q in clean])
+    derived = ml.derive_velocities(Trajectory(time, noisy, None, robot.joint_names), robot)
+    assert derived.u is not None
+    first = int(np.argmin(np.abs(time - derived.time[0])))
+    expected = rates[first - 1 : first - 1 + len(derived)]
+    np.testing.assert_allclose(derived.u[: len(expected)], expected, atol=2e-3 if noise == 0.0 else 0.08)
+    if noise == 0.0:
+        for k in (0, 150, 300):
+            step = robot.difference(derived.q[k], clean[first + k])
+            assert np.max(np.abs(step)) < 1e-4
+    else:  # differences of neighbours would be off by noise / dt
+        raw = np.array([robot.difference(a, b) for a, b in zip(noisy[:-2], noisy[2:], strict=True)]) / 0.02
+        error = np.std(derived.u[: len(expected)] - expected)
+        assert error < 0.3 * np.std(raw - rates)
+
+
+def test_a_constant_twist_is_found_exactly(robot: Robot) -> None:
+    """A screw motion pin.exp6(v t) has the LOCAL twist v throughout, also beyond half a turn."""
+    v = np.array([0.1, -0.05, 0.2, 0.3, 1.2, -0.6])
+    time = np.arange(300) * 0.01
+    columns = [robot.joint_names.index(n) for n in BOX]
+    start = pin.SE3(pin.exp3(np.array([0.3, 0.2, 0.1])), np.array([0.5, 0.1, 0.2]))
+    x = np.zeros((len(time), robot.nv))
+    for i, t in enumerate(time):
+        M = start * pin.exp6(pin.Motion(v * t))
+        x[i, columns] = np.concatenate([M.translation, pin.log3(M.rotation)])
+    derived = ml.derive_velocities(Trajectory(time, x, None, robot.joint_names), robot)
+    assert derived.u is not None
+    np.testing.assert_allclose(derived.u[:, columns], np.tile(v, (len(derived), 1)), atol=1e-4)
+
+
+def test_rotation_vectors_are_continuous(rng: np.random.Generator) -> None:
+    """Through half a turn the rotation stays the same and the vector does not jump."""
+    angle = np.linspace(0.0, 5.5, 200)
+    axis = np.array([0.6, 0.0, 0.8])
+    wrapped = Rotation.from_rotvec(angle[:, None] * axis).as_rotvec()
+    assert np.max(np.abs(np.diff(wrapped, axis=0))) > 1.0
+    np.testing.assert_allclose(continuous_rotation_vectors(wrapped), angle[:, None] * axis, atol=1e-9)
+
+
+def write(path: Path, names: list[str], columns: np.ndarray, time: np.ndarray) -> Path:
+    np.savetxt(path, np.column_stack([time, columns]), delimiter=",", header=",".join(["time", *names]), comments="")
+    return path
+
+
+def test_poses_are_read_as_rotation_vectors_or_quaternions(robot: Robot, tmp_path: Path) -> None:
+    """Both spellings give the same poses; a quaternion that changes its sign, and half a turn, leave no jump."""
+    time = np.arange(200) * 0.01
+    x = smooth(np.random.default_rng(2), time, robot.nv, 0.3)
+    columns = [robot.joint_names.index(n) for n in BOX]
+    x[:, columns[3:]] = np.linspace(0.5, 5.0, 200)[:, None] * [0.0, 0.6, 0.8]
+    rotations = Rotation.from_rotvec(x[:, columns[3:]])
+    wrapped = x.copy()
+    wrapped[:, columns[3:]] = rotations.as_rotvec()
+    names = list(robot.joint_names)
+    a = ml.load_demonstrations(write(tmp_path / "a.csv", names, wrapped, time), robot)
+    quaternions = rotations.as_quat(canonical=True)
+    others = [i for i in range(robot.nv) if i not in columns[3:]]
+    spelt = [names[i] for i in others] + ["box.qx", "box.qy", "box.qz", "box.qw"]
+    b = ml.load_demonstrations(write(tmp_path / "b.csv", spelt, np.hstack([x[:, others], quaternions]), time), robot)
+    in_degrees = np.hstack([x[:, others[:3]], np.degrees(x[:, others[3:]]), quaternions])  # the first three are lengths
+    c = ml.load_demonstrations(write(tmp_path / "c.csv", spelt, in_degrees, time), robot, degrees=True)
+    for demos in (a, b, c):
+        assert np.max(np.abs(np.diff(demos[0].q, axis=0))) < 0.1
+        ours = Rotation.from_rotvec(demos[0].q[:, columns[3:]])
+        assert np.max((ours.inv() * rotations).magnitude()) < 1e-9
+        np.testing.assert_allclose(demos[0].q[:, others], x[:, others], atol=1e-12)
+    assert any("quaternions" in note for note in b.notes)
+
+
+def test_poses_that_cannot_be_read(robot: Robot, tmp_path: Path) -> None:
+    """No pose, part of a quaternion, one that is not of length 1: each says what is needed."""
+    time = np.arange(50) * 0.01
+    joints = [n for n in robot.joint_names if n not in BOX]
+    arm = smooth(np.random.default_rng(3), time, len(joints), 0.3)
+    pose = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (50, 1))
+    spelt = [*joints, *BOX[:3], "box.qx", "box.qy", "box.qz", "box.qw"]
+    cases = {
+        "missing-object": (joints, arm),
+        "partial-quaternion": (spelt[:-1], np.hstack([arm, pose[:, :-1]])),
+        "quaternion": (spelt, np.hstack([arm, pose * [1, 1, 1, 1, 1, 1, 0.5]])),
+    }
+    for code, (names, columns) in cases.items():
+        with pytest.raises(RecordingError, match="box") as caught:
+            ml.load_demonstrations(write(tmp_path / f"{code}.csv", names, columns, time), robot)
+        assert caught.value.code == code
+
+
+def test_recorded_joint_velocities_give_way_to_derived_ones(robot: Robot, tmp_path: Path) -> None:
+    """An arm records velocities, a camera does not: all are derived alike, and it is said."""
+    time = np.arange(50) * 0.01
+    x = smooth(np.random.default_rng(4), time, robot.nv, 0.2)
+    joints = [n for n in robot.joint_names if n not in BOX]
+    own = [robot.joint_names.index(n) for n in joints]
+    names = [*robot.joint_names, *(f"{n}_velocity" for n in joints)]
+    file = write(tmp_path / "v.csv", names, np.hstack([x, np.gradient(x[:, own], 0.01, axis=0)]), time)
+    demos = ml.load_demonstrations(file, robot)
+    assert demos[0].u is None and any("recorded velocities are not used" in note for note in demos.notes)
+
+
+@pytest.mark.parametrize("free", [(), (0,), (5,), (0, 5)], ids=["all held", "slides", "turns", "slides and turns"])
+def test_a_tool_held_on_a_moving_box(robot: Robot, free: tuple[int, ...]) -> None:
+    """All rows of the relative twist are held but those that are free, while tool and box both move in the world."""
+    features = ml.RelativeFrameJacobian(robot, TIP, "box", "pose")
+    directions = np.eye(6)[:, list(free)]
+    demos = held_relative(features, directions, np.random.default_rng(5))
+    learner = ml.ConstraintLearner(features, 6 - len(free) if not free else None, estimator="null-space").fit(demos)
+    constraint = learner.constraint_
+    assert constraint.n_constraints == 6 - len(free)
+    assert np.max(np.abs(constraint.selection @ directions), initial=0.0) < 2e-3
+
+
+def test_two_arms_carry_one_object(two_arms: Robot) -> None:
+    """Two tips of one robot: their relative twist is held but for a hinge between them, whatever the object does."""
+    features = ml.RelativeFrameJacobian(two_arms, "left_tip", "right_tip", "pose")
+    hinge = np.array([[0.0, 0.0, 0.0, 0.0, 0.6, 0.8]]).T
+    demos = held_relative(features, hinge, np.random.default_rng(6))
+    learner = ml.ConstraintLearner(features, estimator="null-space").fit(demos)
+    assert learner.constraint_.n_constraints == 5
+    assert np.max(np.abs(learner.constraint_.selection @ hinge)) < 2e-3
+
+
+def test_command_line(robot: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Learn relative to a recorded object, audit by it, inspect; the file names its objects, another one is refused."""
+    features = ml.RelativeFrameJacobian(robot, TIP, "box", "pose")
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for i, t in enumerate(held_relative(features, np.eye(6)[:, [5]], np.random.default_rng(7))):
+        write(folder / f"demo_{i}.csv", list(t.joint_names), t.q, t.time)
+    file = str(tmp_path / "held.json")
+    words = ["learn", "sawyer", str(folder), "--object", "box", "--frame", TIP, "--relative-to", "box"]
+    assert main([*words, "--axes", "pose", "--estimator", "null-space", "--out", file, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["n_constraints"] == 5
+    assert main(["audit", "sawyer", file, str(folder), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["n_episodes"] == 6
+    assert main(["audit", "sawyer", file, str(folder), "--object", "cup"]) == 2
+    assert "'cup'" in capsys.readouterr().err
+    assert main(["inspect", "sawyer", "--object", "box", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["nv"] == robot.nv
+    page = ["replay", "sawyer", str(folder / "demo_0.csv"), "--object", "box", "--html", str(tmp_path / "r.html")]
+    assert main([*page, "--json"]) == 0
