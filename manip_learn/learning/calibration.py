@@ -27,7 +27,7 @@ from manip_learn.linalg import batch_row_spaces, complement_rows, inverse_triang
 # offsets to be thought of [rad]: from an encoder's rounding to what the eye sees
 TAU_RANGE = (1e-6, 3e-2)
 TAU_STEPS = 60
-MOST_SAMPLES = 2000  # enough to see offsets
+MOST_SAMPLES = 5000  # enough to see offsets
 UNSEEN = 1e-12  # share of the largest curvature below which a combination of offsets shows nowhere
 
 
@@ -70,10 +70,8 @@ class JointOffsets:
         pattern = np.where(curvatures > 0.0, V.T @ (rest.T @ e), 0.0)
         seen = curvatures > 0.0
         left = float(e @ e) - float(np.sum(pattern[seen] ** 2 / curvatures[seen]))
-        # the share of the samples that was looked at stands for all
-        return JointOffsets(
-            response[:, :-1], V, every * curvatures, every * pattern, max(left, 1e-12 * float(e @ e)) / freedom
-        )
+        # neither curvature nor pattern is scaled up to all samples: chance in the pattern would look like offsets
+        return JointOffsets(response[:, :-1], V, curvatures, pattern, max(left, 1e-12 * float(e @ e)) / freedom)
 
     def errors(self, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n m"]:
         """Draws of the error of B that the offsets make, given the data."""
