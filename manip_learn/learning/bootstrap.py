@@ -8,12 +8,15 @@ from typing import final
 import numpy as np
 from jaxtyping import Float, Int
 
+from manip_learn.learning.calibration import JointOffsets
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import complement_rows, row_space_angles
 
-# share of the mean curvature added to each direction, so that a trajectory that alone determines a direction has no
-# unbounded influence on it when it is left out
+# least share of the residual that is left where a trajectory alone determines a direction, so that its influence on
+# that direction is bounded
 LEVERAGE_FLOOR = 1e-3
+# curvature over the largest, each unknown scaled to its own, below which a direction is rounding
+UNDETERMINED = 1e-12
 
 
 def bootstrap_angle_deg(
@@ -24,13 +27,14 @@ def bootstrap_angle_deg(
     rng: np.random.Generator,
     repetitions: int = 200,
     quantile: float = 0.68,
+    offsets: JointOffsets | None = None,
 ) -> float | None:
     """Angle [deg] within which a share of the repetitions keeps the row space of Lambda.
 
     Each repetition draws trajectories with replacement, because samples of one trajectory are not independent, and
-    moves Lambda by the sum of their influences. The influence of a trajectory is the Gauss-Newton step that Lambda
-    makes when it is left out: its residual in the fit to all data would be too small, the more so the fewer
-    trajectories there are and the more freedom the policy model has.
+    moves Lambda by the sum of their influences. The influence of a trajectory is its share of the Gauss-Newton step,
+    corrected for its leverage: its residual in the fit to all data is too small, the more so the fewer trajectories
+    there are and the more freedom the policy model has.
 
     Args:
         samples: What was recorded.
@@ -41,6 +45,7 @@ def bootstrap_angle_deg(
         rng: For the draws.
         repetitions: How many.
         quantile: Share of the repetitions.
+        offsets: What the residual says about the joints' offsets, whose error comes on top.
 
     Returns:
         The angle; None with fewer than two trajectories or no freedom.
@@ -56,19 +61,32 @@ def bootstrap_angle_deg(
     freedom = max(float(energy.sum() ** 2 / np.sum(energy**2)), 2.0)
     spread = np.sqrt(rng.chisquare(freedom, size=repetitions) / freedom)
     steps = (-weights @ influence) / spread[:, None]
+    if offsets is not None:
+        steps = steps + offsets.errors(repetitions, rng)
     turns = steps.reshape(repetitions, s, r - s) @ complement_rows(whitened_selection)
     angles = row_space_angles((whitened_selection + turns) @ samples.whitening, samples.selection(whitened_selection))
     return float(np.degrees(np.quantile(angles, quantile)))
 
 
 def _influences(gradients: Float[np.ndarray, "g d"], hessians: Float[np.ndarray, "g d d"]) -> Float[np.ndarray, "g d"]:
-    """Step from the optimum when each is left out, centred: their covariance is the jackknife's."""
+    """Contribution of each trajectory to the error, centred, its residual corrected for the leverage on the fit.
+
+    In coordinates where the sum of the Hessians is I, the gradient of a trajectory at the optimum has the covariance
+    sigma^2 H_i (I - H_i), since the fit follows its own data; (I - H_i)^(-1/2) restores sigma^2 H_i (bias-reduced
+    linearisation, Bell and McCaffrey, 2002; HC2 where a trajectory has one sample).
+    """
     n, d = gradients.shape
     total = hessians.sum(axis=0)
     size = np.sqrt(np.maximum(np.diag(total), np.finfo(np.float64).tiny))
-    rest = (total - hessians) / np.outer(size, size) + LEVERAGE_FLOOR / n * np.eye(d)
-    steps = np.linalg.solve(rest, (gradients / size)[:, :, None])[:, :, 0] / size
-    return np.sqrt((n - 1.0) / n) * (steps - steps.mean(axis=0))
+    values, vectors = np.linalg.eigh(total / np.outer(size, size))
+    kept = values > UNDETERMINED * values[-1]
+    back = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
+    steps = np.empty((n, d))
+    for i in range(n):
+        share, axes = np.linalg.eigh(back.T @ hessians[i] @ back)
+        free = np.maximum(1.0 - share, LEVERAGE_FLOOR)
+        steps[i] = back @ (axes @ ((axes.T @ (back.T @ gradients[i])) / np.sqrt(free)))
+    return np.sqrt(n / (n - 1.0)) * (steps - steps.mean(axis=0))
 
 
 def _whitener(influence: Float[np.ndarray, "g m"]) -> Float[np.ndarray, "m m"]:

@@ -154,7 +154,7 @@ def _estimate(
     if settings.estimator == "null-space":
         return estimate_null_space(samples, settings.n_constraints)
     if settings.estimator == "joint":
-        return estimate_joint(start, settings.n_constraints, rng, settings.policy_model)
+        return estimate_joint(start, settings.n_constraints, rng, settings.policy_model, isotropic=start is not samples)
     if settings.estimator == "separate":
         from manip_learn.learning.estimators.separation import estimate_separate
 
@@ -171,7 +171,9 @@ def _select_estimator(
         return null_space
     s = null_space.whitened_selection.shape[0]
     try:
-        joint = estimate_joint(start, settings.n_constraints, rng, settings.policy_model, EXPLAINED)
+        joint = estimate_joint(
+            start, settings.n_constraints, rng, settings.policy_model, EXPLAINED, isotropic=start is not samples
+        )
     except NotIdentifiableError:
         return null_space  # no policy model predicts this motion: the evidence is how little some directions are used
     # both explain the motion: it is held if the held directions show no more than the noise

@@ -15,6 +15,7 @@ from manip_learn.errors import FeatureError, NotIdentifiableError, NumberOfConst
 from manip_learn.learning.advice import advise, advise_in_general
 from manip_learn.learning.answer import Answer, Fit, find_answer
 from manip_learn.learning.bootstrap import bootstrap_angle_deg
+from manip_learn.learning.calibration import JointOffsets
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
 from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, check_joints
 from manip_learn.learning.division import Division, Part, divide, undivided
@@ -241,7 +242,11 @@ class ConstraintLearner:
     def _uncertainty(self, best: Candidate) -> float | None:
         """Of the row space [deg]."""
         e = best.estimate
-        return bootstrap_angle_deg(best.samples, e.whitened_selection, e.gradients, e.hessians, best.rng)
+        constrained = e.name == "null-space"
+        offsets = JointOffsets.of(best.samples, e.whitened_selection) if constrained else None
+        return bootstrap_angle_deg(
+            best.samples, e.whitened_selection, e.gradients, e.hessians, best.rng, offsets=offsets
+        )
 
     def _conclude(
         self, answers: Sequence[Answer], division: Division, demonstrations: Demonstrations, started: float

@@ -54,6 +54,7 @@ class Samples:
         trajectory: Trajectory of each sample, counted from 0, shape (n,).
         whitening: W, shape (p', p), with Phi' = W Phi.
         centre, spread: x = (q - centre) / spread.
+        mixing: M, where Phi stands for Phi M, shape (nv, nv); None for the unit matrix.
     """
 
     features: FeatureMap
@@ -63,6 +64,7 @@ class Samples:
     whitening: Float[np.ndarray, "r p"]
     centre: Float[np.ndarray, " nq"]
     spread: Float[np.ndarray, " nq"]
+    mixing: Float[np.ndarray, "nv nv"] | None = None
     _kept: list[np.ndarray] = field(default_factory=list, repr=False)
 
     @staticmethod
@@ -96,7 +98,7 @@ class Samples:
         for block in raw.blocks():
             S += np.einsum("niv,njv->ij", block.Phi, block.Phi, optimize=True)
         whitening = _whitening(S / len(raw), features)
-        return Samples(features, data.q, data.u, trajectory, whitening, centre, spread, raw._kept)
+        return Samples(features, data.q, data.u, trajectory, whitening, centre, spread, None, raw._kept)
 
     def __len__(self) -> int:
         return int(self.u.shape[0])
@@ -130,12 +132,15 @@ class Samples:
             x = (self.q[part] - self.centre) / self.spread
             n, p, nv = raw.shape
             Phi = (self.whitening @ raw.transpose(1, 0, 2).reshape(p, n * nv)).reshape(-1, n, nv).transpose(1, 0, 2)
+            if self.mixing is not None:
+                Phi = Phi @ self.mixing
             yield Block(Phi, self.u[part], x, self.trajectory[part])
 
     def subset(self, keep: np.ndarray) -> Samples:
         """The samples where the mask is true, in the same whitened coordinates."""
         _, trajectory = np.unique(self.trajectory[keep], return_inverse=True)
-        return Samples(self.features, self.q[keep], self.u[keep], trajectory, self.whitening, self.centre, self.spread)
+        scale = (self.whitening, self.centre, self.spread, self.mixing)
+        return Samples(self.features, self.q[keep], self.u[keep], trajectory, *scale)
 
     def selection(self, whitened_selection: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "s p"]:
         """Lambda in the basis of the features' own rows, orthonormal, from Lambda W^+ in whitened coordinates."""

@@ -2,43 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, final
-
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.estimators.conditional_pca import conditional_pca
 from manip_learn.learning.estimators.estimate import Estimate, GapTable, gaps_of_residuals
+from manip_learn.learning.estimators.model_search import (
+    COMPARE,
+    ROUNDING,
+    SCAN_COLUMNS,
+    WORTH,
+    CrossValidatedFit,
+    cross_validate,
+    has_enough,
+    is_better,
+    null_energy,
+    search_model,
+)
+from manip_learn.learning.estimators.noise_covariance import whitened, whitening_factor
 from manip_learn.learning.estimators.per_trajectory_offsets import estimate_with_offsets, offsets_if_clear
-from manip_learn.learning.estimators.policy_model import PolicyModel, PolynomialModel, RadialModel
-from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, held_out_cost, scores
+from manip_learn.learning.estimators.policy_model import HarmonicModel, PolicyModel, PolynomialModel, RadialModel
+from manip_learn.learning.estimators.row_count import POOR, drop_doubtful_rows
+from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, scores
 from manip_learn.learning.samples import Samples
 
-N_FOLDS = 5
 N_CENTRES = 32
 RANDOM_STARTS = 2
-# a richer model must lower the held-out cost by this factor to be worth its parameters
-WORTH = 0.8
-ROUNDING = 1e-24
-VANISHING = 1e-16
-# share of left-out motion that no model explains from which it is worth asking whether each trajectory has its own
-POOR = 0.03
 # models are compared on at most this many samples, and fitted with at most this many columns unless asked for
 COMPARE_LIMIT = 1_500
-MAX_COLUMNS = 120
-# enough steps to compare
-COMPARE: dict[str, Any] = {"max_iterations": 8, "gain": 1e-4}
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class CrossValidatedFit:
-    """A fit with its cross-validated cost."""
-
-    fit: JointFit
-    held_out: float  # mean |Z^T (u - pi)|^2 on left-out trajectories
+MAX_COLUMNS = 260
+# share of the energy below which a residual is rounding
+NOTHING = 1e-20
 
 
 def estimate_joint(
@@ -47,6 +42,8 @@ def estimate_joint(
     rng: np.random.Generator,
     policy_model: str = "auto",
     unexplained: float = np.inf,
+    *,
+    isotropic: bool = False,
 ) -> Estimate:
     """Number of rows and policy model by cross-validation over trajectories, then variable projection on all data.
 
@@ -54,9 +51,11 @@ def estimate_joint(
         samples: What was recorded.
         n_constraints: Number of rows; found from the data by default.
         rng: For k-means and the random starts.
-        policy_model: `"auto"` (tries them all), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"` or `"rbf"`; or
+        policy_model: `"auto"` (tries them all), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"`, `"quartic"`,
+            `"quintic"` or `"rbf"`; or
             `"affine-offset"`: affine, with an offset per trajectory, where demonstrators rest in different postures.
         unexplained: Held-out share of the energy above which to give up before the expensive part.
+        isotropic: Take the noise as equally strong in all joints, whatever the residual says: for a fit that goes on.
 
     Raises:
         NotIdentifiableError: One trajectory only, too few samples for even the smallest model, or given up.
@@ -71,42 +70,41 @@ def estimate_joint(
         return estimate_with_offsets(samples, n_constraints, rng)
     few = _subsample(samples)
     models = _list_models(few, rng, policy_model)
-    usable = _scan_counts(few, models[:2])
+    usable = _scan_counts(few, [one for one in models[:2] if one.n_terms * few.nv <= SCAN_COLUMNS] or models[:1])
     if n_constraints is None and len(usable) < 2 or (n_constraints is not None and n_constraints not in usable):
         raise NotIdentifiableError(
             f"{len(samples)} samples are too few for the joint estimator on {samples.n_rows} rows and {samples.nv} "
             "joints: record more trajectories, or name fewer axes",
             code="too-few-samples",
         )
-    table = _build_table(few, usable)
+    table, doubts = _count_rows(few, usable) if n_constraints is None else (_build_table(few, usable), ())
     s = n_constraints or table.best
-    chosen, residuals = _climb_models(few, s, models, usable[s])
-    if policy_model == "auto" and chosen.held_out > POOR * _null_energy(samples, chosen.fit):
+    chosen, residuals = search_model(few, s, models, usable[s])
+    if policy_model == "auto" and chosen.held_out > POOR * null_energy(samples, chosen.fit):
         own = offsets_if_clear(samples, n_constraints, rng, chosen.fit.whitened_selection)
         if own is not None:
             return own
-    if chosen.held_out > unexplained * _null_energy(samples, chosen.fit):
+    if chosen.held_out > unexplained * null_energy(samples, chosen.fit):
         raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
     fit = _fit_from_random_starts(samples, chosen.fit, rng)
-    gradients, hessians = scores(samples, fit)
+    # the covariance of the residual is that of the noise only where the policy model explains the motion
+    is_explained = chosen.held_out <= POOR * null_energy(samples, chosen.fit)
+    own_samples, fit = _fit_whitened(samples, fit) if is_explained and not isotropic else (samples, fit)
+    gradients, hessians = scores(own_samples, fit)
     return Estimate(
         "joint",
         fit.whitened_selection,
         table,
-        fit.cost / _null_energy(samples, fit),
-        chosen.held_out / _null_energy(samples, chosen.fit),
+        fit.cost / null_energy(own_samples, fit),
+        chosen.held_out / null_energy(samples, chosen.fit),
         gradients,
         hessians,
         fit.model.name,
         residuals,
         noise=chosen.held_out / (samples.nv - s),
+        warnings=doubts,
         joint=fit,
     )
-
-
-def _null_energy(samples: Samples, fit: JointFit) -> float:
-    """Energy that there is to explain; without any null-space motion, rounding is not held against the model."""
-    return max(fit.energy, VANISHING * samples.energy)
 
 
 def _subsample(samples: Samples) -> Samples:
@@ -130,7 +128,9 @@ def _list_models(samples: Samples, rng: np.random.Generator, name: str) -> list[
                 code="policy-model",
             )
         return [PolynomialModel(PolynomialModel.NAMES.index(name), m)]
-    models = [PolynomialModel(1, m), PolynomialModel(2, m), PolynomialModel(3, m), _make_radial(samples, rng)]
+    models: list[PolicyModel] = [PolynomialModel(degree, m) for degree in range(1, 6)]
+    models += [HarmonicModel(samples.spread, 1), HarmonicModel(samples.spread, 2), _make_radial(samples, rng)]
+    models.sort(key=lambda model: model.n_terms)
     return [models[0]] + [model for model in models[1:] if model.n_terms * samples.nv <= MAX_COLUMNS]
 
 
@@ -144,7 +144,7 @@ def _list_counts(samples: Samples) -> range:
 
 def _scan_counts(samples: Samples, models: list[PolicyModel]) -> dict[int, CrossValidatedFit]:
     """Best of the models for each number of rows that there are samples enough for, all from one closed-form start."""
-    fitting = {s: [m for m in models if _has_enough(samples, s, m)] for s in _list_counts(samples)}
+    fitting = {s: [m for m in models if has_enough(samples, s, m)] for s in _list_counts(samples)}
     if not any(fitting.values()):
         return {}
     _, directions = conditional_pca(samples, PolynomialModel(_choose_start_degree(samples), samples.q.shape[1]))
@@ -153,27 +153,27 @@ def _scan_counts(samples: Samples, models: list[PolicyModel]) -> dict[int, Cross
 
 def _select_model(samples: Samples, models: list[PolicyModel], start: np.ndarray) -> CrossValidatedFit:
     """Best of the models from a start; a richer one only if it is worth its parameters."""
-    best = _cross_validate(samples, models[0], start)
+    best = cross_validate(samples, models[0], start)
     for model in models[1:]:
-        candidate = _cross_validate(samples, model, start)
-        if candidate.held_out < WORTH * best.held_out:
+        candidate = cross_validate(samples, model, start)
+        if is_better(samples, candidate, best, WORTH):
             best = candidate
     return best
-
-
-def _has_enough(samples: Samples, s: int, model: PolicyModel) -> bool:
-    return len(samples) * (samples.nv - s) * (1.0 - 1.0 / N_FOLDS) >= 2.0 * model.n_terms * samples.nv
-
-
-def _cross_validate(samples: Samples, model: PolicyModel, start: np.ndarray) -> CrossValidatedFit:
-    fit = fit_joint(samples, start, model, **COMPARE)
-    folds = min(N_FOLDS, samples.n_trajectories)
-    return CrossValidatedFit(fit, held_out_cost(samples, fit.whitened_selection, model, folds))
 
 
 def _choose_start_degree(samples: Samples) -> int:
     m = samples.q.shape[1]
     return 2 if len(samples) > 4 * (m + 1) * (m + 2) // 2 else 1 if len(samples) > 4 * (m + 1) else 0
+
+
+def _count_rows(samples: Samples, scan: dict[int, CrossValidatedFit]) -> tuple[GapTable, tuple[str, ...]]:
+    """The table with no more rows than the trajectories can tell, and a warning where these are fewer."""
+    return drop_doubtful_rows(
+        _build_table(samples, scan),
+        {s: one.folds / (samples.nv - s) for s, one in scan.items()},
+        {s: one.held_out / null_energy(samples, one.fit) for s, one in scan.items()},
+        NOTHING * samples.energy,
+    )
 
 
 def _build_table(samples: Samples, scan: dict[int, CrossValidatedFit]) -> GapTable:
@@ -183,21 +183,18 @@ def _build_table(samples: Samples, scan: dict[int, CrossValidatedFit]) -> GapTab
     return gaps_of_residuals(present, floor, len(samples))
 
 
-def _climb_models(
-    samples: Samples, s: int, models: list[PolicyModel], first: CrossValidatedFit
-) -> tuple[CrossValidatedFit, dict[str, float]]:
-    """Climb to richer models as long as they are worth it; held-out share of every model that was tried."""
-    best, residuals = first, {first.fit.model.name: first.held_out / _null_energy(samples, first.fit)}
-    for model in models:
-        if model.name in residuals or best.held_out <= ROUNDING * best.fit.energy:
-            continue
-        if not _has_enough(samples, s, model):
-            continue
-        candidate = _cross_validate(samples, model, best.fit.whitened_selection)
-        residuals[model.name] = candidate.held_out / _null_energy(samples, candidate.fit)
-        if candidate.held_out < WORTH * best.held_out:
-            best = candidate
-    return best, residuals
+def _fit_whitened(samples: Samples, fit: JointFit) -> tuple[Samples, JointFit]:
+    """The fit by generalised least squares where the noise is not the same in all joints, and its samples."""
+    if fit.cost <= ROUNDING * fit.energy:
+        return samples, fit
+    for _ in range(2):
+        pi = np.concatenate([fit.model(block.x, block.trajectory) for block in samples.blocks()]) @ fit.theta
+        L = whitening_factor(samples, fit.whitened_selection, samples.u - pi)
+        if L is None:
+            break
+        samples = whitened(samples, L)
+        fit = fit_joint(samples, fit.whitened_selection, fit.model)
+    return samples, fit
 
 
 def _fit_from_random_starts(samples: Samples, chosen: JointFit, rng: np.random.Generator) -> JointFit:

@@ -31,9 +31,9 @@ class PolicyModel(ABC):
 
 @final
 class PolynomialModel(PolicyModel):
-    """All monomials up to a degree: 0 constant, 1 affine, 2 quadratic, 3 cubic."""
+    """All monomials up to a degree: 0 constant, 1 affine, 2 quadratic, 3 cubic, 4 quartic, 5 quintic."""
 
-    NAMES = ("constant", "affine", "quadratic", "cubic")
+    NAMES = ("constant", "affine", "quadratic", "cubic", "quartic", "quintic")
 
     def __init__(self, degree: int, m: int):
         self.degree = degree
@@ -81,6 +81,30 @@ class RadialModel(PolicyModel):
         d2 -= d2.min(axis=1, keepdims=True)  # the nearest centre always counts: no 0 / 0 far away
         phi = np.exp(-d2)
         return phi / phi.sum(axis=1, keepdims=True)
+
+
+@final
+class HarmonicModel(PolicyModel):
+    """1, x_i, and sines and cosines of each joint's angle and of its multiples: policies that are periodic in a joint.
+
+    Args:
+        spread: Range of each joint that x is scaled by [rad].
+        n_harmonics: Largest multiple.
+    """
+
+    def __init__(self, spread: Float[np.ndarray, " m"], n_harmonics: int):
+        self.spread = np.array(spread)
+        self.n_harmonics = n_harmonics
+        self.name = f"harmonic{n_harmonics}"
+        self.n_terms = 1 + len(self.spread) * (1 + 2 * n_harmonics)
+
+    def __call__(
+        self, x: Float[np.ndarray, "n m"], trajectory: Int[np.ndarray, " n"] | None = None
+    ) -> Float[np.ndarray, "n k"]:
+        """1, x, sin(q - centre), cos(q - centre), sin 2 (q - centre), ..."""
+        angle = x * self.spread
+        waves = [f(k * angle) for k in range(1, self.n_harmonics + 1) for f in (np.sin, np.cos)]
+        return np.concatenate([np.ones((len(x), 1)), x, *waves], axis=1)
 
 
 @final

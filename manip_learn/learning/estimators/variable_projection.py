@@ -18,6 +18,13 @@ from jaxtyping import Float
 from scipy.linalg import qr, solve_triangular
 
 from manip_learn.learning.bootstrap import TrajectoryBlocks
+from manip_learn.learning.estimators.policy_equations import (
+    OrthonormalRegressors,
+    Projections,
+    Solver,
+    curvature,
+    solve_policy,
+)
 from manip_learn.learning.estimators.policy_model import PolicyModel
 from manip_learn.learning.samples import Block, Samples
 from manip_learn.linalg import batch_row_spaces, complement_rows, inverse_triangles, orthonormal_rows
@@ -26,6 +33,8 @@ MAX_ITERATIONS = 30
 RANK_TOLERANCE = 1e-13
 # directions of the policy that the data determine well enough to matter for the uncertainty
 BASIS_TOLERANCE = 1e-10
+# parameters of the policy beyond which normal equations take the place of a QR of all rows
+MANY_COLUMNS = 64
 # trajectories beyond so many are taken in blocks: a Hessian of each, for Theta too, is kept
 MAX_BLOCKS = 100
 
@@ -70,6 +79,8 @@ def fit_joint(
         tolerance: Step length at which to stop.
         gain: Relative decrease of the cost below which to stop.
     """
+    if model.n_terms * samples.nv > MANY_COLUMNS:
+        return _fit_many(samples, start, model, max_iterations, tolerance, gain)
     Lambda = orthonormal_rows(start)
     s, r = Lambda.shape
     theta, cost, energy = _policy(samples, Lambda, model)
@@ -93,6 +104,44 @@ def fit_joint(
         else:
             damping = max(1e-3, damping * 10.0)
     return JointFit(Lambda, theta, cost, energy, iterations, model)
+
+
+def _fit_many(
+    samples: Samples, start: np.ndarray, model: PolicyModel, max_iterations: int, tolerance: float, gain: float
+) -> JointFit:
+    """`fit_joint` by normal equations: the same steps, for many parameters of the policy."""
+    regressors = OrthonormalRegressors.of(samples, model)
+    beta, u, n = regressors.values, samples.u, len(samples)
+    Lambda = orthonormal_rows(start)
+    s, r = Lambda.shape
+
+    def state(at: np.ndarray) -> tuple[Projections, Solver, np.ndarray, np.ndarray, float]:
+        projections = Projections.of(samples, at)
+        solver = Solver(curvature(beta, projections.N))
+        theta, y = solve_policy(beta, projections.N, u, solver)
+        return projections, solver, theta, y, float(np.einsum("ni,nij,nj->", y, projections.N, y, optimize=True)) / n
+
+    projections, solver, theta, y, cost = state(Lambda)
+    damping, iterations = 0.0, 0
+    while iterations < max_iterations and 0 < s < r:
+        iterations += 1
+        H, gradient = projections.equations(beta, y, solver)
+        scale = max(float(np.trace(H)) / len(H), np.finfo(np.float64).tiny)
+        B = -np.linalg.lstsq(H + damping * scale * np.eye(len(H)), gradient, rcond=1e-14)[0].reshape(s, r - s)
+        moved = orthonormal_rows(Lambda + B @ complement_rows(Lambda))
+        trial = state(moved)
+        if trial[-1] <= cost:
+            done = float(np.linalg.norm(B)) < tolerance or trial[-1] >= cost * (1.0 - gain)
+            Lambda, (projections, solver, theta, y, cost) = moved, trial
+            damping = damping * 0.1 if damping > 1e-9 else 0.0
+            if done:
+                break
+        elif float(np.linalg.norm(B)) < 1e-12 or damping > 1e6:
+            break  # rounding is all that is left
+        else:
+            damping = max(1e-3, damping * 10.0)
+    energy = float(np.einsum("ni,nij,nj->", u, projections.N, u, optimize=True)) / n
+    return JointFit(Lambda, regressors.mixing @ theta, cost, energy, iterations, model)
 
 
 def scores(samples: Samples, fit: JointFit) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
@@ -128,7 +177,14 @@ def scores(samples: Samples, fit: JointFit) -> tuple[Float[np.ndarray, "g d"], F
 def held_out_cost(
     samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel, n_folds: int, *, by_sample: bool = False
 ) -> float:
-    """Mean of |Z^T (u - pi)|^2 on trajectories that pi was not fitted to, Lambda kept: cross-validation of the model.
+    """Mean of |Z^T (u - pi)|^2 on trajectories that pi was not fitted to, Lambda kept: cross-validation of pi."""
+    return float(held_out_costs(samples, Lambda, model, n_folds, by_sample=by_sample).sum())
+
+
+def held_out_costs(
+    samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel, n_folds: int, *, by_sample: bool = False
+) -> Float[np.ndarray, " f"]:
+    """What each fold contributes to `held_out_cost`; a single infinity where there are fewer than two folds.
 
     `by_sample` leaves out every n-th sample instead, for models with parameters of each trajectory. Each fold is boiled
     down to a triangle once; leaving it out means solving with the others'.
@@ -146,12 +202,12 @@ def held_out_cost(
             triangles[fold] = _triangle(iter([new] if before is None else [before, new]))
     present = [R for R in triangles if R is not None]
     if len(present) < 2:
-        return np.inf
-    total = 0.0
+        return np.array([np.inf])
+    total = np.zeros(len(present))
     for i, held in enumerate(present):
         rest = _triangle(iter([R for j, R in enumerate(present) if j != i]))
         theta = _solve(rest[:, :-1], rest[:, -1:])
-        total += float(np.sum((held[:, -1:] - held[:, :-1] @ theta) ** 2))
+        total[i] = float(np.sum((held[:, -1:] - held[:, :-1] @ theta) ** 2))
     return total / len(samples)
 
 

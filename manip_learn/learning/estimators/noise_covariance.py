@@ -1,0 +1,76 @@
+"""Noise of the joint velocities that is stronger in some joints than in others, in the joint estimator.
+
+With cov e = Sigma = L L^T the residuals Z^T (u - pi), Z = null(A), have the covariance Z^T Sigma Z. Since L^T Z spans
+the null space of A L^-T, they are, whitened, the residuals of the isotropic case on L^-1 u, Phi L^-T and L^-1 pi, which
+is as linear in its parameters as pi: generalised least squares without a new estimator.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.learning.estimators.policy_equations import Projections
+from manip_learn.learning.samples import Samples
+
+# standard deviations of the likelihood ratio's chi-square beyond which the noise is anisotropic
+BEYOND_CHANCE = 5.0
+# weight of the isotropic covariance in samples per sample, for entries that the null spaces hardly show
+PRIOR = 1e-3
+LEAST, MOST = 1e-2, 1e2  # variances beside their mean
+# largest variance over the least below which equal weights cost a few per cent at most
+UNEQUAL = 2.0
+ENOUGH = 20  # residuals for each entry of the covariance
+
+
+def whitening_factor(
+    samples: Samples, whitened_selection: Float[np.ndarray, "s r"], y: Float[np.ndarray, "n nv"]
+) -> Float[np.ndarray, "nv nv"] | None:
+    """L with L L^T the covariance of the noise over its mean variance; None where it is nearly isotropic.
+
+    Args:
+        samples: What was recorded.
+        whitened_selection: Lambda in whitened coordinates.
+        y: u - pi of each sample.
+    """
+    N, nv = Projections.of(samples, whitened_selection).N, samples.nv
+    z, entries = nv - len(whitened_selection), nv * (nv + 1) // 2
+    e = np.einsum("nij,nj->ni", N, y, optimize=True)
+    if len(y) * z < ENOUGH * entries or float(np.sum(e**2)) <= 0.0:
+        return None
+    sigma2 = float(np.sum(e**2)) / (len(y) * z)
+    Sigma = _covariance(N, e / np.sqrt(sigma2))
+    if np.linalg.cond(Sigma) < UNEQUAL:
+        return None
+    gain = _log_likelihood_ratio(N, e / np.sqrt(sigma2), Sigma, z)
+    if gain < entries + BEYOND_CHANCE * np.sqrt(2.0 * entries):
+        return None
+    return np.linalg.cholesky(Sigma * nv / np.trace(Sigma))
+
+
+def whitened(samples: Samples, L: Float[np.ndarray, "nv nv"]) -> Samples:
+    """The samples as L^-1 u and Phi L^-T: for the joint estimator only, A u = 0 does not hold for these."""
+    back = np.linalg.inv(L)
+    mixing = back.T if samples.mixing is None else samples.mixing @ back.T
+    return dataclasses.replace(samples, u=samples.u @ back.T, mixing=mixing)
+
+
+def _covariance(N: np.ndarray, e: np.ndarray) -> Float[np.ndarray, "nv nv"]:
+    """Least squares of e e^T = N Sigma N over all samples, drawn to the unit matrix where they say nothing."""
+    n, nv = e.shape
+    M = np.einsum("nij,nkl->ikjl", N, N, optimize=True).reshape(nv * nv, nv * nv) / n
+    right = (e.T @ e / n).reshape(-1) - M @ np.eye(nv).reshape(-1)
+    deviation = np.linalg.solve(M + PRIOR * np.eye(nv * nv), right).reshape(nv, nv)
+    values, vectors = np.linalg.eigh(np.eye(nv) + 0.5 * (deviation + deviation.T))
+    return (vectors * np.clip(values, LEAST, MOST)) @ vectors.T
+
+
+def _log_likelihood_ratio(N: np.ndarray, e: np.ndarray, Sigma: np.ndarray, z: int) -> float:
+    """Twice the gain in log-likelihood of Z^T Sigma Z over the unit matrix."""
+    # N Sigma N + (I - N) has the eigenvalues of Z^T Sigma Z, and ones
+    whole = N @ Sigma @ N + (np.eye(len(Sigma)) - N)
+    _, log_determinants = np.linalg.slogdet(whole)
+    quadratic = np.einsum("ni,ni->", e, np.linalg.solve(whole, e[:, :, None])[:, :, 0])
+    return float(np.sum(e**2) - quadratic - np.sum(log_determinants))
