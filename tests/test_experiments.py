@@ -12,13 +12,12 @@ from threadpoolctl import threadpool_limits
 
 from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
 from manip_learn.experiments import EXPERIMENTS, reproduce, rmse, table
+from manip_learn.experiments.experiment_result import markdown_table, mean_and_sd, number, summary
 from manip_learn.experiments.learning_trial import LearningCase, learning_trial
 from manip_learn.experiments.paper_setup import Setup
-from manip_learn.experiments.part_store import MARKER, PARTS, PartStore
 from manip_learn.experiments.reproduce import PARTS as EXPERIMENT_PARTS
 from manip_learn.experiments.reproduce import write_result
-from manip_learn.experiments.summary import markdown_table, mean_and_sd, number, summary
-from manip_learn.experiments.trial_runner import PART, TrialRunner
+from manip_learn.experiments.trial_runner import MARKER, PART, PARTS, PartStore, TrialRunner
 
 
 @dataclass(frozen=True)
@@ -82,12 +81,13 @@ def test_dask_gives_the_same_numbers():
 
 
 def test_progress_counts_to_the_total():
-    """Progress is reported as (done, total) and ends complete."""
-    seen: list[tuple[int, int]] = []
-    runner = TrialRunner(workers=1, progress=lambda done, total: seen.append((done, total)), total=12)
-    runner.map("dice", throw, [Dice(6)], 12, seed=0)
-    assert seen[-1] == (12, 12)
-    assert [d for d, _ in seen] == sorted(d for d, _ in seen)
+    """Progress is reported with the experiment's name and the completed fraction of all trials, and ends at 1."""
+    seen: list[tuple[str, float]] = []
+    runner = TrialRunner(workers=1, progress=lambda title, fraction: seen.append((title, fraction)), total=24)
+    for experiment in ("dice", "coins"):
+        runner.map(experiment, throw, [Dice(6)], 12, seed=0)
+    assert [title for title, _ in seen] == ["dice"] * 3 + ["coins"] * 3
+    assert [round(24 * fraction) for _, fraction in seen] == [5, 10, 12, 17, 22, 24]
 
 
 def test_interrupted_run_keeps_and_uses_its_parts(tmp_path):
@@ -221,7 +221,7 @@ def test_numbers_for_tables():
 def test_settings_are_plain():
     """Settings of every part become JSON, since they are part of what a kept part is found by."""
     from manip_learn.experiments import beyond, sawyer, variants
-    from manip_learn.experiments.singular_start import SETTING
+    from manip_learn.experiments.singular_starts import NEAR_SINGULAR, SINGULAR
 
-    for case in (*beyond.CASES, *sawyer.CASES, *variants.cases().values(), SETTING):
+    for case in (*beyond.CASES, *sawyer.CASES, *variants.cases().values(), SINGULAR, NEAR_SINGULAR):
         json.dumps(dataclasses.asdict(case))

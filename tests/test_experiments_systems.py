@@ -10,12 +10,23 @@ import pytest
 from numpy.testing import assert_allclose
 
 from manip_learn.errors import OutputError
-from manip_learn.experiments import beyond, near_singular_start, sawyer, singular_start, table, variants
-from manip_learn.experiments.curve_constraint import curve_features, gradients, hessians, monomials
+from manip_learn.experiments import beyond, sawyer, singular_starts, table, variants
 from manip_learn.experiments.documentation import PARTS, filled, write_page
 from manip_learn.experiments.drawer_recordings import sawyer_arm, turned_recordings
-from manip_learn.experiments.learning_trial import ESTIMATORS, LearningCase, learning_trial
-from manip_learn.experiments.legged_balance import quadruped, standing_demonstrations, standing_features
+from manip_learn.experiments.learning_trial import ESTIMATORS, LearningCase, ScaledRows, learning_trial
+from manip_learn.experiments.other_systems import (
+    curve_features,
+    gradients,
+    hessians,
+    inertia,
+    jacobians,
+    monomials,
+    quadruped,
+    speed_torques,
+    standing_demonstrations,
+    standing_features,
+    torque_demonstrations,
+)
 from manip_learn.experiments.paper_setup import (
     REST,
     STEP,
@@ -28,8 +39,6 @@ from manip_learn.experiments.paper_setup import (
     planar_features,
     tip,
 )
-from manip_learn.experiments.redundant_torques import inertia, jacobians, speed_torques, torque_demonstrations
-from manip_learn.experiments.scaled_rows import ScaledRows
 
 
 def differences(function, q: np.ndarray, h: float = 1e-6) -> np.ndarray:
@@ -112,13 +121,13 @@ def test_table_names_are_all_explained():
 @pytest.fixture(scope="module")
 def singular():
     """One result of the first comparison."""
-    return singular_start.run(1, np.random.default_rng(0))
+    return singular_starts.run_singular(1, np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
 def near_singular():
     """One result of the second comparison."""
-    return near_singular_start.run(1, np.random.default_rng(0))
+    return singular_starts.run_near_singular(1, np.random.default_rng(0))
 
 
 def test_singular_start_is_the_papers_picture(singular):

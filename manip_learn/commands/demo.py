@@ -13,10 +13,11 @@ from manip_learn.commands.control import Controlled
 from manip_learn.commands.learn import Learnt, learn
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
-from manip_learn.control.rollout import Progress, simulate
+from manip_learn.control.rollout import simulate
 from manip_learn.control.tasks import PointAttractor
 from manip_learn.errors import UnknownNameError
 from manip_learn.playback import ReplayResult, replay
+from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import Robot, load_robot
 
 DT, TOLERANCE = 0.01, 0.01

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
 from manip_learn.experiments import reproduce as run_experiments
+from manip_learn.recordings.trajectory_source import Progress
 
 
 @final
@@ -32,7 +32,7 @@ def reproduce(
     out: Path | None = None,
     workers: int | None = None,
     backend: str = "loky",
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Reproduction:
     """Run one experiment, or all.
 
@@ -45,7 +45,7 @@ def reproduce(
         trials,
         seed,
         out,
-        None if progress is None else lambda done, total: progress(experiment, done / max(total, 1)),
+        progress,
         workers=workers,
         backend=backend,  # type: ignore[arg-type]  # checked there, with a list of the names
         on_result=lambda part, result: pages.update({part: result.markdown()}),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,8 +23,10 @@ from manip_learn.control.command import Command, Controller, TaskController
 from manip_learn.control.compiled_controller import CompiledController, why_not
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.integration import Method, next_posture
+from manip_learn.control.status import Status
 from manip_learn.errors import ConfigurationError, RecordingError
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.batch.postures import checked_postures, positions_of
 from manip_learn.robot.robot import Robot
 
@@ -35,7 +37,6 @@ DAMAGE = (
     *(MemoryError, zipfile.BadZipFile, zlib.error),
 )
 COMPILED_FROM = 5_000  # commands of a table of starts: fewer take less time one by one than loading numba does
-Progress = Callable[[str, float], None]
 
 
 @final
@@ -59,7 +60,7 @@ class Rollout:
     q: Float[np.ndarray, "T n"]
     u: Float[np.ndarray, "T nv"]
     manipulability: Float[np.ndarray, " T"]
-    status: tuple[str, ...]
+    status: tuple[Status, ...]
     joint_names: tuple[str, ...]
     task_error: Float[np.ndarray, " T"]
     frame: str = ""
@@ -76,7 +77,7 @@ class Rollout:
     @property
     def status_counts(self) -> dict[str, int]:
         """How often each status occurred."""
-        return {s: self.status.count(s) for s in dict.fromkeys(self.status)}
+        return {str(s): self.status.count(s) for s in dict.fromkeys(self.status)}
 
     def trajectory(self, name: str = "rollout") -> Trajectory:
         """The motion as a demonstration, so that it can be learnt from again."""
@@ -128,7 +129,7 @@ class Rollout:
                     content["q"],
                     content["u"],
                     content["manipulability"],
-                    tuple(str(s) for s in content["status"]),
+                    tuple(Status(s) for s in content["status"]),
                     tuple(str(n) for n in content["joint_names"]),
                     content["task_error"],
                     str(content["frame"]) if "frame" in content else "",

@@ -14,11 +14,19 @@ import numpy as np
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments import charts
-from manip_learn.experiments.curve_constraint import CURVES, curve_demonstrations, curve_features, drawn_level
-from manip_learn.experiments.experiment_result import ExperimentResult
-from manip_learn.experiments.legged_balance import BALANCE, standing_demonstrations, standing_features
-from manip_learn.experiments.redundant_torques import TORQUE_TASKS, torque_demonstrations, torque_features
-from manip_learn.experiments.summary import markdown_table, number, summary
+from manip_learn.experiments.experiment_result import ExperimentResult, markdown_table, number, summary
+from manip_learn.experiments.other_systems import (
+    BALANCE,
+    CURVES,
+    TORQUE_TASKS,
+    curve_demonstrations,
+    curve_features,
+    drawn_level,
+    standing_demonstrations,
+    standing_features,
+    torque_demonstrations,
+    torque_features,
+)
 from manip_learn.experiments.trial_runner import TrialRunner
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.linalg import row_space_angle

@@ -15,7 +15,7 @@ from typing import Any
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import ManipLearnError, OutputError
-from manip_learn.experiments.summary import markdown_table, mean_and_sd, number
+from manip_learn.experiments.experiment_result import markdown_table, mean_and_sd, number
 
 PARTS = ("table", "variants", "rmse", "singular-start", "near-singular-start", "sawyer", "beyond")
 PICTURES = "reproduction"

@@ -10,12 +10,13 @@ from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError
+from manip_learn.experiments.metrics import manipulability_along, nmie, scale_free_nmie
 from manip_learn.experiments.paper_setup import Setup, demonstrate, null_parts, planar_features
 from manip_learn.experiments.row_by_row import fit_row_by_row
-from manip_learn.experiments.scaled_rows import ScaledRows
 from manip_learn.learning.estimators.joint_estimator import estimate_joint
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
 from manip_learn.learning.estimators.separation import estimate_separate, separate_null_motion
@@ -28,6 +29,38 @@ Matrix = Float[np.ndarray, "s p"]
 Learnt = tuple[np.ndarray, dict[str, Any]]
 # (features, demonstrations, true Lambda, rng) -> learnt Lambda and remarks
 Way = Callable[[FeatureMap, Demonstrations, np.ndarray, np.random.Generator], Learnt]
+
+
+@final
+class ScaledRows(FeatureMap):
+    """diag(scales) Phi(q): centimetres instead of metres beside radians, for instance.
+
+    Args:
+        features: Phi.
+        scales: One factor a row.
+    """
+
+    def __init__(self, features: FeatureMap, scales: ArrayLike):
+        self.features = features
+        self.scales: Float[np.ndarray, " p"] = np.array(scales, dtype=np.float64)
+        self.nv = features.nv
+        self.row_names = features.row_names
+        self.row_units = tuple(f"{u} / {c:g}" for u, c in zip(features.row_units, self.scales, strict=True))
+
+    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
+        """Phi(q), scaled."""
+        return self.scales[:, None] * self.features(q)
+
+    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
+        """dPhi/dq, scaled."""
+        return self.scales[:, None, None] * self.features.derivative(q)
+
+    def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
+        """Phi at many postures, scaled."""
+        return self.scales[:, None] * self.features.batch(q)
+
+    def __repr__(self) -> str:
+        return f"ScaledRows({self.features!r}, {self.scales.tolist()})"
 
 
 @final
@@ -72,18 +105,12 @@ def learning_trial(case: LearningCase, rng: np.random.Generator) -> dict[str, An
     return out
 
 
-def manipulabilities(features: FeatureMap, selection: Matrix, q: Float[np.ndarray, "n nq"]) -> Float[np.ndarray, " n"]:
-    """mu of a selection at many postures."""
-    return np.prod(np.linalg.svd(selection @ features.batch(q), compute_uv=False), axis=1)
-
-
 def _judged(features: FeatureMap, true: Matrix, learnt: Matrix, seen: list[np.ndarray]) -> dict[str, Any]:
     out: dict[str, Any] = {"rows": len(learnt), "angle_deg": float(np.degrees(row_space_angle(true, learnt)))}
     for name, q in zip(("train", "test"), seen, strict=True):
-        mu, other = manipulabilities(features, true, q), manipulabilities(features, learnt, q)
-        out[name] = float(np.mean((mu - other) ** 2) / np.var(mu))
-        factor = float(mu @ other) / max(float(other @ other), np.finfo(np.float64).tiny)
-        out["scale_free"] = float(np.mean((mu - factor * other) ** 2) / np.var(mu))
+        mu, other = manipulability_along(features, true, q), manipulability_along(features, learnt, q)
+        out[name] = nmie(mu, other)
+        out["scale_free"] = scale_free_nmie(mu, other)
     return out
 
 

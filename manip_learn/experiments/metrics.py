@@ -1,54 +1,70 @@
-"""Errors by which a learnt constraint is judged."""
+"""Errors by which a learnt constraint and its policy are judged."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.manipulability import manipulability
-from manip_learn.control.policies.policy import NullSpacePolicy
-from manip_learn.linalg import row_space_angle
+from manip_learn.constraint.features.feature_map import FeatureMap
 
 
-def mie(true: Constraint, learnt: Constraint, postures: Iterable[ArrayLike]) -> float:
-    """Manipulability index error, mean of (mu - mu~)^2, in the constraint's units squared."""
-    mu, learnt_mu = _both(true, learnt, postures)
-    return float(np.mean((mu - learnt_mu) ** 2))
+def manipulability_along(
+    features: FeatureMap, Lambda: Float[np.ndarray, "s p"], q: Float[np.ndarray, "n nq"]
+) -> Float[np.ndarray, " n"]:
+    """mu(q) = sqrt(det(A A^T)) at many postures, A = Lambda Phi(q); equation (4) of Manavalan and Howard.
+
+    Computed as the product of the singular values of A. Unit: product of the units of the constraint's rows.
+    """
+    return np.prod(np.linalg.svd(Lambda @ features.batch(q), compute_uv=False), axis=1)
 
 
-def nmie(true: Constraint, learnt: Constraint, postures: Iterable[ArrayLike]) -> float:
-    """Normalised manipulability index error, 1/(n var(mu)) sum (mu - mu~)^2, of Manavalan and Howard."""
-    mu, learnt_mu = _both(true, learnt, postures)
-    return float(np.mean((mu - learnt_mu) ** 2) / np.var(mu))
+def mie(mu: Float[np.ndarray, " n"], learnt: Float[np.ndarray, " n"]) -> float:
+    """Manipulability index error of Manavalan and Howard, in the unit of mu squared.
+
+        MIE = 1/n sum_i (mu_i - mu~_i)^2
+
+    Args:
+        mu: Manipulability of the true constraint at n postures.
+        learnt: mu~, that of the learnt constraint at the same postures.
+    """
+    return float(np.mean((mu - learnt) ** 2))
 
 
-def scale_free_nmie(true: Constraint, learnt: Constraint, postures: Iterable[ArrayLike]) -> float:
-    """NMIE after the best single factor on mu~: grad mu's direction does not depend on that factor."""
-    mu, learnt_mu = _both(true, learnt, postures)
-    factor = float(mu @ learnt_mu) / float(learnt_mu @ learnt_mu)
-    return float(np.mean((mu - factor * learnt_mu) ** 2) / np.var(mu))
+def nmie(mu: Float[np.ndarray, " n"], learnt: Float[np.ndarray, " n"]) -> float:
+    """Normalised manipulability index error of Manavalan and Howard; 1 for the best constant mu~.
+
+        NMIE = 1/(n var(mu)) sum_i (mu_i - mu~_i)^2
+
+    Args:
+        mu: Manipulability of the true constraint at n postures.
+        learnt: mu~, that of the learnt constraint at the same postures.
+    """
+    return float(mie(mu, learnt) / np.var(mu))
 
 
-def policy_rmse(true: NullSpacePolicy, learnt: NullSpacePolicy, postures: Iterable[ArrayLike]) -> float:
-    """Root of the mean squared distance between two policies' velocities along postures."""
-    squares = [float(np.sum((true(q) - learnt(q)) ** 2)) for q in postures]
-    return float(np.sqrt(np.mean(squares)))
+def scale_free_nmie(mu: Float[np.ndarray, " n"], learnt: Float[np.ndarray, " n"]) -> float:
+    """NMIE after the best single factor on mu~: the direction of grad mu does not depend on that factor.
+
+        min_c 1/(n var(mu)) sum_i (mu_i - c mu~_i)^2,  c = mu^T mu~ / |mu~|^2
+
+    Args:
+        mu: Manipulability of the true constraint at n postures.
+        learnt: mu~, that of the learnt constraint at the same postures.
+    """
+    factor = float(mu @ learnt) / max(float(learnt @ learnt), np.finfo(np.float64).tiny)
+    return nmie(mu, factor * learnt)
 
 
-def row_space_error(true: Constraint, learnt: Constraint) -> float:
-    """Largest principal angle between the row spaces of two selection matrices [rad]; pi/2 if their sizes differ."""
-    return row_space_angle(true.selection, learnt.selection)
+def policy_rmse(pi: Float[np.ndarray, "m T nv"], learnt: Float[np.ndarray, "m T nv"]) -> Float[np.ndarray, " m"]:
+    """Root mean square difference of two policies along m trajectories, e.g. of pi_mu = grad mu, equation (13).
 
+        RMSE = sqrt(1/T sum_t |pi(q_t) - pi~(q_t)|^2)
 
-def _both(
-    true: Constraint, learnt: Constraint, postures: Iterable[ArrayLike]
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    rows = list(postures)
-    return (
-        np.array([manipulability(true, q) for q in rows]),
-        np.array([manipulability(learnt, q) for q in rows]),
-    )
+    Args:
+        pi: Velocities of the true policy at T postures of each trajectory [rad/s or m/s].
+        learnt: pi~, those of the learnt policy at the same postures.
+
+    Returns:
+        One value per trajectory, in the unit of the velocities.
+    """
+    return np.sqrt(np.mean(np.sum((learnt - pi) ** 2, axis=-1), axis=-1))

@@ -1,7 +1,8 @@
-"""The paper's simulated demonstrations: a 3-link planar arm that reaches for points.
+"""The simulated demonstrations of Manavalan and Howard, "Learning Singularity Avoidance", and their printed numbers.
 
-Links 1 m, gains 1, explicit Euler steps of 0.02 s, no noise, every step kept; the rows of Phi are x, y and the heading
-theta = q1 + q2 + q3 of the tip. The published file of the authors' group follows the same recipe.
+A 3-link planar arm reaches for points: links 1 m, gains 1, explicit Euler steps of 0.02 s, no noise, every step kept.
+The rows of Phi are x, y and the heading theta = q1 + q2 + q3 of the tip. The data file published by the authors' group
+follows the same recipe.
 """
 
 from __future__ import annotations
@@ -28,6 +29,18 @@ START_LOW, START_HIGH = np.deg2rad([0.0, 90.0, 0.0]), np.deg2rad([10.0, 100.0, 1
 TARGET_LOW, TARGET_HIGH = np.array([-1.0, 0.0, 0.0]), np.array([1.0, 2.0, np.pi])  # x, y [m], theta [rad]
 AXES: str = "x y rz"
 SELECTIONS = ("x y", "x rz", "y rz")
+
+# NMIE of the learnt manipulability, mean and s.d. of 50 trials, as printed (ambiguous by a factor of 1e-3)
+PAPER_NMIE: dict[str, dict[str, float]] = {
+    "x y": {"mean": 1e-6, "sd": 7e-6},
+    "x rz": {"mean": 7e-6, "sd": 4e-5},
+    "y rz": {"mean": 2e-8, "sd": 3e-8},
+}
+# RMSE of pi_mu against the learnt one, 20 rollouts of 100 points [rad/s]
+PAPER_RMSE: dict[str, float] = {"mean": 2.069e-4, "sd": 1.001e-4}
+# a real Sawyer that opens a drawer; its data were not published
+PAPER_SAWYER_MIE = 0.002
+PAPER_SAWYER_RMSE: dict[str, float] = {"mean": 0.220, "sd": 0.094}
 
 PolicyName = Literal["attractor", "sinusoidal", "zero", "own"]
 

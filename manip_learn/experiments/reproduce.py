@@ -16,13 +16,13 @@ import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import ExperimentError, UnknownNameError
-from manip_learn.experiments import beyond, near_singular_start, rmse, sawyer, singular_start, table, variants
+from manip_learn.experiments import beyond, rmse, sawyer, singular_starts, table, variants
 from manip_learn.experiments.charts import save_figure
 from manip_learn.experiments.experiment_result import ExperimentResult
-from manip_learn.experiments.part_store import PartStore
-from manip_learn.experiments.trial_runner import BACKENDS, Backend, Progress, TrialRunner
+from manip_learn.experiments.trial_runner import BACKENDS, Backend, PartStore, TrialRunner
 from manip_learn.linalg import one_thread
 from manip_learn.playback.replay_page import replay
+from manip_learn.recordings.trajectory_source import Progress
 
 MAX_TRIALS = 100_000
 
@@ -45,8 +45,8 @@ PARTS: dict[str, Experiment] = {
     "table": Experiment(table.run, table.size),
     "variants": Experiment(variants.run, variants.size),
     "rmse": Experiment(rmse.run, rmse.size),
-    "singular-start": Experiment(singular_start.run, singular_start.size),
-    "near-singular-start": Experiment(near_singular_start.run, near_singular_start.size),
+    "singular-start": Experiment(singular_starts.run_singular, singular_starts.size),
+    "near-singular-start": Experiment(singular_starts.run_near_singular, singular_starts.size),
     "sawyer": Experiment(sawyer.run, sawyer.size),
     "beyond": Experiment(beyond.run, beyond.size),
 }
@@ -79,7 +79,7 @@ def reproduce(
         trials: Number of trials; 50 in the paper.
         seed: Root of all random numbers.
         out: Folder for JSON, CSV, PNG, SVG, Markdown and replay pages; None writes nothing.
-        progress: Called with (done, total).
+        progress: Called with the name of a part and the completed fraction of all trials, 0 to 1.
         workers: Number of processes; all cores by default.
         backend: joblib's `"loky"` or `"threading"`, or `"dask"`.
         on_result: Called with each part's name and result as it comes.

@@ -12,10 +12,12 @@ from jaxtyping import Float
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.rollout import Rollout
-from manip_learn.experiments import charts, paper_values
-from manip_learn.experiments.experiment_result import ExperimentResult
+from manip_learn.experiments import charts
+from manip_learn.experiments.experiment_result import ExperimentResult, markdown_table, mean_and_sd, number, summary
 from manip_learn.experiments.learning_trial import ESTIMATORS as WAYS
+from manip_learn.experiments.metrics import policy_rmse
 from manip_learn.experiments.paper_setup import (
+    PAPER_RMSE,
     SELECTIONS,
     STEP,
     Setup,
@@ -25,7 +27,6 @@ from manip_learn.experiments.paper_setup import (
     planar_features,
     tip,
 )
-from manip_learn.experiments.summary import markdown_table, mean_and_sd, number, summary
 from manip_learn.experiments.trial_runner import TrialRunner
 from manip_learn.robot.robot import Robot
 
@@ -64,7 +65,7 @@ def run(trials: int, rng: np.random.Generator, runner: TrialRunner | None = None
 
 
 def rmse_trial(case: RmseCase, rng: np.random.Generator) -> dict[str, Any]:
-    """Estimator -> RMSE of pi_mu against pi_mu~ on each of 20 rollouts of 100 points."""
+    """Estimator -> RMSE of pi_mu = grad mu, equation (13), against pi_mu~ on each of 20 rollouts of 100 points."""
     setup = Setup(case.rows)
     Lambda = setup.selection(rng)
     demos = demonstrate(setup, Lambda, rng)
@@ -74,17 +75,19 @@ def rmse_trial(case: RmseCase, rng: np.random.Generator) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for name in ESTIMATORS:
         learnt, _ = WAYS[name](planar_features(), demos, Lambda, np.random.default_rng(rng.integers(2**63)))
-        difference = manipulability_batch(Constraint(learnt, planar_features()), q.reshape(-1, 3)).gradient - pi
-        squares = np.sum(difference**2, axis=1).reshape(ROLLOUTS, POINTS)
-        out[name] = np.sqrt(squares.mean(axis=1)).tolist()
-    out["size"] = float(np.sqrt(np.mean(np.sum(pi**2, axis=1))))
+        learnt_pi = manipulability_batch(Constraint(learnt, planar_features()), q.reshape(-1, 3)).gradient
+        out[name] = policy_rmse(pi.reshape(q.shape), learnt_pi.reshape(q.shape)).tolist()
+    out["size"] = float(policy_rmse(pi[None], np.zeros_like(pi)[None])[0])
     return out
 
 
 def climbing_rollouts(
     constraint: Constraint, q: Float[np.ndarray, "m 3"], targets: Float[np.ndarray, "m 3"]
 ) -> Float[np.ndarray, "m T 3"]:
-    """Postures under u = A^+ b + N grad mu from many starts at once, by Euler steps."""
+    """Postures under u = A^+ b + N pi_mu, equations (2) and (13), from m starts at once, by Euler steps.
+
+    Computed as u = pi_mu + A^+ (b - A pi_mu), with b = Lambda (r* - r(q)).
+    """
     Lambda, out = constraint.selection, []
     for _ in range(POINTS):
         out.append(q)
@@ -117,7 +120,7 @@ class RmseResult(ExperimentResult):
             | {"policy_size": float(np.mean([t["size"] for t in trials]))}
             for rows, trials in self.outcomes.items()
         }
-        return {"paper": dict(paper_values.RMSE), "ours": ours}
+        return {"paper": dict(PAPER_RMSE), "ours": ours}
 
     def rows(self) -> list[dict[str, Any]]:
         """One line a rollout and estimator."""
@@ -131,7 +134,7 @@ class RmseResult(ExperimentResult):
 
     def markdown(self) -> str:
         """The paper's number beside ours."""
-        lines = [["**paper, as printed**", "", mean_and_sd(paper_values.RMSE), "", ""]]
+        lines = [["**paper, as printed**", "", mean_and_sd(PAPER_RMSE), "", ""]]
         for rows, block in self.to_dict()["ours"].items():
             for name in ESTIMATORS:
                 s = block[name]
@@ -144,7 +147,7 @@ class RmseResult(ExperimentResult):
         """Every rollout as a dot."""
         figure, axes = charts.new_figure(7.0, 3.4, 1, len(self.outcomes), sharey=True)
         for ax, rows in zip(axes[0], self.outcomes, strict=True):
-            charts.strip(ax, {n: self.values(rows, n)[:400] for n in ESTIMATORS}, paper_values.RMSE["mean"])
+            charts.strip(ax, {n: self.values(rows, n)[:400] for n in ESTIMATORS}, PAPER_RMSE["mean"])
             ax.set_title(rows.replace("rz", "theta").replace(" ", ", "))
         axes[0, 0].set_ylabel("RMSE of the policy [rad/s]")
         return {"rmse": figure}

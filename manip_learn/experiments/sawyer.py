@@ -19,10 +19,11 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.experiments import charts, paper_values
+from manip_learn.experiments import charts
 from manip_learn.experiments.drawer_recordings import FRAME, sawyer_arm, turned_recordings
-from manip_learn.experiments.experiment_result import ExperimentResult
-from manip_learn.experiments.summary import markdown_table, mean_and_sd, number, summary
+from manip_learn.experiments.experiment_result import ExperimentResult, markdown_table, mean_and_sd, number, summary
+from manip_learn.experiments.metrics import mie, nmie, policy_rmse
+from manip_learn.experiments.paper_setup import PAPER_SAWYER_MIE, PAPER_SAWYER_RMSE
 from manip_learn.experiments.trial_runner import TrialRunner
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.linalg import row_space_angle
@@ -110,9 +111,7 @@ def sawyer_trial(case: SawyerCase, rng: np.random.Generator) -> dict[str, Any]:
     }
     q = np.concatenate([t.q for t in demos])
     mu, other = manipulability_batch(true, q).mu, manipulability_batch(learnt, q).mu
-    out["mie"] = float(np.mean((mu - other) ** 2))
-    out["nmie"] = out["mie"] / float(np.var(mu))
-    return out | {"rmse": _rmse(true, learnt, rng)}
+    return out | {"mie": mie(mu, other), "nmie": nmie(mu, other), "rmse": _rmse(true, learnt, rng)}
 
 
 def true_selection(case: SawyerCase) -> Float[np.ndarray, "s p"]:
@@ -148,20 +147,24 @@ def simulated(true: Constraint, rng: np.random.Generator) -> Demonstrations:
 
 
 def _rmse(true: Constraint, learnt: Constraint, rng: np.random.Generator) -> list[float]:
-    """RMSE of pi_mu against pi_mu~ on 20 rollouts of 100 points, stepped together."""
+    """RMSE of pi_mu = grad mu, equation (13), against pi_mu~ on 20 rollouts of 100 points, stepped together.
+
+    The rollouts follow u = A^T (A A^T + d^2 I)^-1 (b - A pi_mu) + pi_mu, equation (2) with a damped inverse, d = 0.05.
+    """
     arm, features, Lambda = sawyer_arm(), true.features, true.selection
     frame, axes = arm.frame(FRAME), ["xyz".index(a) for a in features.row_names]
     q = rng.uniform(START_LOW, START_HIGH, size=(ROLLOUTS, 7))
     targets = rng.uniform(-1.0, 1.0, size=(ROLLOUTS, features.n_rows))
-    squares = []
+    climbing, learnt_climbing = [], []
     for _ in range(ROLLOUT_POINTS):
         pi = manipulability_batch(true, q).gradient
-        squares.append(np.sum((manipulability_batch(learnt, q).gradient - pi) ** 2, axis=1))
+        climbing.append(pi)
+        learnt_climbing.append(manipulability_batch(learnt, q).gradient)
         A, r = Lambda @ features.batch(q), batch_kinematics(arm, frame).pose(q)[:, axes, 3]
         gram = A @ A.transpose(0, 2, 1) + DAMPING**2 * np.eye(len(Lambda))
         b = (targets - r) @ Lambda.T - np.einsum("nsv,nv->ns", A, pi)
         q = q + STEP * (pi + np.einsum("nsv,ns->nv", A, np.linalg.solve(gram, b[:, :, None])[:, :, 0]))
-    return np.sqrt(np.mean(squares, axis=0)).tolist()
+    return policy_rmse(np.stack(climbing, axis=1), np.stack(learnt_climbing, axis=1)).tolist()
 
 
 @final
@@ -192,8 +195,8 @@ class SawyerResult(ExperimentResult):
                 "rows_right": sum(t.get("rows") == rows for t in trials) / len(trials),
             }
         paper = {
-            "mie": paper_values.SAWYER_MIE,
-            "rmse": dict(paper_values.SAWYER_RMSE),
+            "mie": PAPER_SAWYER_MIE,
+            "rmse": dict(PAPER_SAWYER_RMSE),
             "note": "a real Sawyer, data unpublished: the paper's numbers hold the friction, compliance and noise of "
             "an arm that we do not have",
         }
@@ -221,10 +224,10 @@ class SawyerResult(ExperimentResult):
                 "**paper, a real arm**",
                 "",
                 "",
-                number(paper_values.SAWYER_MIE),
+                number(PAPER_SAWYER_MIE),
                 "",
                 "",
-                mean_and_sd(paper_values.SAWYER_RMSE),
+                mean_and_sd(PAPER_SAWYER_RMSE),
                 "",
             ]
         ]
@@ -246,10 +249,10 @@ class SawyerResult(ExperimentResult):
             f"{c.source.replace('physics, ', 'physics ')}, {c.reading.split()[0]} {c.direction}": c
             for c in self.outcomes
         }
-        charts.strip(axes[0, 0], {k: self.values(c, "mie") for k, c in labels.items()}, paper_values.SAWYER_MIE)
+        charts.strip(axes[0, 0], {k: self.values(c, "mie") for k, c in labels.items()}, PAPER_SAWYER_MIE)
         axes[0, 0].set_ylabel("MIE")
         means = {k: [float(np.mean(v)) for v in self.values(c, "rmse")] for k, c in labels.items()}  # type: ignore[arg-type]
-        charts.strip(axes[0, 1], means, paper_values.SAWYER_RMSE["mean"])
+        charts.strip(axes[0, 1], means, PAPER_SAWYER_RMSE["mean"])
         axes[0, 1].set_ylabel("RMSE of the policy")
         for ax in axes[0]:
             ax.tick_params(axis="x", labelsize=6.5)

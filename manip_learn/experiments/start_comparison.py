@@ -16,10 +16,9 @@ from manip_learn.control.policies.policy import NullSpacePolicy, ZeroPolicy
 from manip_learn.control.rollout import Rollout, simulate
 from manip_learn.control.tasks.point_attractor import PointAttractor
 from manip_learn.experiments import charts
-from manip_learn.experiments.experiment_result import ExperimentResult
+from manip_learn.experiments.experiment_result import ExperimentResult, markdown_table, number
 from manip_learn.experiments.learning_trial import ESTIMATORS
 from manip_learn.experiments.paper_setup import Setup, demonstrate, planar_arm, planar_features, true_constraint
-from manip_learn.experiments.summary import markdown_table, number
 from manip_learn.experiments.trial_runner import TrialRunner
 from manip_learn.robot.robot import Robot
 

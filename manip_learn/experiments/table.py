@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from manip_learn.control.rollout import Rollout
-from manip_learn.experiments import charts, paper_values
-from manip_learn.experiments.experiment_result import ExperimentResult
+from manip_learn.experiments import charts
+from manip_learn.experiments.experiment_result import ExperimentResult, markdown_table, mean_and_sd, number, summary
 from manip_learn.experiments.learning_trial import LearningCase, learning_trial
-from manip_learn.experiments.paper_setup import SELECTIONS, Setup
-from manip_learn.experiments.summary import markdown_table, mean_and_sd, number, summary
+from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup
 from manip_learn.experiments.trial_runner import TrialRunner
 from manip_learn.robot.robot import Robot
 
@@ -91,7 +90,7 @@ class TableResult(ExperimentResult):
                     "seconds_per_fit": summary(self.values(rows, name, "seconds"))["median"],
                     "rows_right": self._rows_right(rows, name),
                 }
-            out[rows] = {"paper": dict(paper_values.TABLE[rows]), "ours": ours}
+            out[rows] = {"paper": dict(PAPER_NMIE[rows]), "ours": ours}
         return out
 
     def _rows_right(self, rows: str, name: str) -> float:
@@ -141,7 +140,7 @@ class TableResult(ExperimentResult):
         """Every trial as a dot."""
         figure, axes = charts.new_figure(10.0, 4.2, 1, len(self.outcomes), sharey=True)
         for ax, rows in zip(axes[0], self.outcomes, strict=True):
-            charts.strip(ax, {n: self.values(rows, n) for n in ESTIMATORS}, paper_values.TABLE[rows]["mean"])
+            charts.strip(ax, {n: self.values(rows, n) for n in ESTIMATORS}, PAPER_NMIE[rows]["mean"])
             ax.set_title(_said(rows))
         axes[0, 0].set_ylabel("NMIE on the test set")
         return {"table": figure}

@@ -4,23 +4,91 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import hashlib
+import json
 import os
 import zlib
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any, Literal, final
 
 import numpy as np
 
-from manip_learn.errors import MissingExtraError
-from manip_learn.experiments.part_store import PartStore, library_digest
+from manip_learn.atomic_write import write_atomically
+from manip_learn.errors import MissingExtraError, OutputError
 from manip_learn.linalg import one_thread
+from manip_learn.recordings.trajectory_source import Progress
 
-Progress = Callable[[int, int], None]
 Backend = Literal["loky", "threading", "dask"]
 BACKENDS = ("loky", "threading", "dask")
 # a trial takes frozen settings and a generator, and returns plain numbers, strings, lists and dictionaries
 Trial = Callable[[Any, np.random.Generator], dict[str, Any]]
+MARKER = "reproduction.json"
+FORMAT = "manip_learn.reproduction"
+PARTS = "parts"
 PART = 5  # trials that are run and kept together
+
+
+@final
+class PartStore:
+    """Finished parts as JSON files, found again by everything that they depend on.
+
+    Args:
+        folder: Output folder; it is made, or must be empty, or one of ours.
+
+    Raises:
+        OutputError: The folder holds other files, is a file, or cannot be written.
+    """
+
+    def __init__(self, folder: str | Path):
+        self.folder = Path(folder).expanduser().resolve()
+        marker = self.folder / MARKER
+        try:
+            if self.folder.exists() and not self.folder.is_dir():
+                raise OutputError(f"{self.folder} is a file; give a folder for the results")
+            others = [] if not self.folder.exists() else sorted(p.name for p in self.folder.iterdir())
+        except OSError as error:
+            raise OutputError(f"cannot read {self.folder}: {error.strerror}; choose another folder") from error
+        if others and not _is_ours(marker):
+            shown = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
+            raise OutputError(
+                f"{self.folder} holds other files ({shown}): give a new or empty folder, or that of an earlier run"
+            )
+        if not others:
+            write_atomically(marker, json.dumps({"format": FORMAT}) + "\n")
+
+    def load(self, key: dict[str, Any]) -> list[dict[str, Any]] | None:
+        """What was kept under a key; None if nothing was, or if the file is damaged."""
+        path = self._path(key)
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        return content.get("value") if isinstance(content, dict) and content.get("key") == _plain(key) else None
+
+    def keep(self, key: dict[str, Any], value: list[dict[str, Any]]) -> None:
+        """Write a finished part, whole or not at all.
+
+        Raises:
+            OutputError: It cannot be written.
+        """
+        write_atomically(self._path(key), json.dumps({"key": _plain(key), "value": value}) + "\n")
+
+    def _path(self, key: dict[str, Any]) -> Path:
+        name = str(key.get("experiment", "part")).replace("/", "-")
+        return self.folder / PARTS / f"{name}-{_digest(key)[:20]}.json"
+
+
+@cache
+def library_digest() -> str:
+    """SHA-256 of the library's source: parts made by other code are not used."""
+    digest = hashlib.sha256()
+    package = Path(__file__).resolve().parents[1]
+    for path in sorted(package.rglob("*.py")):
+        digest.update(path.relative_to(package).as_posix().encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 @final
@@ -31,8 +99,8 @@ class TrialRunner:
         workers: Number of processes; all cores by default. 1 runs in this process.
         backend: joblib's: `"loky"` (processes), `"threading"`, or `"dask"` (an embedded cluster on 127.0.0.1).
         store: Where finished parts are kept and found.
-        progress: Called with the number of trials done and their total.
-        total: Number of trials that `progress` counts to.
+        progress: Called with the experiment's name and the completed fraction of `total`, 0 to 1.
+        total: Number of trials of all experiments that this runner is for.
     """
 
     def __init__(
@@ -79,7 +147,7 @@ class TrialRunner:
                 missing.append((i, first, key))
             else:
                 results[i, first] = kept
-                self.advance(key["count"])
+                self.advance(experiment, key["count"])
         work = [(trial, settings[i], key) for i, _, key in missing]
         with one_thread():  # here too: threads of this process share the setting
             for number, part in self._run(work):
@@ -87,14 +155,14 @@ class TrialRunner:
                 results[i, first] = part
                 if self.store is not None:
                     self.store.keep(key, part)
-                self.advance(len(part))
+                self.advance(experiment, len(part))
         return [[r for first in range(0, trials, PART) for r in results[i, first]] for i in range(len(settings))]
 
-    def advance(self, trials: int = 1) -> None:
-        """Report trials as done."""
+    def advance(self, experiment: str, trials: int) -> None:
+        """Report trials of an experiment as done."""
         self.done += trials
         if self.progress is not None:
-            self.progress(self.done, max(self.total, self.done))
+            self.progress(experiment, self.done / max(self.total, self.done))
 
     def _key(self, experiment: str, trial: Trial, one: Any, first: int, count: int, seed: int) -> dict[str, Any]:
         return {
@@ -144,3 +212,19 @@ def _cluster(backend: Backend, workers: int) -> Iterator[None]:
         Client(cluster),
     ):
         yield
+
+
+def _digest(key: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(_plain(key), sort_keys=True).encode()).hexdigest()
+
+
+def _plain(key: dict[str, Any]) -> Any:
+    return json.loads(json.dumps(key, sort_keys=True))
+
+
+def _is_ours(marker: Path) -> bool:
+    try:
+        content = json.loads(marker.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(content, dict) and content.get("format") == FORMAT

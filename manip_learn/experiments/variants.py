@@ -10,10 +10,9 @@ import numpy as np
 
 from manip_learn.control.rollout import Rollout
 from manip_learn.experiments import charts
-from manip_learn.experiments.experiment_result import ExperimentResult
+from manip_learn.experiments.experiment_result import ExperimentResult, markdown_table, number, summary
 from manip_learn.experiments.learning_trial import LearningCase, learning_trial
 from manip_learn.experiments.paper_setup import SELECTIONS, Setup
-from manip_learn.experiments.summary import markdown_table, number, summary
 from manip_learn.experiments.trial_runner import TrialRunner
 from manip_learn.robot.robot import Robot
 
