@@ -125,7 +125,7 @@ class BeyondResult(ExperimentResult):
     """Outcome of every trial.
 
     Attributes:
-        outcomes: Case -> one dictionary a trial, see `beyond_trial`.
+        outcomes: Case -> one dictionary per trial, see `beyond_trial`.
     """
 
     outcomes: dict[BeyondCase, list[dict[str, Any]]]
@@ -145,7 +145,7 @@ class BeyondResult(ExperimentResult):
         return {"paper": None, "ours": ours}
 
     def rows(self) -> list[dict[str, Any]]:
-        """One line a trial."""
+        """One line per trial."""
         return [
             {
                 "system": case.system,

@@ -24,7 +24,7 @@ class ExperimentResult(ABC):
 
     @abstractmethod
     def rows(self) -> list[dict[str, Any]]:
-        """One dictionary a line of the CSV file, all with the same keys."""
+        """One dictionary per line of the CSV file, all with the same keys."""
 
     @abstractmethod
     def markdown(self) -> str:

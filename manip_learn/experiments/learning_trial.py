@@ -37,7 +37,7 @@ class ScaledRows(FeatureMap):
 
     Args:
         features: Phi.
-        scales: One factor a row.
+        scales: One factor per row.
     """
 
     def __init__(self, features: FeatureMap, scales: ArrayLike):

@@ -202,7 +202,7 @@ def _joint(name: str, parent: str, child: str, xyz: str, axis: str) -> str:
 
 @cache
 def torque_features() -> CustomFeatures:
-    """Phi = J M^-1: acceleration of the tip along x, y and of its heading a torque [m/s^2 or rad/s^2, a N m]."""
+    """Phi = J M^-1: tip acceleration along x, y and of the heading per unit torque [m/s^2 or rad/s^2 per N m]."""
     return CustomFeatures(lambda q: tip_jacobian(q) @ np.linalg.inv(inertia(q)), ("x", "y", "heading"), nv=4)
 
 

@@ -104,7 +104,7 @@ class RmseResult(ExperimentResult):
     """RMSE of every rollout.
 
     Attributes:
-        outcomes: Constraint -> one dictionary a trial, see `rmse_trial`.
+        outcomes: Constraint -> one dictionary per trial, see `rmse_trial`.
     """
 
     outcomes: dict[str, list[dict[str, Any]]]
@@ -123,7 +123,7 @@ class RmseResult(ExperimentResult):
         return {"paper": dict(PAPER_RMSE), "ours": ours}
 
     def rows(self) -> list[dict[str, Any]]:
-        """One line a rollout and estimator."""
+        """One line per rollout and estimator."""
         return [
             {"rows": rows, "trial": i, "rollout": j, "estimator": name, "rmse": value}
             for rows, trials in self.outcomes.items()

@@ -173,13 +173,13 @@ class SawyerResult(ExperimentResult):
     """Outcome of every trial.
 
     Attributes:
-        outcomes: Case -> one dictionary a trial, see `sawyer_trial`.
+        outcomes: Case -> one dictionary per trial, see `sawyer_trial`.
     """
 
     outcomes: dict[SawyerCase, list[dict[str, Any]]]
 
     def values(self, case: SawyerCase, what: str) -> list[float]:
-        """One number a trial that was not refused."""
+        """One number per trial that was not refused."""
         return [t[what] for t in self.outcomes[case] if what in t]
 
     def to_dict(self) -> dict[str, Any]:
@@ -203,7 +203,7 @@ class SawyerResult(ExperimentResult):
         return {"paper": paper, "ours": ours}
 
     def rows(self) -> list[dict[str, Any]]:
-        """One line a trial."""
+        """One line per trial."""
         return [
             {
                 "source": case.source,

@@ -126,7 +126,7 @@ class StartResult(ExperimentResult):
         }
 
     def rows(self) -> list[dict[str, Any]]:
-        """One line a sample of every rollout."""
+        """One line per sample of every rollout."""
         named = {f"paper dt {dt:g} {p}": r for dt, rs in self.paper_law.items() for p, r in rs.items()}
         named |= {f"ours {p}": r for p, r in self.product.items()}
         return [

@@ -68,13 +68,13 @@ class TableResult(ExperimentResult):
     """Outcome of every trial.
 
     Attributes:
-        outcomes: Constraint -> one dictionary a trial, see `learning_trial`.
+        outcomes: Constraint -> one dictionary per trial, see `learning_trial`.
     """
 
     outcomes: dict[str, list[dict[str, Any]]]
 
     def values(self, rows: str, estimator: str, what: str = "test") -> list[float]:
-        """One number a trial that was not refused."""
+        """One number per trial that was not refused."""
         return [t[estimator][what] for t in self.outcomes[rows] if what in t[estimator]]
 
     def to_dict(self) -> dict[str, Any]:
@@ -98,7 +98,7 @@ class TableResult(ExperimentResult):
         return sum(t[name].get("rows") == len(rows.split()) for t in trials) / len(trials)
 
     def rows(self) -> list[dict[str, Any]]:
-        """One line a trial and estimator."""
+        """One line per trial and estimator."""
         return [
             {
                 "rows": rows,
@@ -117,7 +117,7 @@ class TableResult(ExperimentResult):
         ]
 
     def markdown(self) -> str:
-        """The table with the paper's column, one block a constraint."""
+        """The table with the paper's column, one block per constraint."""
         parts = []
         for rows, block in self.to_dict().items():
             lines: list[list[str]] = [["**paper, as printed**", f"{mean_and_sd(block['paper'])}", "", "", "", ""]]
@@ -146,7 +146,7 @@ class TableResult(ExperimentResult):
         return {"table": figure}
 
     def replays(self) -> dict[str, tuple[Robot, Mapping[str, Rollout]]]:
-        """None: nothing moves here."""
+        """None: no robot moves in this experiment."""
         return {}
 
 

@@ -74,7 +74,7 @@ class VariantsResult(ExperimentResult):
     """Outcome of every trial.
 
     Attributes:
-        outcomes: (variant, rows) -> one dictionary a trial, see `learning_trial`.
+        outcomes: (variant, rows) -> one dictionary per trial, see `learning_trial`.
     """
 
     outcomes: dict[tuple[str, str], list[dict[str, Any]]]
@@ -88,7 +88,7 @@ class VariantsResult(ExperimentResult):
         return out
 
     def rows(self) -> list[dict[str, Any]]:
-        """One line a trial and estimator."""
+        """One line per trial and estimator."""
         return [
             {
                 "variant": name,
@@ -142,7 +142,7 @@ class VariantsResult(ExperimentResult):
         return {"variants": figure}
 
     def replays(self) -> dict[str, tuple[Robot, Mapping[str, Rollout]]]:
-        """None: nothing moves here."""
+        """None: no robot moves in this experiment."""
         return {}
 
 
