@@ -76,7 +76,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= 200 else f"{text[:200]}..."
 
 
-# wording, time and place are no results; the cross-check's largest difference, and where it is, are rounding itself
+# wording, time and place (of files, too) are no results; the cross-check's largest difference, and where it is, are rounding itself
 NO_RESULT = (
     "seconds",
     "bytes",
@@ -88,6 +88,9 @@ NO_RESULT = (
     "fingerprint",
     "notes",
     "link",
+    "meshes_found",
+    "evidence",
+    "reason",
 )
 COUNTED = ("warnings",)  # their wording may improve
 # rows of any sign and order, or any other basis of the same space
