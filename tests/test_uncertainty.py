@@ -6,8 +6,8 @@ import numpy as np
 from generated_motions import angle_deg, arm_features, guided_motions, oblique
 
 from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.calibration import JointOffsets
 from manip_learn.learning.estimators.null_space import estimate_null_space
+from manip_learn.learning.evidence.joint_offsets import JointOffsets
 from manip_learn.learning.samples import Samples
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory

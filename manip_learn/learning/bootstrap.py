@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float, Int
 
-from manip_learn.learning.calibration import JointOffsets
+from manip_learn.learning.evidence.joint_offsets import JointOffsets
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import complement_rows, row_space_angles
 

@@ -15,10 +15,10 @@ from manip_learn.errors import FeatureError, NotIdentifiableError, NumberOfConst
 from manip_learn.learning.advice import advise, advise_in_general
 from manip_learn.learning.answer import Answer, Fit, find_answer
 from manip_learn.learning.bootstrap import bootstrap_angle_deg
-from manip_learn.learning.calibration import JointOffsets
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
 from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, check_joints
 from manip_learn.learning.division import Division, Part, divide, undivided
+from manip_learn.learning.evidence.joint_offsets import JointOffsets
 from manip_learn.learning.excitation import check_fastest
 from manip_learn.learning.overview import RecordingOverview
 from manip_learn.learning.report import LearningReport, build_report

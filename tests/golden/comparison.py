@@ -76,7 +76,8 @@ def _short(value: Any) -> str:
     return text if len(text) <= 200 else f"{text[:200]}..."
 
 
-# wording, time and place (of files, too) are no results; the cross-check's largest difference, and where it is, are rounding itself
+# wording, time and place, of files too, are no results; the cross-check's largest difference, and where it is, are
+# rounding itself
 NO_RESULT = (
     "seconds",
     "bytes",

@@ -27,6 +27,8 @@ from manip_learn.learning.estimators.row_count import POOR, drop_doubtful_rows
 from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, scores
 from manip_learn.learning.samples import Samples
 
+# share of the motion that is rounding
+EXACT = 1e-16
 N_CENTRES = 32
 RANDOM_STARTS = 2
 # models are compared on at most this many samples, and fitted with at most this many columns unless asked for
@@ -80,9 +82,12 @@ def estimate_joint(
     table, doubts = _count_rows(few, usable) if n_constraints is None else (_build_table(few, usable), ())
     s = n_constraints or table.best
     chosen, residuals = search_model(few, s, models, usable[s])
-    if policy_model == "auto" and chosen.held_out > POOR * null_energy(samples, chosen.fit):
+    is_poor = chosen.held_out > POOR * null_energy(samples, chosen.fit)
+    # rich models come close to separate rest postures, which alone are exact then
+    is_close = usable[s].held_out > POOR * null_energy(samples, usable[s].fit) and not _is_exact(chosen.fit)
+    if policy_model == "auto" and (is_poor or is_close) and not _is_exact(usable[s].fit):
         own = offsets_if_clear(samples, n_constraints, rng, chosen.fit.whitened_selection)
-        if own is not None:
+        if own is not None and (is_poor or own.unexplained < EXACT):
             return own
     if chosen.held_out > unexplained * null_energy(samples, chosen.fit):
         raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
@@ -105,6 +110,11 @@ def estimate_joint(
         warnings=doubts,
         joint=fit,
     )
+
+
+def _is_exact(fit: JointFit) -> bool:
+    """Whether rounding is all that the policy model leaves of the motion."""
+    return fit.cost <= EXACT * fit.energy
 
 
 def _subsample(samples: Samples) -> Samples:

@@ -22,8 +22,8 @@ def drop_doubtful_rows(
     """Fewer rows where the last of them is not told from chance, or from what no policy model explains.
 
     Samples of one trajectory are not independent, so that few trajectories can make a row look commanded: the residual
-    a degree of freedom must fall in the folds of trajectories by more than Student's distribution lets expect. Where
-    the motion is poorly explained anyway, a weak gap may be the policy's.
+    per degree of freedom must fall in the folds of trajectories by a factor whose logarithm is beyond what Student's
+    distribution lets expect. Where the motion is poorly explained anyway, a weak gap may be the policy's.
 
     Args:
         table: Evidence of the pooled residuals.
@@ -38,7 +38,7 @@ def drop_doubtful_rows(
     while best > 1 and best - 1 in residuals and table.gap(best - 1) >= table.weak_from:
         more, fewer = (np.maximum(residuals[k], floor) for k in (best, best - 1))
         doubtful = unexplained[best] > POOR and table.gap(best) < CLEAR_GAP
-        if _is_gain(fewer - more) and not doubtful:
+        if _is_gain(np.log(fewer / more)) and not doubtful:
             break
         best -= 1
     if best == table.best:

@@ -35,6 +35,8 @@ RANK_TOLERANCE = 1e-13
 BASIS_TOLERANCE = 1e-10
 # parameters of the policy beyond which normal equations take the place of a QR of all rows
 MANY_COLUMNS = 64
+# share of the energy below which what is left is no noise
+NEARLY_EXACT = 1e-6
 # trajectories beyond so many are taken in blocks: a Hessian of each, for Theta too, is kept
 MAX_BLOCKS = 100
 
@@ -80,7 +82,10 @@ def fit_joint(
         gain: Relative decrease of the cost below which to stop.
     """
     if model.n_terms * samples.nv > MANY_COLUMNS:
-        return _fit_many(samples, start, model, max_iterations, tolerance, gain)
+        fast = _fit_many(samples, start, model, max_iterations, tolerance, gain)
+        if fast.cost > NEARLY_EXACT * fast.energy:
+            return fast
+        start = fast.whitened_selection  # normal equations lose half the digits: QR goes on where there are digits
     Lambda = orthonormal_rows(start)
     s, r = Lambda.shape
     theta, cost, energy = _policy(samples, Lambda, model)
