@@ -28,6 +28,7 @@ from manip_learn.linalg import batch_row_spaces, complement_rows, inverse_triang
 TAU_RANGE = (1e-6, 3e-2)
 TAU_STEPS = 60
 MOST_SAMPLES = 5000  # enough to see offsets
+LAGS = 40  # samples over which smoothing spreads noise
 UNSEEN = 1e-12  # share of the largest curvature below which a combination of offsets shows nowhere
 
 
@@ -71,7 +72,10 @@ class JointOffsets:
         seen = curvatures > 0.0
         left = float(e @ e) - float(np.sum(pattern[seen] ** 2 / curvatures[seen]))
         # neither curvature nor pattern is scaled up to all samples: chance in the pattern would look like offsets
-        return JointOffsets(response[:, :-1], V, curvatures, pattern, max(left, 1e-12 * float(e @ e)) / freedom)
+        # what the offsets themselves make is alike in neighbours too, and no noise
+        noise = e - rest @ (V @ np.divide(pattern, curvatures, out=np.zeros_like(pattern), where=seen))
+        variance = max(left, 1e-12 * float(e @ e)) / freedom * _correlation(noise.reshape(-1, s))
+        return JointOffsets(response[:, :-1], V, curvatures, pattern, variance)
 
     def errors(self, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n m"]:
         """Draws of the error of B that the offsets make, given the data."""
@@ -87,6 +91,17 @@ class JointOffsets:
         shrink = drawn / (sigma2 + lam * drawn)  # posterior variance over sigma^2
         delta = shrink * self.pattern + np.sqrt(shrink * sigma2) * rng.standard_normal((n, len(lam)))
         return delta @ self.directions.T @ self.response.T
+
+
+def _correlation(e: Float[np.ndarray, "n s"]) -> float:
+    """By how much the variance of a sum of neighbouring residuals exceeds that of independent ones, at least 1.
+
+    Velocities that are derived from positions share their noise within a window; a pattern over the postures is a sum
+    of many of them, and would otherwise look like offsets.
+    """
+    total = float(np.sum(e * e))
+    lags = range(1, min(LAGS, len(e) - 1) + 1)
+    return max(1.0, 1.0 + 2.0 * sum(abs(float(np.sum(e[k:] * e[:-k]))) for k in lags) / total) if total > 0.0 else 1.0
 
 
 def _linearised(samples: Samples, Lambda: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
