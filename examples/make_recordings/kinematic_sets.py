@@ -56,10 +56,6 @@ def make_set(
         ValueError: No such kind or robot, or no demonstration asked for.
         RuntimeError: Nothing within reach was drawn.
     """
-    if kind not in KINDS:
-        raise ValueError(f"no kind {kind!r}; there are {', '.join(KINDS)}")
-    if n_demonstrations < 1:
-        raise ValueError(f"{n_demonstrations} demonstrations: at least 1 is needed")
     return record_set(draw_set, kind, robot, seed, n_demonstrations, noise, whole)
 
 
@@ -69,8 +65,13 @@ def record_set(
     """`make_set` with another way to make the motion: the first good draw, with the encoders' noise and its truth.
 
     Raises:
+        ValueError: No such kind, or no demonstration asked for.
         RuntimeError: Nothing within reach was drawn.
     """
+    if kind not in KINDS:
+        raise ValueError(f"no kind {kind!r}; there are {', '.join(KINDS)}")
+    if n_demonstrations < 1:
+        raise ValueError(f"{n_demonstrations} demonstrations: at least 1 is needed")
     arm = load_arm(robot)
     key = [seed, zlib.crc32(kind.encode()), ROBOTS.index(robot)]
     for draw in range(DRAWS):

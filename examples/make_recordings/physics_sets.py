@@ -14,7 +14,6 @@ from typing import Any
 
 from make_recordings.arms import Arm
 from make_recordings.guided_motion import SETTLE, simulate
-from make_recordings.kinds import KINDS
 from make_recordings.kinematic_sets import ENCODER_NOISE, Drawn, Trajectories, draw_set, record_set
 
 STUCK = 8.0  # how much more dry friction the joints have in `free_sticking`
@@ -29,10 +28,6 @@ def make_set(
         ValueError: No such kind or robot, or no demonstration asked for.
         RuntimeError: Nothing within reach was drawn.
     """
-    if kind not in KINDS:
-        raise ValueError(f"no kind {kind!r}; there are {', '.join(KINDS)}")
-    if n_demonstrations < 1:
-        raise ValueError(f"{n_demonstrations} demonstrations: at least 1 is needed")
     return record_set(_draw, kind, robot, seed, n_demonstrations, noise, whole)
 
 
