@@ -6,16 +6,34 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, final
 
+import numpy as np
 from make_recordings import kinematic_sets, physics_sets
 from make_recordings.arms import ROBOTS, Arm, load_arm
 from make_recordings.kinds import FREE
+from scipy.interpolate import CubicSpline
 
 from manip_learn.recordings.trajectory import Trajectory
 
-FIRST_SEED = 1000
 PHASES = ("drawer", "table", "door", "drawer_then_table", "door_then_drawer")
 FIRM = {"drawer_firm", "table_flat", "door_firm", "hinge", "screw", "sleeve", "joystick"}
-STUDIES = ("phases", "phases-pose", "physics", "free", "evidence", "mechanisms", "contaminated", "clean")
+CUT = ("drawer", "drawer_firm", "table", "table_flat", "door", "door_firm", "hinge")
+# study: sets of each of its lines in the full table
+STUDIES = {
+    "phases": 25,
+    "phases-pose": 4,
+    "physics": 4,
+    "free": 17,
+    "evidence": 25,
+    "mechanisms": 25,
+    "small-turn": 12,
+    "contaminated": 12,
+    "clean": 5,
+    "timing": 8,
+    "speed": 6,
+}
+SMALL_TURN = 5.0  # of a hinge [deg]
+CUT_FREE = 1.5, 4.0  # length of a cut free motion [s]
+LONG = 12.0  # [s]
 
 
 @final
@@ -31,6 +49,8 @@ class Case:
         axes: Rows of Phi.
         physics: Made by dynamics rather than by kinematics alone.
         mixed: So many of the demonstrations come from another set of the kind, seed + 5000.
+        turn: Only so much of the way about the mechanism's axis is kept [deg]; None: all of it.
+        duration: Each recording is slowed down or sped up to this [s]; None: as it is.
     """
 
     kind: str
@@ -42,11 +62,14 @@ class Case:
     axes: str = "xyz"
     physics: bool = False
     mixed: int = 0
+    turn: float | None = None
+    duration: float | None = None
 
     def make(self) -> tuple[Arm, list[Trajectory], dict[str, Any]]:
         """The arm, the trajectories and the truth."""
         arm, maker = load_arm(self.robot), physics_sets if self.physics else kinematic_sets
-        made, truth = maker.make_set(self.kind, self.robot, self.seed, self.n - self.mixed, self.noise, self.whole)
+        noise = 0.0 if self.duration else self.noise
+        made, truth = maker.make_set(self.kind, self.robot, self.seed, self.n - self.mixed, noise, self.whole)
         if self.mixed:
             more = kinematic_sets.make_set(self.kind, self.robot, self.seed + 5000, self.mixed, self.noise, self.whole)
             made = [*made, *more[0]]
@@ -54,19 +77,60 @@ class Case:
             truth["windows"] += moved
             truth["mechanisms"] += more[1]["mechanisms"]
             truth["contaminated"] = list(range(self.n - self.mixed, self.n))
+        rng = np.random.default_rng(self.seed)
+        if self.kind in FREE and not self.whole:
+            made = [_cut(t, q, rng) for t, q in made]
+        if self.turn:
+            made = [_turned(arm, truth["mechanisms"][0], t, q, self.turn) for t, q in made]
+        if self.duration:
+            _stretch_windows(truth, made, self.duration)
+            made = [_stretched(t, q, self.duration, self.noise, rng) for t, q in made]
         names = arm.robot.joint_names
         return arm, [Trajectory(t, q, None, names, f"demo_{i}") for i, (t, q) in enumerate(made)], truth
 
 
-def cases_of(study: str, sets: int, kinds: list[str] | None) -> Iterator[tuple[str, list[Case]]]:
-    """Name of a line of the table, and its sets."""
+Recorded = tuple[np.ndarray, np.ndarray]
+
+
+def _cut(t: np.ndarray, q: np.ndarray, rng: np.random.Generator) -> Recorded:
+    """A part of a free motion, as long as a contact that somebody cut out, from its middle half."""
+    length = min(int(rng.uniform(*CUT_FREE) / (t[1] - t[0])), len(t) // 2)
+    start = int(rng.integers(len(t) // 4, 3 * len(t) // 4 - length + 1))
+    return t[:length], q[start : start + length]
+
+
+def _turned(arm: Arm, mechanism: dict[str, Any], t: np.ndarray, q: np.ndarray, turn: float) -> Recorded:
+    """The first stretch in which the tip goes so far about the axis [deg], and comes back as far as it does."""
+    axis, point = np.array(mechanism["axis"]), np.array(mechanism["point"])
+    arms = np.array([arm.pose(row)[:3, 3] for row in q]) - point
+    radial = arms - np.outer(arms @ axis, axis)
+    sine, cosine = np.cross(radial[0], radial) @ axis, radial @ radial[0]
+    beyond = np.flatnonzero(np.abs(np.degrees(np.arctan2(sine, cosine))) > turn)
+    end = int(beyond[0]) if len(beyond) else len(t)
+    return t[:end], q[:end]
+
+
+def _stretch_windows(truth: dict[str, Any], made: list[Recorded], duration: float) -> None:
+    for windows, (t, _) in zip(truth["windows"], made, strict=True):
+        windows[:] = [[a * duration / t[-1], b * duration / t[-1], k] for a, b, k in windows]
+
+
+def _stretched(t: np.ndarray, q: np.ndarray, duration: float, noise: float, rng: np.random.Generator) -> Recorded:
+    """The same motion in another time, with the encoders' noise."""
+    at = np.arange(0.0, duration, 0.01)
+    motion = CubicSpline(t * duration / t[-1], q)(at)
+    return at, motion + rng.normal(0.0, noise, motion.shape)
+
+
+def cases_of(study: str, sets: int, first_seed: int, kinds: list[str] | None) -> Iterator[tuple[str, list[Case]]]:
+    """Name of a line of the table, and its sets; those of one kind have the seeds from the first one on."""
 
     def of(names: Iterable[str], **settings: Any) -> Iterator[tuple[str, list[Case]]]:
         for kind in names:
             if not kinds or kind in kinds:
                 axes = "pose" if kind in FIRM else "rotation" if kind == "glass" else "xyz"
                 given = {"axes": axes} | settings
-                yield kind, [Case(kind, ROBOTS[i % 4], FIRST_SEED + i, **given) for i in range(sets)]
+                yield kind, [Case(kind, ROBOTS[i % 4], first_seed + i, **given) for i in range(sets)]
 
     match study:
         case "phases":
@@ -83,8 +147,16 @@ def cases_of(study: str, sets: int, kinds: list[str] | None) -> Iterator[tuple[s
                 lines = of(("drawer", "table", "table_flat", "door", "tether"), n=5, noise=noise, whole=False)
                 yield from ((f"{kind}, {noise:g} rad", cases) for kind, cases in lines)
         case "mechanisms":
-            yield from of(("drawer", "drawer_firm", "table", "table_flat", "door", "door_firm", "hinge"), whole=False)
+            yield from of(CUT, whole=False)
             yield from of(("tether", "joystick", "screw", "sleeve", "glass"), whole=False)
+        case "small-turn":
+            lines = of(("door", "door_firm", "hinge"), whole=False, turn=SMALL_TURN)
+            yield from ((f"{kind}, {SMALL_TURN:g} deg", cases) for kind, cases in lines)
+        case "timing":
+            lines = of((*PHASES, "free"), duration=LONG)
+            yield from ((f"{kind}, 6 x {LONG:g} s", cases) for kind, cases in lines)
+        case "speed":
+            yield from of(CUT, whole=False)
         case "contaminated":
             for whole in (True, False):
                 where = "whole" if whole else "cut"

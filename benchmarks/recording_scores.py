@@ -54,11 +54,24 @@ def true_rows(mechanism: dict[str, Any], position: np.ndarray, axes: str) -> np.
     return left[:, int(np.count_nonzero(sizes > 1e-6)) :].T
 
 
+def postures(trajectory: Trajectory, start: float, end: float) -> np.ndarray:
+    """Some of the postures of a contact, evenly chosen."""
+    inside = np.flatnonzero((trajectory.time >= start) & (trajectory.time <= end))
+    return trajectory.q[inside[:: max(1, len(inside) // PLACES)]]
+
+
+def row_angle(A: np.ndarray, q: np.ndarray, arm: Arm, mechanism: dict[str, Any], axes: str) -> tuple[bool, float]:
+    """Whether A(q) has as many rows as the mechanism holds, and the largest angle between the two [deg]."""
+    learnt = np.linalg.qr((A @ np.linalg.pinv(arm.robot.jacobian(q, arm.tip)[PARTS[axes]])).T)[0]
+    true = true_rows(mechanism, arm.pose(q)[:3, 3], axes)
+    cosine = np.linalg.svd(true @ learnt, compute_uv=False)[-1] if len(true) else 0.0
+    return len(true) == learnt.shape[1], float(np.degrees(np.arccos(min(cosine, 1.0))))
+
+
 def rows_figures(
     learner: ml.ConstraintLearner, arm: Arm, demos: list[Trajectory], truth: dict[str, Any], axes: str
 ) -> dict[str, float]:
     """Number of rows, and the largest angle between rows learnt and true ones, of the worst constraint."""
-    used = PARTS[axes]
     wrong, angles = False, []
     names = {t.name: i for i, t in enumerate(demos)}
     for index, mechanism in enumerate(truth["mechanisms"]):
@@ -70,14 +83,10 @@ def rows_figures(
             return {"rows right": 0.0}
         constraint, found = learner.constraints_[number], []
         for i, a, b in windows:
-            inside = np.flatnonzero((demos[i].time >= a) & (demos[i].time <= b))
-            for q in demos[i].q[inside[:: max(1, len(inside) // PLACES)]]:
-                J = arm.robot.jacobian(q, arm.tip)[used]
-                learnt = np.linalg.qr((constraint(q) @ np.linalg.pinv(J)).T)[0]
-                true = true_rows(mechanism, arm.pose(q)[:3, 3], axes)
-                wrong |= len(true) != learnt.shape[1]
-                cosine = np.linalg.svd(true @ learnt, compute_uv=False)[-1] if len(true) else 0.0
-                found.append(np.degrees(np.arccos(min(cosine, 1.0))))
+            for q in postures(demos[i], a, b):
+                same, angle = row_angle(constraint(q), q, arm, mechanism, axes)
+                wrong |= not same
+                found.append(angle)
         angles.append(float(np.median(found)))
     return {"rows right": float(not wrong), "direction deg": max(angles)}
 
@@ -154,7 +163,13 @@ def _mechanism(report: LearningReport, truth: dict[str, Any]) -> dict[str, float
         figures["radius mm"] = 1e3 * abs(found.radius - truth["radius"])
     if found.pitch is not None and truth["pitch"]:
         figures["pitch %"] = 100.0 * abs(found.pitch / truth["pitch"] - 1.0)
-    return figures
+    stated = {"axis deg": ("axis", 1.0), "place mm": ("point", 1e3), "radius mm": ("radius", 1e3)}
+    sizes = [
+        figures[name] / max(factor * found.uncertainty[what], 1e-12)
+        for name, (what, factor) in stated.items()
+        if name in figures and what in found.uncertainty
+    ]
+    return figures | ({"error / std": max(sizes)} if sizes else {})
 
 
 def odd_figures(report: LearningReport, n: int, contaminated: list[int], either: bool) -> dict[str, float]:

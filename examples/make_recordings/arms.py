@@ -23,7 +23,7 @@ _ARMS = {
     "sawyer": ("right_hand", (0.0, -0.9, 0.0, 1.7, 0.0, 0.8, 3.3161)),
 }
 ROBOTS = tuple(_ARMS)
-_LOCKED = {"panda": ("panda_finger_joint1", "panda_finger_joint2")}
+LOCKED = {"panda": ("panda_finger_joint1", "panda_finger_joint2")}
 
 
 @final
@@ -85,7 +85,7 @@ def load_arm(name: str) -> Arm:
     if name not in _ARMS:
         raise ValueError(f"no arm {name!r}; there are {', '.join(ROBOTS)}")
     tip, ready = _ARMS[name]
-    robot = load_robot(name, locked=_LOCKED.get(name, ()))
+    robot = load_robot(name, locked=LOCKED.get(name, ()))
     posture = np.array(ready)
     posture.setflags(write=False)
     return Arm(robot, robot.frame(tip), posture)
