@@ -22,6 +22,7 @@ STUDIES = {
     "phases": 25,
     "phases-pose": 4,
     "physics": 4,
+    "lone": 12,
     "free": 17,
     "evidence": 25,
     "mechanisms": 25,
@@ -50,6 +51,7 @@ class Case:
         physics: Made by dynamics rather than by kinematics alone.
         mixed: So many of the demonstrations come from another set of the kind, seed + 5000.
         turn: Only so much of the way about the mechanism's axis is kept [deg]; None: all of it.
+        lone: Only the last recording keeps its second contact; the others end before.
         duration: Each recording is slowed down or sped up to this [s]; None: as it is.
     """
 
@@ -63,6 +65,7 @@ class Case:
     physics: bool = False
     mixed: int = 0
     turn: float | None = None
+    lone: bool = False
     duration: float | None = None
 
     def make(self) -> tuple[Arm, list[Trajectory], dict[str, Any]]:
@@ -80,6 +83,8 @@ class Case:
         rng = np.random.default_rng(self.seed)
         if self.kind in FREE and not self.whole:
             made = [_cut(t, q, rng) for t, q in made]
+        if self.lone:
+            made = [*(_ended(truth["windows"][i], *made[i]) for i in range(self.n - 1)), made[-1]]
         if self.turn:
             made = [_turned(arm, truth["mechanisms"][0], t, q, self.turn) for t, q in made]
         if self.duration:
@@ -97,6 +102,13 @@ def _cut(t: np.ndarray, q: np.ndarray, rng: np.random.Generator) -> Recorded:
     length = min(int(rng.uniform(*CUT_FREE) / (t[1] - t[0])), len(t) // 2)
     start = int(rng.integers(len(t) // 4, 3 * len(t) // 4 - length + 1))
     return t[:length], q[start : start + length]
+
+
+def _ended(windows: list[list[float]], t: np.ndarray, q: np.ndarray) -> Recorded:
+    """A recording without its second contact: it ends halfway between the two."""
+    (first, second), end = windows, 0.5 * (windows[0][1] + windows[1][0])
+    windows[:] = [first] if second[0] >= end else windows
+    return t[t < end], q[t < end]
 
 
 def _turned(arm: Arm, mechanism: dict[str, Any], t: np.ndarray, q: np.ndarray, turn: float) -> Recorded:
@@ -139,6 +151,8 @@ def cases_of(study: str, sets: int, first_seed: int, kinds: list[str] | None) ->
             yield from of(("drawer_firm", "table_flat", "door_firm"))
         case "physics":
             yield from of(PHASES, physics=True)
+        case "lone":
+            yield from of(("drawer_then_table", "door_then_drawer"), lone=True)
         case "free":
             for whole in (True, False):
                 yield from ((f"{k}{'' if whole else ', cut'}", c) for k, c in of(FREE, whole=whole))

@@ -9,6 +9,7 @@ import numpy as np
 from make_recordings.arms import Arm
 
 import manip_learn as ml
+from manip_learn.learning.division import IN_ONE_ONLY
 from manip_learn.learning.report import LearningReport
 from manip_learn.linalg import null_basis
 from manip_learn.recordings.trajectory import Trajectory
@@ -76,7 +77,7 @@ def rows_figures(
     names = {t.name: i for i, t in enumerate(demos)}
     for index, mechanism in enumerate(truth["mechanisms"]):
         windows = [(i, a, b) for i, w in enumerate(truth["windows"]) for a, b, k in w if k == index]
-        if not windows or (index > 0 and truth["contaminated"]):
+        if len(windows) < 2 or (index > 0 and truth["contaminated"]):
             continue
         number = _best_constraint(learner.report_, windows, names)
         if number is None:
@@ -136,6 +137,8 @@ def mechanisms_figures(
     worst: dict[str, float] = {"type right": 1.0}
     for index, mechanism in enumerate(truth["mechanisms"][: 1 if truth["contaminated"] else None]):
         windows = [(i, a, b) for i, w in enumerate(truth["windows"]) for a, b, k in w if k == index]
+        if len(windows) < 2:
+            continue
         number = _best_constraint(learner.report_, windows, {t.name: i for i, t in enumerate(demos)})
         figures = {"type right": 0.0} if number is None else _mechanism(learner.reports_[number], mechanism)
         worst["type right"] = min(worst["type right"], figures.pop("type right"))
@@ -170,6 +173,21 @@ def _mechanism(report: LearningReport, truth: dict[str, Any]) -> dict[str, float
         if name in figures and what in found.uncertainty
     ]
     return figures | ({"error / std": max(sizes)} if sizes else {})
+
+
+def lone_figures(report: LearningReport, truth: dict[str, Any]) -> dict[str, float]:
+    """Whether contacts that one recording alone shows are named, and how many are named that are none."""
+    said = [p for p in report.phases if p.reason == IN_ONE_ONLY]
+    contacts = [(i, a, b, k) for i, windows in enumerate(truth["windows"]) for a, b, k in windows]
+    numbers = [k for *_, k in contacts]
+    named, right = 0.0, 0
+    for i, a, b, k in contacts:
+        here = [p for p in said if p.trajectory == f"demo_{i}" and min(p.end, b) - max(p.start, a) > 0.5 * (b - a)]
+        if numbers.count(k) == 1:
+            named, right = float(bool(here)), right + len(here)
+    return {"lone wrong": float(len(said) - right)} | (
+        {"lone named": named} if 1 in map(numbers.count, numbers) else {}
+    )
 
 
 def odd_figures(report: LearningReport, n: int, contaminated: list[int], either: bool) -> dict[str, float]:

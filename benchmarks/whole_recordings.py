@@ -28,7 +28,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 from make_recordings.arms import LOCKED
 from make_recordings.kinds import FREE
 from recording_cases import STUDIES, Case, cases_of
-from recording_scores import mechanisms_figures, odd_figures, phases_figures, postures, row_angle, rows_figures
+from recording_scores import (
+    lone_figures,
+    mechanisms_figures,
+    odd_figures,
+    phases_figures,
+    postures,
+    row_angle,
+    rows_figures,
+)
 from reference_fits import Rival, in_turns
 
 import manip_learn as ml
@@ -52,11 +60,14 @@ COLUMNS = (
     "error / std",
     "odd missed",
     "false alarms",
+    "lone named",
+    "lone wrong",
     "cpu s",
     "cpu ratio",
     "other deg",
 )
 COUNTED = {"refused", "warned", "rows right", "wrong, no warning", "type right", "odd missed", "false alarms"}
+COUNTED |= {"lone named", "lone wrong"}
 LARGE_IS_GOOD = {"found %"}
 ROUNDS = 3  # in which both trees learn the same recordings
 
@@ -82,6 +93,8 @@ def judge(case: Case) -> Outcome:
         figures = {"refused": 1.0, "cpu s": time.process_time() - started}
         if truth["mechanisms"]:
             figures |= {"rows right": 0.0, "type right": 0.0}
+        if not case.mixed:
+            figures |= {"lone wrong": float("one recording only" in str(refusal))}
         if truth["contaminated"]:
             figures |= {"odd missed": float(len(truth["contaminated"]))}
         return Outcome(case, figures, f"refused ({refusal.code}): {refusal}")
@@ -90,7 +103,9 @@ def judge(case: Case) -> Outcome:
     if truth["mechanisms"]:
         figures |= rows_figures(learner, arm, demos, truth, case.axes) | mechanisms_figures(learner, demos, truth)
         figures["wrong, no warning"] = float(not figures["rows right"] and not report.warnings)
-        if case.whole and not truth["contaminated"]:
+        if not truth["contaminated"]:
+            figures |= lone_figures(report, truth)
+        if case.whole and not truth["contaminated"] and not case.lone:
             figures |= phases_figures(report, arm, demos, truth)
         figures |= odd_figures(report, len(demos), truth["contaminated"], bool(case.mixed))
     stated = "" if report.mechanism is None else f" {dict(report.mechanism.uncertainty)}"
@@ -143,6 +158,7 @@ def losing(o: Outcome) -> bool:
     wrong = f.get("rows right") == 0.0 or f.get("type right") == 0.0 or f.get("found %", 100.0) < 95.0
     wrong |= f.get("outside %", 0.0) > 3.0 or f.get("odd missed", 0.0) > 0.0 or f.get("false alarms", 0.0) > 0.0
     wrong |= f.get("radius mm", 0.0) > 1.0 or f.get("place mm", 0.0) > 1.0 or f.get("axis deg", 0.0) > 0.1
+    wrong |= f.get("lone wrong", 0.0) > 0.0 or f.get("lone named") == 0.0
     return wrong or (o.case.kind in FREE and f["refused"] == 0.0) or f.get("direction deg", 0.0) > 0.1
 
 

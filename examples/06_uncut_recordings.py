@@ -55,11 +55,12 @@ def main() -> None:
         print(f"replay: {page.html}")
 
 
-def print_phases(phases: tuple[tuple[str, float, float, int | None], ...], name: str) -> None:
+def print_phases(phases: tuple[tuple[str, float, float, int | None, str], ...], name: str) -> None:
     """When which constraint held in one recording."""
-    for trajectory, start, end, constraint in phases:
+    for trajectory, start, end, constraint, reason in phases:
         if trajectory == name:
-            held = "free motion" if constraint is None else f"constraint {constraint + 1}"
+            nothing = f"not learnt ({reason})" if reason else "free motion"
+            held = nothing if constraint is None else f"constraint {constraint + 1}"
             print(f"{name}: {held} from {start:.2f} s to {end:.2f} s")
 
 

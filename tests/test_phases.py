@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.learning.phases.find_phases import find_phases, needs_phases
+from manip_learn.learning.phases.find_phases import find_phases, one_constraint_fits
 from manip_learn.learning.phases.motion import PhaseMotion, broken_energy
 from manip_learn.learning.phases.result import PhaseResult, Stretch
 from manip_learn.learning.phases.segmentation import HeldScale, best_states, evidence
@@ -121,7 +121,8 @@ def test_times_are_those_of_each_recordings_own_clock():
 def test_phases_of_a_recording_do_not_overlap():
     """Held, free and still stretches follow one another."""
     result = searched(recordings("drawer_then_table", "xarm7", 2011, 5))
-    spans = [(i, a, b) for i, a, b, _ in result.phases()] + [(s.trajectory, s.start, s.end) for s in result.still]
+    held = [s for c in result.constraints for s in c.stretches]
+    spans = [(s.trajectory, s.start, s.end) for s in (*held, *result.free, *result.unsupported, *result.still)]
     for (i, _, end), (j, start, _) in zip(sorted(spans)[:-1], sorted(spans)[1:], strict=True):
         assert i != j or start >= end - 1e-9
 
@@ -130,9 +131,9 @@ def test_phases_of_a_recording_do_not_overlap():
 def test_the_search_is_asked_for_by_whole_recordings_only(kind: str):
     """Cut recordings that one constraint fits need no search; those with approach and retreat do."""
     features, cut, _ = recordings(kind, "panda", 2011, 5, whole=False)
-    assert not needs_phases(features, cut)
+    assert one_constraint_fits(features, cut)
     features, whole, _ = recordings(kind, "panda", 2011, 5)
-    assert needs_phases(features, whole)
+    assert not one_constraint_fits(features, whole)
 
 
 def test_energy_that_breaks_a_hypothesis():

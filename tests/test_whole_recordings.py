@@ -92,6 +92,40 @@ def test_two_tasks_in_one_recording():
     check_windows(truth, demos, learner, [order[found.index(c)] for c in learner.constraints_], allowed=0.04)
 
 
+def with_one_table() -> tuple[ml.FrameJacobian, list[ml.Trajectory], tuple[float, float]]:
+    """A drawer in all recordings, and a table in the last one only; and when that is."""
+    truth, robot, demos = shipped("xarm7_drawer_then_table")
+    cut = [t[: 0.5 * (w[0][1] + w[1][0])] for t, w in zip(demos, truth["windows"], strict=True)]
+    features = ml.FrameJacobian(robot, truth["tip"], "xyz")
+    return features, [*cut[:-1], demos[len(demos) - 1]], tuple(truth["windows"][-1][1][:2])
+
+
+def test_a_contact_in_one_recording_only_is_named_and_not_learnt():
+    """It is neither free motion nor a constraint: report, JSON and words say where it is and to record it again."""
+    features, demos, (start, end) = with_one_table()
+    learner = ml.ConstraintLearner(features).fit(demos)
+    assert len(learner.constraints_) == 1
+    (lone,) = [p for p in learner.report_.phases if p.reason]
+    assert lone.trajectory == demos[-1].name and lone.constraint is None and "one recording only" in lone.reason
+    assert abs(lone.start - start) < 0.5 and abs(lone.end - end) < 0.5
+    beside = [p for p in learner.report_.phases if p.trajectory == lone.trajectory and p != lone]
+    assert all(p.end <= lone.start + 1e-9 or p.start >= lone.end - 1e-9 for p in beside)
+    assert any("appears in one recording only; record it again" in w for w in learner.report_.warnings)
+    entry = next(p for p in learner.report_.to_dict()["phases"] if p["reason"])
+    assert entry["constraint"] is None and entry["trajectory"] == lone.trajectory
+
+
+def test_a_refusal_names_a_contact_in_one_recording_only():
+    """Where nothing else is held, the refusal says which recording shows a contact, and when."""
+    features, demos, (start, _) = with_one_table()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(DATA.parent))
+        made = importlib.import_module("make_recordings.kinematic_sets").make_set("free", "xarm7", 7, 5)[0]
+    free = [ml.Trajectory(t, q, None, demos[0].joint_names, f"free_{i}") for i, (t, q) in enumerate(made)]
+    with pytest.raises(NotIdentifiableError, match=f"a contact in {demos[-1].name} from .* in one recording only"):
+        ml.ConstraintLearner(features).fit([*free, demos[-1][start - 1.0 :]])
+
+
 def test_a_loosely_held_door_is_a_hinge(tmp_path: Path):
     """The rows that turn with the door are found; the constraint is saved, read back and controlled."""
     truth, demos, learner = learnt("ur5_loose_door")
@@ -158,7 +192,7 @@ def test_the_command_line_tells_phases_and_mechanisms(capsys: pytest.CaptureFixt
     answer = json.loads(capsys.readouterr().out)
     assert answer["mechanism"]["type"] == "line" and answer["odd_trajectories"] == []
     assert [c["n_constraints"] for c in answer["constraints"]] == [2]
-    assert {"trajectory", "start", "end", "constraint"} == set(answer["phases"][0])
+    assert {"trajectory", "start", "end", "constraint", "reason"} == set(answer["phases"][0])
     assert {p["constraint"] for p in answer["phases"]} == {0, None}
     assert main(arguments) == 0
     out = " ".join(capsys.readouterr().out.split())

@@ -10,6 +10,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.division import Division
+from manip_learn.learning.overview import distinct_names, lone_contacts
 from manip_learn.learning.phases.find_phases import one_constraint_fits
 from manip_learn.recordings.demonstrations import Demonstrations
 
@@ -42,6 +43,7 @@ def advise(
         return refusal
     causes = [
         *_too_few(demonstrations),
+        *lone_contacts(division, distinct_names(demonstrations)),
         *_several_phases(division, phases, len(demonstrations)),
         *_other_rows(demonstrations, feature_maps),
         *_still_joints(demonstrations),
@@ -72,7 +74,7 @@ def _too_few(demonstrations: Demonstrations) -> list[str]:
 
 
 def _several_phases(division: Division, phases: str, n: int) -> list[str]:
-    if division.one_fits:
+    if division.one_fits or division.unlearnt:
         return []
     if phases == "off":
         return [

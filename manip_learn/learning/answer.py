@@ -127,8 +127,7 @@ def _learnt(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
         return _despite(refusal, part, user, fit)
     if candidate.estimate.name != "null-space":
         return Answer(part, candidate, data, None, None, ())
-    rng = np.random.default_rng(settings.seed)
-    evidence = recombination_test(candidate.samples.features, part.demonstrations, rng)
+    evidence = _evidence(candidate.samples.features, part, settings)
     try:
         answer = _with_rows(Answer(part, candidate, data, evidence, None, ()), settings, fit, asked)
     except NotIdentifiableError as refusal:

@@ -22,6 +22,8 @@ from manip_learn.robot.robot import Reference
 # share of the trajectories that must show a constraint before one that does not show it is called odd
 MOST = 0.6
 FEWEST_SAMPLES = 4  # of a stretch that is learnt from
+IN_ONE_ONLY = "appears in one recording only"
+DISAGREES = "does not agree with the other recordings"
 
 
 @final
@@ -52,6 +54,7 @@ class Division:
     Attributes:
         parts: One per constraint, best supported first.
         free: Stretches of free motion.
+        unlearnt: Stretches in which something seems to be held that is not learnt, and why.
         odd: Trajectories that do not agree with the others, and why.
         one_fits: Whether a single constraint fits nearly all samples.
         warnings: Doubts, in sentences.
@@ -62,12 +65,14 @@ class Division:
     odd: tuple[tuple[int, str], ...] = ()
     one_fits: bool = True
     warnings: tuple[str, ...] = ()
+    unlearnt: tuple[tuple[Stretch, str], ...] = ()
 
-    def phases(self) -> tuple[tuple[int, float, float, int | None], ...]:
-        """(trajectory, start [s], end [s], number of the constraint or None for free motion), in order of time."""
-        held = [(s.trajectory, s.start, s.end, k) for k, part in enumerate(self.parts) for s in part.stretches]
-        free = [(s.trajectory, s.start, s.end, None) for s in self.free]
-        return tuple(sorted([*held, *free], key=lambda x: x[:2]))
+    def phases(self) -> tuple[tuple[Stretch, int | None, str], ...]:
+        """(stretch, number of the constraint or None, why nothing is learnt from it), in order of time."""
+        held = [(s, k, "") for k, part in enumerate(self.parts) for s in part.stretches]
+        free = [(s, None, "") for s in self.free]
+        unlearnt = [(s, None, why) for s, why in self.unlearnt]
+        return tuple(sorted([*held, *free, *unlearnt], key=lambda x: (x[0].trajectory, x[0].start)))
 
 
 def undivided(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> Division:
@@ -115,6 +120,8 @@ def divide(
         found = find_phases(usable, demonstrations, rng)
         if found.constraints:
             return _by_phases(demonstrations, usable, found)
+        lone = _of_one(found.unsupported)
+        return Division(undivided(demonstrations, feature_maps).parts, one_fits=False, unlearnt=lone)
     return Division(undivided(demonstrations, feature_maps).parts, one_fits=False)
 
 
@@ -170,10 +177,9 @@ def _by_agreement(
     groups = [best.members, *(members for _, members in best.others)]
     parts = [_part(demonstrations, group, feature_maps) for group in groups]
     taken = {i for group in groups for i in group}
-    rest = [s for i, t in enumerate(demonstrations) if i not in taken for s in (_all_of(i, t),)]
-    return Division(
-        tuple(Part(p.demonstrations, p.stretches, p.feature_maps, None, True) for p in parts), tuple(rest), best.odd
-    )
+    rest = tuple((_all_of(i, t), DISAGREES) for i, t in enumerate(demonstrations) if i not in taken)
+    held = tuple(Part(p.demonstrations, p.stretches, p.feature_maps, None, True) for p in parts)
+    return Division(held, odd=best.odd, unlearnt=rest)
 
 
 def _all_of(number: int, trajectory: Trajectory) -> Stretch:
@@ -194,7 +200,12 @@ def _by_phases(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap
         odd |= _missing(demonstrations, features, constraint, number)
         members = Demonstrations([c for _, c in cut], demonstrations.notes)
         parts.append(Part(members, tuple(s for s, _ in cut), (features,), constraint.n_rows, True))
-    return Division(tuple(parts), (*found.free, *apart), tuple(sorted(odd.items())), False, found.warnings)
+    unlearnt = (*((s, DISAGREES) for s in apart), *_of_one(found.unsupported))
+    return Division(tuple(parts), found.free, tuple(sorted(odd.items())), False, found.warnings, unlearnt)
+
+
+def _of_one(contacts: Sequence[Stretch]) -> tuple[tuple[Stretch, str], ...]:
+    return tuple((s, IN_ONE_ONLY) for s in contacts)
 
 
 def _missing(

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import NamedTuple, final
 
 from manip_learn.learning.answer import Answer
-from manip_learn.learning.division import Division
+from manip_learn.learning.division import IN_ONE_ONLY, Division
 from manip_learn.recordings.demonstrations import Demonstrations
 
 SPANS_SHOWN = 6  # of each constraint, in words
+NO_ANSWER = "what several recordings show here could not be learnt"
 
 
 class Phase(NamedTuple):
@@ -20,12 +21,14 @@ class Phase(NamedTuple):
         trajectory: Name of the recording.
         start, end: On the recording's own clock [s].
         constraint: Number of the constraint that holds, counted from 0 in `constraints_`; None for free motion.
+        reason: Why nothing is learnt from a stretch in which something seems to be held; else empty.
     """
 
     trajectory: str
     start: float
     end: float
     constraint: int | None
+    reason: str = ""
 
 
 class OddTrajectory(NamedTuple):
@@ -57,18 +60,19 @@ class RecordingOverview:
 
     @staticmethod
     def of(answers: Sequence[Answer], division: Division, demonstrations: Demonstrations) -> RecordingOverview:
-        """The phases with the names of the recordings; parts without an answer count as free motion."""
+        """The phases with the names of the recordings."""
         names = distinct_names(demonstrations)
         number = {id(answer.part): k for k, answer in enumerate(answers)}
-        phases = tuple(
-            Phase(names[i], start, end, None if part is None else number.get(id(division.parts[part])))
-            for i, start, end, part in division.phases()
-        )
+        phases = []
+        for s, part, why in division.phases():
+            constraint = None if part is None else number.get(id(division.parts[part]))
+            reason = NO_ANSWER if part is not None and constraint is None else why
+            phases.append(Phase(names[s.trajectory], s.start, s.end, constraint, reason))
         odd = {i: why for i, why in division.odd}
         for answer in answers:
             for i, why in answer.odd:
                 odd.setdefault(i, why)
-        warnings = list(division.warnings)
+        warnings = [*division.warnings, *lone_contacts(division, names)]
         if odd:
             listed = "; ".join(f"{names[i]}: {why}" for i, why in sorted(odd.items()))
             warnings.append(
@@ -76,14 +80,15 @@ class RecordingOverview:
                 f"first constraint: {listed}"
             )
         return RecordingOverview(
-            phases, tuple(OddTrajectory(names[i], why) for i, why in sorted(odd.items())), tuple(warnings)
+            tuple(phases), tuple(OddTrajectory(names[i], why) for i, why in sorted(odd.items())), tuple(warnings)
         )
 
     def sentences(self) -> tuple[str, ...]:
         """Where each constraint holds, in words."""
         numbers = sorted({p.constraint for p in self.phases if p.constraint is not None})
-        free = sum(p.constraint is None for p in self.phases)
-        if not free and len(numbers) < 2:
+        free = sum(p.constraint is None and not p.reason for p in self.phases)
+        unlearnt = [p for p in self.phases if p.reason]
+        if not free and not unlearnt and len(numbers) < 2:
             return ()
         out = []
         for k in numbers:
@@ -94,7 +99,26 @@ class RecordingOverview:
             out.append(f"constraint {k + 1} is held {', '.join(spans[:SPANS_SHOWN])}{more}")
         if free:
             out.append(f"free motion in {free} stretch(es)")
+        out += [f"not learnt from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}: {p.reason}" for p in unlearnt]
         return tuple(out)
+
+
+def lone_contacts(division: Division, names: Sequence[str]) -> tuple[str, ...]:
+    """Advice about contacts that one recording alone shows."""
+    contacts = [
+        f"in {names[s.trajectory]} from {s.start:.1f} s to {s.end:.1f} s"
+        for s, why in division.unlearnt
+        if why == IN_ONE_ONLY
+    ]
+    if not contacts:
+        return ()
+    more = f" and {len(contacts) - SPANS_SHOWN} more" if len(contacts) > SPANS_SHOWN else ""
+    if len(contacts) == 1:
+        return (f"a contact {contacts[0]} appears in one recording only; record it again, at least twice, to learn it",)
+    return (
+        f"{len(contacts)} contacts appear in one recording only, each: {', '.join(contacts[:SPANS_SHOWN])}{more}; "
+        "record each again, at least twice, to learn it",
+    )
 
 
 def distinct_names(demonstrations: Demonstrations) -> tuple[str, ...]:

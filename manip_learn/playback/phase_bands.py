@@ -10,8 +10,8 @@ from typing import Any, final
 from manip_learn.errors import RecordingError
 from manip_learn.playback.palette import COLOURS
 
-# trajectory, start [s], end [s], number of the constraint counted from 0, None for free motion
-Phase = tuple[str, float, float, int | None]
+# trajectory, start [s], end [s], number of the constraint counted from 0, None for free motion; why nothing was learnt
+Phase = tuple[str, float, float, int | None] | tuple[str, float, float, int | None, str]
 MAX_CONSTRAINTS = 1000  # a larger number is a mistake, not a constraint
 FREE_COLOUR = "#98a3ae"
 _CONSTRAINT_COLOURS = tuple(value for name, value in COLOURS.items() if name != "grey")
@@ -57,20 +57,22 @@ def phase_kinds(phases: Sequence[Phase], mechanism: str = "") -> tuple[PhaseKind
         phases: Checked by `phase_bands`.
         mechanism: Name of the mechanism of the first constraint, e.g. `"hinge"`; empty if there is none.
     """
-    n = 1 + max((k for *_, k in phases if k is not None), default=-1)
+    n = 1 + max((p[3] for p in phases if p[3] is not None), default=-1)
     kinds = []
     for k in range(n):
         label = f"constraint {k + 1}: {mechanism}" if k == 0 and mechanism else f"constraint {k + 1}"
         colour = _CONSTRAINT_COLOURS[k % len(_CONSTRAINT_COLOURS)]
         kinds.append(PhaseKind(label, str(k + 1), colour, _ink(colour)))
-    return (*kinds, PhaseKind("free motion", "", FREE_COLOUR, _ink(FREE_COLOUR)))
+    free = "free motion, or not learnt" if any(len(p) > 4 and p[4] for p in phases) else "free motion"
+    return (*kinds, PhaseKind(free, "", FREE_COLOUR, _ink(FREE_COLOUR)))
 
 
 def phase_bands(phases: Sequence[Phase], names: Sequence[str]) -> dict[str, tuple[PhaseBand, ...]]:
     """The phases of each recording, in order of time; those of recordings that are not shown are left out.
 
     Args:
-        phases: (trajectory, start [s], end [s], constraint or None), as in `LearningReport.phases`.
+        phases: (trajectory, start [s], end [s], constraint or None), as in `LearningReport.phases`; a reason may
+            follow.
         names: Names of the recordings that are shown.
 
     Raises:
@@ -94,7 +96,7 @@ def phase_bands(phases: Sequence[Phase], names: Sequence[str]) -> dict[str, tupl
 
 
 def phases_from_json(value: object) -> tuple[Phase, ...]:
-    """Phases as JSON holds them: lists of four, or objects with trajectory, start, end and constraint.
+    """Phases as JSON holds them: lists of four or five, or objects with trajectory, start, end and constraint.
 
     Raises:
         RecordingError: Something else.
@@ -104,18 +106,20 @@ def phases_from_json(value: object) -> tuple[Phase, ...]:
     phases: list[Phase] = []
     for i, item in enumerate(value):
         if isinstance(item, Mapping):
-            item = [item.get(key) for key in ("trajectory", "start", "end", "constraint")]
+            reason = [item["reason"]] if item.get("reason") else []
+            item = [*(item.get(key) for key in ("trajectory", "start", "end", "constraint")), *reason]
         trajectory, band = _checked(i, item)
-        phases.append((trajectory, band.start, band.end, band.constraint))
+        phase = trajectory, band.start, band.end, band.constraint
+        phases.append((*phase, str(item[4])) if len(item) > 4 else phase)
     return tuple(phases)
 
 
 def _checked(i: int, phase: Any) -> tuple[str, PhaseBand]:
-    if not isinstance(phase, list | tuple) or len(phase) != 4 or not isinstance(phase[0], str):
+    if not isinstance(phase, list | tuple) or len(phase) not in (4, 5) or not isinstance(phase[0], str):
         raise RecordingError(
             f"phase {i} must be (trajectory, start, end, constraint or None), got {phase!r:.80}", code="phases"
         )
-    trajectory, start, end, constraint = phase
+    trajectory, start, end, constraint = phase[:4]
     try:
         start, end = float(start), float(end)
     except (TypeError, ValueError) as error:

@@ -13,6 +13,7 @@ from manip_learn.learning.phases.hypotheses import fitted_rows
 from manip_learn.learning.phases.merging import merged
 from manip_learn.learning.phases.motion import PhaseMotion, broken_energy, sparse
 from manip_learn.learning.phases.result import PhaseResult
+from manip_learn.learning.phases.unsupported import contacts_of_one
 from manip_learn.recordings.trajectory import Trajectory
 
 # a recording shorter than this has no phases to be told apart [s]
@@ -20,20 +21,6 @@ SHORTEST_RECORDING = 1.5
 # one constraint fits if its levels are this much below the others, and so few samples move along its rows by so much
 CLEAR_GAP, FEW, BROKEN = 10.0, 0.02, 0.2
 NOISY = 3.0  # standard deviations of the velocities' noise, which break no row
-
-
-def needs_phases(features: FeatureMap | Sequence[FeatureMap], trajectories: Sequence[Trajectory]) -> bool:
-    """Whether no single constraint fits all samples, so that phases are worth a search.
-
-    A cheap test: closed-form rows of all samples together. One constraint fits if the levels of its rows lie clearly
-    below the others and hardly any sample that moves breaks them.
-
-    Args:
-        features: Phi, or several candidates of which one that fits is enough.
-        trajectories: Recordings, whole or cut.
-    """
-    maps = [features] if isinstance(features, FeatureMap) else features
-    return not too_short(trajectories) and not any(one_constraint_fits(f, trajectories) for f in maps)
 
 
 def too_short(trajectories: Sequence[Trajectory]) -> bool:
@@ -70,7 +57,7 @@ def find_phases(
     Constraints are found one after the other. Rows fitted in short windows are scored on all recordings, leaving out
     the best supporter; the best are refitted to what they explain. One is accepted if its evidence exceeds what the
     same search finds where recordings agree by chance only, and if `confirm` agrees. Then all constraints and free
-    motion compete for every sample.
+    motion compete for every sample. Contacts that one recording alone shows are named and not learnt.
 
     Args:
         features: Phi; or several candidates, each searched on its own: where two explain the same stretches the one
@@ -85,4 +72,7 @@ def find_phases(
     """
     maps = [features] if isinstance(features, FeatureMap) else features
     searches = [PhaseDiscovery(f, trajectories, rng, confirm, i) for i, f in enumerate(maps)]
-    return merged(searches[0].motion, [search.run() for search in searches])
+    results = [search.run() for search in searches]
+    taken = [s for c in merged(searches[0].motion, results).constraints for s in c.stretches]
+    alone = [contacts_of_one(f, trajectories, s.motion, taken, rng) for f, s in zip(maps, searches, strict=True)]
+    return merged(searches[0].motion, results, [contact for contacts in alone for contact in contacts])

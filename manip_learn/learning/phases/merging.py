@@ -16,8 +16,16 @@ OVERLAP = 0.3
 NEARLY_THE_SAME = np.radians(5.0)
 
 
-def merged(motion: PhaseMotion, results: Sequence[PhaseResult]) -> PhaseResult:
-    """The constraints of all results, best supported first, without those whose time a better one explains."""
+def merged(
+    motion: PhaseMotion, results: Sequence[PhaseResult], alone: Sequence[tuple[float, Stretch]] = ()
+) -> PhaseResult:
+    """The constraints of all results, best supported first, without those whose time a better one explains.
+
+    Args:
+        motion: Of all recordings.
+        results: One for each feature map.
+        alone: Contacts that one recording shows, with the evidence for each [nats].
+    """
     kept: list[PhaseConstraint] = []
     for c in sorted((c for r in results for c in r.constraints), key=lambda c: -c.support):
         rivals = [k for k in kept if k.features != c.features]
@@ -25,21 +33,25 @@ def merged(motion: PhaseMotion, results: Sequence[PhaseResult]) -> PhaseResult:
         if sum(_shared(c, k) for k in rivals) <= OVERLAP * total:
             kept.append(c)
     taken = [s for c in kept for s in c.stretches]
+    unsupported: list[Stretch] = []
+    for _, stretch in sorted(alone, key=lambda x: -x[0]):
+        if not any(_common(stretch, other) for other in [*taken, *unsupported]):
+            unsupported.append(stretch)
+    taken += unsupported
     free = tuple(sorted((s for s in _free(motion, taken)), key=lambda s: (s.trajectory, s.start)))
     rejected = tuple(c for r in results for c in r.rejected)
-    return PhaseResult(
-        tuple(kept), free, still_stretches(motion, [*taken, *free]), rejected=rejected, warnings=tuple(_doubts(kept))
-    )
+    still = still_stretches(motion, [*taken, *free])
+    lone = tuple(sorted(unsupported, key=lambda s: (s.trajectory, s.start)))
+    return PhaseResult(tuple(kept), free, still, lone, rejected, tuple(_doubts(kept)))
 
 
 def _shared(first: PhaseConstraint, second: PhaseConstraint) -> float:
     """Time that two constraints both claim [s]."""
-    return sum(
-        max(0.0, min(a.end, b.end) - max(a.start, b.start))
-        for a in first.stretches
-        for b in second.stretches
-        if a.trajectory == b.trajectory
-    )
+    return sum(_common(a, b) for a in first.stretches for b in second.stretches)
+
+
+def _common(a: Stretch, b: Stretch) -> float:
+    return max(0.0, min(a.end, b.end) - max(a.start, b.start)) if a.trajectory == b.trajectory else 0.0
 
 
 def _free(motion: PhaseMotion, taken: Sequence[Stretch]) -> list[Stretch]:

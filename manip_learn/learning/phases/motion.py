@@ -127,6 +127,13 @@ class PhaseMotion:
             self.whitening,
         )
 
+    def alone(self, number: int) -> PhaseMotion:
+        """One trajectory by itself."""
+        part = self.chosen(self.trajectory == number)
+        return dataclasses.replace(
+            part, trajectory=np.zeros_like(part.trajectory), first=np.array([0, len(part)], dtype=np.int64)
+        )
+
     def replaced(self, rates: Float[np.ndarray, "n r"], gram: Float[np.ndarray, "n r r"]) -> PhaseMotion:
         """The same samples with other rows."""
         return dataclasses.replace(self, rates=rates, gram=gram)

@@ -74,7 +74,7 @@ class PhaseResult:
         constraints: Best supported first.
         free: Stretches of free motion.
         still: Standstill beside free motion or at the ends: whether something is held cannot be known there.
-        unsupported: Contacts in one recording only, which are not learnt. Not searched for yet: always empty.
+        unsupported: Contacts that one recording alone shows, which are not learnt; not in `free`.
         rejected: Candidates that were refused.
         warnings: Doubts, in sentences.
     """
@@ -85,9 +85,3 @@ class PhaseResult:
     unsupported: tuple[Stretch, ...] = ()
     rejected: tuple[PhaseConstraint, ...] = ()
     warnings: tuple[str, ...] = ()
-
-    def phases(self) -> tuple[tuple[int, float, float, int | None], ...]:
-        """(trajectory, start [s], end [s], number of the constraint or None for free motion), in order of time."""
-        held = [(s.trajectory, s.start, s.end, k) for k, c in enumerate(self.constraints) for s in c.stretches]
-        free = [(s.trajectory, s.start, s.end, None) for s in self.free]
-        return tuple(sorted([*held, *free], key=lambda x: x[:2]))

@@ -39,7 +39,7 @@ class Found:
     Attributes:
         rows: Whitened, orthonormal, shape (s, p').
         scale: How large velocities along its rows are.
-        support: Total evidence without the best supporter's [nats].
+        support: Total evidence without the best supporter's, where there are several trajectories [nats].
         gains: Evidence of each trajectory [nats], shape (g,).
     """
 
@@ -90,10 +90,15 @@ def candidates(
         s = h.rows.shape[1]
         values = evidence(thin, broken_energy(thin, h.rows), s, [FIRST_SCALE] * len(h.rows))
         gains = best_gains(values - baseline[:, None], thin.first)
-        support = gains.sum(axis=0) - gains.max(axis=0)
+        support = supports_of(gains)
         starts += [h.rows[i] for i in _distinct(h.rows, np.argsort(-support), kept)]
     found = refined(thin, starts, baseline, refits)
     return sorted((f for f in found if f.support > LEAST_SUPPORT), key=lambda f: -f.support)
+
+
+def supports_of(gains: Float[np.ndarray, "g h"]) -> Float[np.ndarray, " h"]:
+    """Evidence for each hypothesis from the trajectories beside its best supporter; all of a single trajectory."""
+    return gains.sum(axis=0) - (gains.max(axis=0) if len(gains) > 1 else 0.0)
 
 
 def best_supports(thin: PhaseMotion, largest: int) -> Float[np.ndarray, "s 2"]:
@@ -129,7 +134,7 @@ def refined(
         stacked = np.concatenate(values, axis=1)
         gains = best_gains(stacked, thin.first)
         for i, (rows, scale) in enumerate(now):
-            trial = Found(rows, scale, float(gains[:, i].sum() - gains[:, i].max()), gains[:, i])
+            trial = Found(rows, scale, float(supports_of(gains)[i]), gains[:, i])
             previous = best[i]
             if previous is None or trial.support > previous.support:
                 best[i] = trial
