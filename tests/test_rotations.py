@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from manip_learn.robot.rotations import rotation_matrix, rotation_vector
+from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector
 
 ANGLES = [0.0, 1e-300, 1e-12, 1e-6, 0.1, 1.0, 3.0, np.pi - 1e-2, np.pi - 1e-6, np.pi - 1e-12, np.pi]
 
@@ -30,3 +30,23 @@ def test_more_than_a_turn() -> None:
     """A vector of several turns gives the matrix of what is left, and that the short vector."""
     R = rotation_matrix(np.array([0.0, 0.0, 4.0 * np.pi + 0.3]))
     np.testing.assert_allclose(rotation_vector(R), [0.0, 0.0, 0.3], rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("angle", [*ANGLES[:-3], 0.0999999, 0.1000001])
+def test_jacobians(angle: float, rng: np.random.Generator) -> None:
+    """The left Jacobian turns rates of the vector into angular velocities, and its inverse is one, at every angle."""
+    for axis in rng.normal(size=(10, 3)):
+        r = angle * axis / np.linalg.norm(axis)
+        J, inverse, h = left_jacobian(r), left_jacobian_inverse(r), 1e-5
+        np.testing.assert_allclose(J @ inverse, np.eye(3), rtol=0, atol=1e-14)
+        np.testing.assert_allclose(inverse @ r, r, rtol=0, atol=1e-14)
+        for rate in np.eye(3):
+            turned = rotation_matrix(r + h * rate) @ rotation_matrix(r - h * rate).T
+            np.testing.assert_allclose(J @ rate, rotation_vector(turned) / (2.0 * h), rtol=0, atol=1e-9)
+
+
+def test_jacobians_at_half_a_turn(rng: np.random.Generator) -> None:
+    """At pi, where the rotation vector changes its sign, both are finite and inverse to each other."""
+    for axis in rng.normal(size=(10, 3)):
+        r = np.pi * axis / np.linalg.norm(axis)
+        np.testing.assert_allclose(left_jacobian(r) @ left_jacobian_inverse(r), np.eye(3), rtol=0, atol=1e-14)

@@ -1,5 +1,8 @@
 """Rotation matrices and rotation vectors of single poses, in plain numbers: a few microseconds, many times per second.
 
+Rates of rotation vectors too: the left Jacobian of SO(3) and its inverse (J. Sola et al., "A micro Lie theory for state
+estimation in robotics", equations (145) and (146)). The right Jacobian of a vector is the left one of its negative.
+
 (SciPy's Rotation takes ten times as long for one; Pinocchio's logarithm loses digits close to half a turn.)
 """
 
@@ -9,6 +12,8 @@ import math
 
 import numpy as np
 from jaxtyping import Float
+
+SMALL_ANGLE = 0.1  # [rad] below it the coefficients are taken from their series, which is exact to 1e-15 there
 
 
 def rotation_vector(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 3"]:
@@ -47,3 +52,41 @@ def rotation_matrix(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]
             [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
         ]
     )
+
+
+def skew(v: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """The matrix of u -> v x u."""
+    x, y, z = v.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def left_jacobian(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """J with w = J dr/dt, where R = exp([r]x) turns with the angular velocity w (in the axes in which r is given).
+
+    J = I + (1 - cos a) / a^2 [r]x + (a - sin a) / a^3 [r]x^2, a = |r|.
+    """
+    square = float(vector.dot(vector))
+    angle = math.sqrt(square)
+    if angle < SMALL_ANGLE:  # the quotients lose digits
+        first = 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0))
+        second = 1.0 / 6.0 - square / 120.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0))
+    else:
+        first, second = (1.0 - math.cos(angle)) / square, (angle - math.sin(angle)) / (square * angle)
+    K = skew(vector)
+    return np.eye(3) + first * K + second * K.dot(K)
+
+
+def left_jacobian_inverse(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """The inverse of `left_jacobian`, dr/dt = J^-1 w; finite for angles below a full turn, half a turn included.
+
+    J^-1 = I - [r]x / 2 + (1 - (a / 2) cot(a / 2)) / a^2 [r]x^2, a = |r|.
+    """
+    square = float(vector.dot(vector))
+    angle = math.sqrt(square)
+    if angle < SMALL_ANGLE:
+        second = 1.0 / 12.0 + square / 720.0 * (1.0 + square / 42.0 * (1.0 + square / 40.0))
+    else:
+        half = 0.5 * angle
+        second = (1.0 - half * math.cos(half) / math.sin(half)) / square
+    K = skew(vector)
+    return np.eye(3) - 0.5 * K + second * K.dot(K)

@@ -93,7 +93,7 @@ class FeatureMap(ABC):
         return out
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Task coordinates r(q) whose rate is Phi(q) u.
+        """Task coordinates r(q) whose rate is Phi(q) u, or `coordinates_jacobian(q)` u where that is given.
 
         Raises:
             FeatureError: The rows are not the rate of anything that this feature map knows.
@@ -113,6 +113,18 @@ class FeatureMap(ABC):
                 f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}), got {goal.tolist()}"
             )
         return goal - self.coordinates(q)
+
+    def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
+        """dr/dq, so that dr/dt = dr/dq u; None where that is Phi(q) itself, as for all rows but rotations."""
+        return None
+
+    def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
+        """E with d/dt `error_to(target, q)` = -E u for a fixed target; None where that is Phi(q) itself.
+
+        Raises:
+            TargetError: Wrong size or not finite.
+        """
+        return None
 
     def describe(self) -> dict[str, Any]:
         """What a saved constraint needs to build this feature map again.

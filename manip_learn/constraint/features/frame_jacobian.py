@@ -9,9 +9,16 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, Weigh
+from manip_learn.constraint.features.pose_error import (
+    carried_goal,
+    coordinate_rates,
+    error_rates,
+    goal_rotation,
+    pose_coordinates,
+    pose_error,
+)
 from manip_learn.errors import FeatureError, TargetError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Reference, Robot
@@ -134,10 +141,10 @@ class FrameJacobian(FeatureMap):
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Position of the frame's origin in the base frame [m] and its rotation vector [rad], the chosen rows."""
-        return _coordinates(self.robot.pose(q, self.frame))[self._rows]
+        return pose_coordinates(self.robot.pose(q, self.frame))[self._rows]
 
     def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Displacement to a target, in the axes of the rows; its rate is -Phi u for a fixed target.
+        """Displacement to a target, in the axes of the rows; for its rate see `error_jacobian`.
 
         Args:
             target: p numbers in the order of the rows: position of the origin in the base frame [m], rotation vector
@@ -155,17 +162,41 @@ class FrameJacobian(FeatureMap):
             if math.isfinite(sum(displacement.tolist())):
                 return displacement
         pose = self.robot.pose(q, self.frame)
-        p, R = pose[:3, 3], pose[:3, :3]
-        if goal.shape == (4, 4):
-            goal_p, goal_R = goal[:3, 3], Rotation.from_matrix(goal[:3, :3]).as_matrix()
-        else:
-            full = self._completed(goal, _coordinates(pose))
-            goal_p, goal_R = full[:3], rotation_matrix(full[3:])
-        dp = goal_p - p
-        rotation = rotation_vector(goal_R.dot(R.T))
-        if self.reference == "local":
-            dp, rotation = R.T @ dp, R.T @ rotation
-        return np.concatenate([dp, rotation])[self._rows]
+        return pose_error(pose, self._goal(goal, pose)[0], self.reference == "local")[self._rows]
+
+    def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
+        """Rate of the coordinates per unit joint velocity, exact (see `FeatureMap`)."""
+        if self.only_linear:
+            return None
+        J = self.robot.jacobian(q, self.frame)
+        return coordinate_rates(self.robot.pose(q, self.frame))[self._rows] @ J
+
+    def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
+        """E with d/dt `error_to(target, q)` = -E u, exact; None where E = Phi(q), as for positions along the base.
+
+        Raises:
+            TargetError: As for `error_to`.
+        """
+        if self.only_linear:
+            return None
+        pose, own_axes = self.robot.pose(q, self.frame), self.reference == "local"
+        goal, numbers = self._goal(np.asarray(target, dtype=np.float64), pose)
+        error = pose_error(pose, goal, own_axes)
+        M = error_rates(error, own_axes)
+        given = [i - 3 for i in self._row_numbers if i >= 3]
+        if numbers is not None and 0 < len(given) < 3:
+            M[3:, 3:] -= carried_goal(rotation_vector(pose[:3, :3]), numbers[3:], given, error[3:])
+        return M[self._rows] @ self.robot.jacobian(q, self.frame, self.reference)
+
+    def _goal(self, goal: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """The target as a pose, and its six numbers where it was given as numbers."""
+        out = np.eye(4)
+        if goal.shape == (4, 4) and np.all(np.isfinite(goal)):
+            out[:3, :3], out[:3, 3] = goal_rotation(goal[:3, :3]), goal[:3, 3]
+            return out, None
+        numbers = self._completed(goal, pose_coordinates(pose))
+        out[:3, :3], out[:3, 3] = rotation_matrix(numbers[3:]), numbers[:3]
+        return out, numbers
 
     def _completed(self, goal: np.ndarray, here: np.ndarray) -> np.ndarray:
         if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
@@ -199,7 +230,3 @@ class FrameJacobian(FeatureMap):
             f"FrameJacobian({self.robot.name!r}, frame={self.frame.name!r}, axes={' '.join(self.row_names)!r}, "
             f"reference={self.reference!r})"
         )
-
-
-def _coordinates(pose: np.ndarray) -> np.ndarray:
-    return np.concatenate([pose[:3, 3], rotation_vector(pose[:3, :3])])

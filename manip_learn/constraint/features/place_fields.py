@@ -13,6 +13,8 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.robot.rotations import skew
+
 ON_AXIS = 1e-5  # [m] below this distance from the axis (or the centre) a direction fades to zero instead of flipping
 Field = tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]
 Row = tuple[Field | None, Field | None]
@@ -49,12 +51,6 @@ def across(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "2 3"]:
     first -= (first @ axis) * axis
     first /= np.linalg.norm(first)
     return np.stack([first, skew(axis) @ first])
-
-
-def skew(v: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """The matrix of u -> v x u."""
-    x, y, z = v.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _constant(vector: np.ndarray, n: int) -> Field:

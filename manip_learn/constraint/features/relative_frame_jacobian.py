@@ -8,10 +8,17 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, parse_axes
+from manip_learn.constraint.features.pose_error import (
+    carried_goal,
+    coordinate_rates,
+    error_rates,
+    goal_rotation,
+    pose_coordinates,
+    pose_error,
+)
 from manip_learn.errors import FeatureError, TargetError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Robot
@@ -53,6 +60,7 @@ class RelativeFrameJacobian(FeatureMap):
         self.row_units = tuple("rad/s" if n.startswith("r") else "m/s" for n in self.row_names)
         self.nv = robot.nv
         self._rows = [AXES.index(n) for n in self.row_names]
+        self.only_linear = max(self._rows) < 3
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q) [m/s or rad/s per unit joint velocity].
@@ -60,10 +68,7 @@ class RelativeFrameJacobian(FeatureMap):
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        A, B = self.robot.pose(q, self.frame), self.robot.pose(q, self.relative_to)
-        J_A, J_B = self.robot.jacobian(q, self.frame), self.robot.jacobian(q, self.relative_to)
-        d = A[:3, 3] - B[:3, 3]
-        return _relative(B[None, :3, :3], d[None], J_A[None], J_B[None])[0, self._rows]
+        return self._every_row(q)[self._rows]
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
         """dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k along tangent coordinate k.
@@ -105,7 +110,7 @@ class RelativeFrameJacobian(FeatureMap):
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Position of the frame in the other one [m] and its rotation vector there [rad], the chosen rows."""
-        return _coordinates(self._pose(q))[self._rows]
+        return pose_coordinates(self._pose(q))[self._rows]
 
     def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Displacement to a target in the axes of the other frame.
@@ -119,20 +124,46 @@ class RelativeFrameJacobian(FeatureMap):
             TargetError: Wrong size or not finite.
         """
         here = self._pose(q)
-        goal = np.asarray(target, dtype=np.float64)
+        return pose_error(here, self._goal(np.asarray(target, dtype=np.float64), here)[0], False)[self._rows]
+
+    def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
+        """Rate of the coordinates per unit joint velocity, exact (see `FeatureMap`)."""
+        if self.only_linear:
+            return None
+        return coordinate_rates(self._pose(q))[self._rows] @ self._every_row(q)
+
+    def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
+        """E with d/dt `error_to(target, q)` = -E u, exact; None where E = Phi(q), as for positions.
+
+        Raises:
+            TargetError: Wrong size or not finite.
+        """
+        if self.only_linear:
+            return None
+        here = self._pose(q)
+        goal, numbers = self._goal(np.asarray(target, dtype=np.float64), here)
+        error = pose_error(here, goal, False)
+        M = error_rates(error, False)
+        given = [i - 3 for i in self._rows if i >= 3]
+        if numbers is not None and 0 < len(given) < 3:
+            M[3:, 3:] -= carried_goal(rotation_vector(here[:3, :3]), numbers[3:], given, error[3:])
+        return M[self._rows] @ self._every_row(q)
+
+    def _goal(self, goal: np.ndarray, here: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """The target as a pose in the other frame, and its six numbers where it was given as numbers."""
+        out, numbers = np.eye(4), None
         if goal.shape == (4, 4) and np.all(np.isfinite(goal)):
-            goal_p, goal_R = goal[:3, 3], Rotation.from_matrix(goal[:3, :3]).as_matrix()
+            out[:3, :3], out[:3, 3] = goal_rotation(goal[:3, :3]), goal[:3, 3]
         elif goal.shape == (self.n_rows,) and np.all(np.isfinite(goal)):
-            full = _coordinates(here)
-            full[self._rows] = goal
-            goal_p, goal_R = full[:3], rotation_matrix(full[3:])
+            numbers = pose_coordinates(here)
+            numbers[self._rows] = goal
+            out[:3, :3], out[:3, 3] = rotation_matrix(numbers[3:]), numbers[:3]
         else:
             raise TargetError(
                 f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose in "
                 f"frame {self.relative_to.name!r}, got shape {goal.shape}"
             )
-        rotation = rotation_vector(goal_R @ here[:3, :3].T)
-        return np.concatenate([goal_p - here[:3, 3], rotation])[self._rows]
+        return out, numbers
 
     def describe(self) -> dict[str, Any]:
         """Frames and axes, as saved in a constraint file."""
@@ -143,6 +174,12 @@ class RelativeFrameJacobian(FeatureMap):
             "axes": list(self.row_names),
             "units": list(self.row_units),
         }
+
+    def _every_row(self, q: ArrayLike) -> Float[np.ndarray, "6 nv"]:
+        A, B = self.robot.pose(q, self.frame), self.robot.pose(q, self.relative_to)
+        J_A, J_B = self.robot.jacobian(q, self.frame), self.robot.jacobian(q, self.relative_to)
+        d = A[:3, 3] - B[:3, 3]
+        return _relative(B[None, :3, :3], d[None], J_A[None], J_B[None])[0]
 
     def _pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
         """Pose of the frame in the other one."""
@@ -199,7 +236,3 @@ def _relative_derivative(
     for part in (slice(0, 3), slice(3, 6)):
         dV[:, part] -= np.cross(w, V[:, part, :, None], axis=1)
     return _turned(R, dV)
-
-
-def _coordinates(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
-    return np.concatenate([pose[:3, 3], rotation_vector(pose[:3, :3])])

@@ -74,6 +74,24 @@ class Stacked(FeatureMap):
             row += part.n_rows
         return np.concatenate(out)
 
+    def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
+        """Rates of the coordinates, part by part."""
+        return self._stack([part.coordinates_jacobian(q) for part in self.parts], q)
+
+    def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
+        """E with d/dt `error_to(target, q)` = -E u, part by part."""
+        goal = np.asarray(target, dtype=np.float64)
+        if goal.shape != (self.n_rows,):
+            return None  # no part knows what is meant: `error_to` says so
+        ends = np.cumsum([part.n_rows for part in self.parts])
+        parts = zip(self.parts, np.split(goal, ends[:-1]), strict=True)
+        return self._stack([part.error_jacobian(own, q) for part, own in parts], q)
+
+    def _stack(self, blocks: list[Float[np.ndarray, "k nv"] | None], q: ArrayLike) -> np.ndarray | None:
+        if all(block is None for block in blocks):
+            return None
+        return np.concatenate([p(q) if b is None else b for p, b in zip(self.parts, blocks, strict=True)])
+
     def describe(self) -> dict[str, Any]:
         """The parts, as saved in a constraint file."""
         return {"kind": "stacked", "parts": [part.describe() for part in self.parts]}

@@ -59,6 +59,15 @@ class PointAttractor(Task):
             f"got shape {shape}"
         )
 
+    def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
+        """E with d/dt displacement = -E u; None where E = A(q) (see `Task`)."""
+        features, shape = constraint.features, self.target.shape
+        if shape == (features.n_rows,) or shape == (4, 4):
+            E = features.error_jacobian(self.target, q)
+        else:
+            E = features.coordinates_jacobian(q)
+        return None if E is None else constraint.selection.dot(E)
+
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
         """gain * displacement, scaled down to max_speed."""
         b = self.gain * self.displacement(constraint, q)
@@ -100,6 +109,10 @@ class Track(Task):
         if self._rate is not None:
             b = b + constraint.selection @ np.asarray(self._rate(t), dtype=np.float64)
         return b
+
+    def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
+        """E with d/dt error = -E u for a target that stands still; None where E = A(q) (see `Task`)."""
+        return PointAttractor(self._target(t)).error_jacobian(constraint, q, t)
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Distance to the target's position at time t."""

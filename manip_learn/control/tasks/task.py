@@ -22,6 +22,19 @@ class Task(ABC):
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Distance to the goal along the constraint's rows (Euclidean norm)."""
 
+    def rows(self, constraint: Constraint) -> Constraint:
+        """The constraint along whose rows b is given: the controller's own, unless the task drives further rows."""
+        return constraint
+
+    def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
+        """E with d/dt (error along the rows) = -E u for a goal at rest; None where E = A(q), as for positions.
+
+        With E in the place of A in u = E^+ b + N pi the error decays as the task asks, and motion in the null space of
+        E leaves it alone. The rate of an orientation error is not the angular velocity; at a target that is a pose
+        E = A again (see `FeatureMap.error_jacobian`).
+        """
+        return None
+
 
 @final
 class Hold(Task):

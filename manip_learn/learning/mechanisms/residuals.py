@@ -14,8 +14,9 @@ from typing import Literal, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.constraint.features.place_fields import across, skew
+from manip_learn.constraint.features.place_fields import across
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
+from manip_learn.robot.rotations import skew
 
 NEAR_AXIS = 1e-4  # [m] angles about an axis are not trusted closer to it
 

@@ -1,0 +1,196 @@
+"""The derivative of pose errors: against differences, and what it gives a controller that reaches for poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import CentreOfMass, FeatureMap, FrameJacobian, RelativeFrameJacobian, Stacked
+from manip_learn.control.tasks import PointAttractor, Track
+from manip_learn.errors import TargetError
+from manip_learn.robot.robot import Robot
+from manip_learn.robot.rotations import rotation_matrix
+
+RobotOf = Callable[[str], Robot]
+ANGLES = [0.0, 1e-9, 1e-4, 0.5, 2.6, 3.1]
+AXES = ["pose", "xyz", "rotation", "x y rz", "rx ry", "rz", "z rx"]
+VIEWS = ["world", "local", "relative"]
+
+
+def features_of(robot: Robot, axes: str, view: str) -> FeatureMap:
+    if view == "relative":
+        return RelativeFrameJacobian(robot, "panda_hand_tcp", "panda_link3", axes)
+    return FrameJacobian(robot, "panda_hand_tcp", axes, view)
+
+
+def pose_of(features: FeatureMap, q: np.ndarray) -> np.ndarray:
+    pose = features.robot.pose(q, features.frame)
+    if isinstance(features, RelativeFrameJacobian):
+        return np.linalg.inv(features.robot.pose(q, features.relative_to)) @ pose
+    return pose
+
+
+def turned(features: FeatureMap, q: np.ndarray, angle: float, rng: np.random.Generator) -> np.ndarray:
+    """A pose that is turned from the present one by that angle about a random axis, and 0.2 m away."""
+    axis, away = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+    target = pose_of(features, q)
+    target[:3, :3] = rotation_matrix(angle * axis) @ target[:3, :3]
+    target[:3, 3] += 0.2 * away
+    return target
+
+
+def rate(function: Callable[[np.ndarray], np.ndarray], q: np.ndarray, u: np.ndarray, h: float = 1e-5) -> np.ndarray:
+    """Central difference of order four along u."""
+    f = [function(q + k * h * u) for k in (-2, -1, 1, 2)]
+    return (f[0] - 8.0 * f[1] + 8.0 * f[2] - f[3]) / (12.0 * h)
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("axes", AXES)
+@pytest.mark.parametrize("angle", ANGLES)
+def test_error_jacobian_of_a_pose(
+    robot_of: RobotOf, rng: np.random.Generator, angle: float, axes: str, view: str
+) -> None:
+    """d/dt error = -E u to 1e-6 for every reference and mix of axes, at every angle between frame and target."""
+    features = features_of(robot_of("panda"), axes, view)
+    for _ in range(3):
+        q, u = rng.uniform(-1.0, 1.0, (2, 7))
+        target = turned(features, q, angle, rng)
+        E = features.error_jacobian(target, q)
+        E = features(q) if E is None else E
+        np.testing.assert_allclose(-E @ u, rate(lambda x, t=target: features.error_to(t, x), q, u), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("axes", AXES)
+def test_error_jacobian_of_numbers(robot_of: RobotOf, rng: np.random.Generator, axes: str, view: str) -> None:
+    """The same for targets that are numbers, where coordinates that are not among the rows go with the frame."""
+    features, compared = features_of(robot_of("panda"), axes, view), 0
+    if view == "local" and axes not in ("pose", "xyz", "rotation"):
+        pytest.skip("numbers do not determine such a target")
+    for _ in range(6):
+        q, goal, u = rng.uniform(-1.0, 1.0, (3, 7))
+        target = features.coordinates(goal)
+        if any(np.linalg.norm(features.error_to(target, q + k * 1e-4 * u)[-3:]) > 3.0 for k in (-1, 0, 1)):
+            continue  # next to half a turn the error changes its sign
+        E, C = features.error_jacobian(target, q), features.coordinates_jacobian(q)
+        E, C = (features(q) if J is None else J for J in (E, C))
+        np.testing.assert_allclose(-E @ u, rate(lambda x, t=target: features.error_to(t, x), q, u), rtol=0, atol=1e-6)
+        if view != "local":
+            np.testing.assert_allclose(C @ u, rate(features.coordinates, q, u), rtol=0, atol=1e-6)
+        compared += 1
+    assert compared > 2
+
+
+def test_at_half_a_turn_all_is_finite(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """A target exactly behind has a finite derivative, which still takes its error down."""
+    for view in VIEWS:
+        features = features_of(robot_of("panda"), "pose", view)
+        q = rng.uniform(-1.0, 1.0, 7)
+        target = turned(features, q, np.pi, rng)
+        E, error = features.error_jacobian(target, q), features.error_to(target, q)
+        assert np.all(np.isfinite(E))
+        u = np.linalg.pinv(E) @ error
+        assert np.linalg.norm(features.error_to(target, q + 1e-3 * u)) < np.linalg.norm(error)
+
+
+def test_rows_are_those_of_the_constraint_on_the_target(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """On a target that is a pose, E is A(q); for positions along the base it is so everywhere (None)."""
+    robot, q = robot_of("panda"), rng.uniform(-1.0, 1.0, 7)
+    for view in VIEWS:
+        for axes in AXES[:1] + AXES[2:]:
+            features = features_of(robot, axes, view)
+            E = features.error_jacobian(pose_of(features, q), q)
+            np.testing.assert_allclose(E, features(q), rtol=0, atol=1e-14)
+    for features in (features_of(robot, "x z", "world"), CentreOfMass(robot)):
+        target = np.zeros(features.n_rows)
+        assert features.error_jacobian(target, q) is None
+        assert features.coordinates_jacobian(q) is None
+        assert PointAttractor(target).error_jacobian(Constraint(np.eye(len(target)), features), q, 0.0) is None
+
+
+def test_stacked(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Parts keep their own derivatives; positions alone need none."""
+    robot, (q, u) = robot_of("panda"), rng.uniform(-1.0, 1.0, (2, 7))
+    parts = [features_of(robot, "xyz", "world"), features_of(robot, "rotation", "relative")]
+    stacked, goal = Stacked(parts), rng.uniform(-0.5, 0.5, 6)
+    E, C = stacked.error_jacobian(goal, q), stacked.coordinates_jacobian(q)
+    np.testing.assert_allclose(-E @ u, rate(lambda x: stacked.error_to(goal, x), q, u), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(C @ u, rate(stacked.coordinates, q, u), rtol=0, atol=1e-6)
+    assert Stacked(parts[:1]).error_jacobian(goal[:3], q) is None
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("axes", ["pose", "x y rz", "rx ry", "rotation"])
+def test_errors_decay_as_asked_and_null_motion_leaves_them_alone(
+    robot_of: RobotOf, rng: np.random.Generator, axes: str, view: str
+) -> None:
+    """With u = E^+ b + N pi, any pi, d/dt error = -gain error to 1e-6, for rows that mix positions and rotations too;
+    with the rows of the constraint it is not, by far, where only some of the rotations are held.
+    """
+    features = features_of(robot_of("panda"), axes, view)
+    worst_of_constraint = 0.0
+    for _ in range(4):
+        s = max(1, features.n_rows - 2)
+        constraint = Constraint(np.linalg.qr(rng.normal(size=(features.n_rows, s)))[0].T, features)
+        q, pi = rng.uniform(-1.0, 1.0, (2, 7))
+        task = PointAttractor(turned(features, q, 2.6, rng), gain=2.0)
+        b, error = task.velocity(constraint, q, 0.0), lambda x, c=constraint, t=task: t.displacement(c, x)
+        faults = []
+        for A in (task.error_jacobian(constraint, q, 0.0), constraint(q)):
+            u = np.linalg.pinv(A) @ (b - A @ pi) + pi
+            faults.append(np.linalg.norm(rate(error, q, u) + 2.0 * error(q)) / np.linalg.norm(error(q)))
+        assert faults[0] < 1e-6
+        worst_of_constraint = max(worst_of_constraint, faults[1])
+    assert worst_of_constraint > 0.1
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("axes", ["pose", "x y rz", "rx ry"])
+def test_poses_are_reached_as_positions_are(robot_of: RobotOf, rng: np.random.Generator, axes: str, view: str) -> None:
+    """A pose up to 1 rad per joint away is reached at the rate of the gain, to 1e-6, with null-space motion on top."""
+    features, reached = features_of(robot_of("panda"), axes, view), []
+    middle = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7])
+    for _ in range(4):
+        constraint = Constraint(np.eye(features.n_rows), features)
+        q, goal = middle + rng.uniform(-0.5, 0.5, (2, 7))
+        task = PointAttractor(pose_of(features, goal), gain=2.0)
+        first, T, dt = task.error(constraint, q, 0.0), 600, 0.02
+        for _ in range(T):
+            E = task.error_jacobian(constraint, q, 0.0)
+            b, pi = task.velocity(constraint, q, 0.0), 0.5 * (middle - q)
+            U, sigma, Vt = np.linalg.svd(E, full_matrices=False)
+            damped = Vt.T @ (np.where(sigma > 0.05, 1.0 / sigma, sigma / 0.0025) * (U.T @ b))
+            q = q + dt * (damped + pi - np.linalg.pinv(E) @ (E @ pi))
+        reached.append(task.error(constraint, q, 0.0) / first)
+    assert max(reached) < 1e-6, reached
+
+
+def test_track_and_point_attractor_give_the_same_rows(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """A moving target has, at each time, the derivative of a target that stands there; numbers along the rows of
+    Lambda count in the coordinates of the features.
+    """
+    features = features_of(robot_of("panda"), "x y rx", "world")
+    constraint, (q, u) = Constraint(np.eye(3)[:2] + np.eye(3)[1:], features), rng.uniform(-1.0, 1.0, (2, 7))
+    target = turned(features, q, 0.5, rng)
+    fixed, moving = PointAttractor(target), Track(lambda t: target)
+    np.testing.assert_array_equal(fixed.error_jacobian(constraint, q, 0.0), moving.error_jacobian(constraint, q, 3.0))
+    along = PointAttractor([0.1, 0.4])
+    E = along.error_jacobian(constraint, q, 0.0)
+    np.testing.assert_allclose(-E @ u, rate(lambda x: along.displacement(constraint, x), q, u), rtol=0, atol=1e-6)
+
+
+def test_poses_that_are_none(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """A matrix that is no rotation is refused with a sentence; one written with few digits is taken."""
+    features = features_of(robot_of("panda"), "pose", "world")
+    q = rng.uniform(-1.0, 1.0, 7)
+    pose = pose_of(features, q)
+    assert np.linalg.norm(features.error_to(np.round(pose, 5), q)) < 1e-4
+    for fault in (np.diag([1.0, 1.0, -1.0, 1.0]), np.zeros((4, 4)), np.diag([2.0, 2.0, 2.0, 1.0])):
+        with pytest.raises(TargetError, match="not a rotation matrix"):
+            features.error_to(pose @ fault, q)
+    with pytest.raises(TargetError):
+        features.error_jacobian(np.full((4, 4), np.nan), q)
