@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from manip_learn.control.command import Command, Controller
     from manip_learn.control.compiled_controller import CompiledController
     from manip_learn.control.controller import ResolvedRateController
+    from manip_learn.control.paths.optimise_path import optimise_path
     from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
     from manip_learn.control.rollout import Rollout, simulate
     from manip_learn.control.status import Status
@@ -95,6 +96,7 @@ _HOMES = {
     "log_manipulability_gradient": "constraint.manipulability",
     "manipulability": "constraint.manipulability",
     "manipulability_gradient": "constraint.manipulability",
+    "optimise_path": "control.paths.optimise_path",
     "replay": "playback",
     "resample": "recordings.preprocessing",
     "simulate": "control.rollout",
@@ -145,6 +147,7 @@ __all__ = [
     "manipulability",
     "manipulability_batch",
     "manipulability_gradient",
+    "optimise_path",
     "replay",
     "resample",
     "simulate",

@@ -34,6 +34,7 @@ ROOMS = {
     "defusedxml": {"robot", "playback"},
     "xacrodoc": {"robot"},
     "numba": {"robot", "control"},
+    "casadi": {"control"},
     "rosbags": {"recordings"},
     "pyarrow": {"recordings"},
     "h5py": {"recordings"},

@@ -12,9 +12,11 @@ import manip_learn as ml
 
 HEAVY = (
     "meshcat IPython matplotlib dask distributed rosbags pyarrow h5py mujoco yourdfpy trimesh numba typer "
-    "scipy pinocchio xacrodoc joblib"
+    "scipy pinocchio xacrodoc joblib casadi"
 ).split()
-OPTIONAL = "example_robot_data mujoco rosbags pyarrow h5py dask distributed numba xacrodoc matplotlib joblib".split()
+OPTIONAL = (
+    "example_robot_data mujoco rosbags pyarrow h5py dask distributed numba xacrodoc matplotlib joblib casadi".split()
+)
 
 
 def run(code: str) -> subprocess.CompletedProcess[str]:

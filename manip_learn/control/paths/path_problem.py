@@ -1,0 +1,260 @@
+"""The optimisation problem behind `optimise_path`: what is maximised over the knots, and under which constraints."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.manipulability_batch import manipulability_batch
+from manip_learn.control.tasks import Task
+
+SLOWNESS = 1.0  # cost of a knot at which the task stands still, in units of log mu: a factor e of manipulability
+SMOOTHNESS = 1e-3  # cost of a change of velocity by 1 rad/s from one knot to the next, in units of log mu
+STEP = 1e-6  # [rad or m] of forward differences
+
+
+@final
+class JointBounds(NamedTuple):
+    """Bounds of the joints, shape (nv,) each; infinite where there is none.
+
+    Attributes:
+        lower: Lowest positions [rad or m].
+        upper: Highest positions [rad or m].
+        velocity: Highest speeds [rad/s or m/s].
+        acceleration: Highest accelerations [rad/s2 or m/s2].
+    """
+
+    lower: Float[np.ndarray, " nv"]
+    upper: Float[np.ndarray, " nv"]
+    velocity: Float[np.ndarray, " nv"]
+    acceleration: Float[np.ndarray, " nv"]
+
+
+@final
+class Triplets(NamedTuple):
+    """Places of the entries of a sparse matrix that may differ from zero."""
+
+    rows: Int[np.ndarray, " z"]
+    columns: Int[np.ndarray, " z"]
+
+
+@final
+class Derivatives(NamedTuple):
+    """Constraint matrix and task velocity at the midpoints, with their derivatives.
+
+    Attributes:
+        A: A(q), shape (K, s, nv).
+        dA: dA/dq, shape (K, s, nv, nv).
+        b: b(q, t), shape (K, s).
+        db: db/dq, shape (K, s, nv).
+    """
+
+    A: Float[np.ndarray, "K s nv"]
+    dA: Float[np.ndarray, "K s nv nv"]
+    b: Float[np.ndarray, "K s"]
+    db: Float[np.ndarray, "K s nv"]
+
+
+@final
+class PathProblem:
+    """Knots q_1 .. q_K at distances h in time from a fixed q_0, and the speed sigma_k of the task between them.
+
+        minimise    -1/K sum_k log sqrt(mu(q_k)^2 + floor^2)  +  SLOWNESS/K sum_k (1 - sigma_k)  +  smoothness
+        subject to  A(m_k) (q_k - q_{k-1}) = h sigma_k b(m_k, t_k),   m_k = (q_{k-1} + q_k) / 2,   0 <= sigma_k <= 1
+                    position, velocity and acceleration limits
+
+    The midpoint rule holds equation (1), A u = b, to second order in h for features of every kind, with coordinates or
+    without. sigma_k is below 1 only where the limits leave no other way. The integral of the manipulability is the
+    criterion of Nakamura, "Advanced Robotics: Redundancy and Optimization", 1991; its logarithm is free of the units of
+    the constraint, and the floor keeps it finite at singularities.
+
+    Args:
+        constraint: A(q).
+        task: b(q, t).
+        start: q_0, joint positions.
+        h: Time between knots [s].
+        knots: K.
+        bounds: Limits of the joints.
+        floor: Manipulability below which the logarithm flattens out.
+    """
+
+    def __init__(
+        self,
+        constraint: Constraint,
+        task: Task,
+        start: Float[np.ndarray, " nv"],
+        h: float,
+        knots: int,
+        bounds: JointBounds,
+        floor: float,
+    ):
+        self.constraint, self.task, self.start = constraint, task, start
+        self.h, self.knots, self.bounds, self.floor = h, knots, bounds, floor
+        self.n, self.s = start.shape[0], constraint.n_constraints
+        self.size = knots * (self.n + 1)
+        # rows that bound nothing would cost the solver as much as those that do
+        self._accelerates = bool(np.all(np.isfinite(bounds.acceleration)))
+        self._known: tuple[bytes, Derivatives] | None = None
+        self._smoothing = SMOOTHNESS / (knots * h * h)
+        self.jacobian_places = self._jacobian_places()
+        self.hessian_places = self._hessian_places()
+
+    # ---- the variables --------------------------------------------------------------------------------------------
+
+    def packed(self, q: Float[np.ndarray, "K nv"]) -> Float[np.ndarray, " size"]:
+        """The variables from postures, with the task at its full speed."""
+        return np.concatenate([q.reshape(-1), np.ones(self.knots)])
+
+    def postures(self, x: Float[np.ndarray, " size"]) -> Float[np.ndarray, "knots nv"]:
+        """q_0 .. q_K."""
+        return np.vstack([self.start, x[: self.knots * self.n].reshape(self.knots, self.n)])
+
+    def variable_bounds(self) -> tuple[Float[np.ndarray, " size"], Float[np.ndarray, " size"]]:
+        """Lowest and highest values of the variables; a start outside the position limits may stay there."""
+        K, b = self.knots, self.bounds
+        low, high = np.minimum(b.lower, self.start), np.maximum(b.upper, self.start)
+        return np.concatenate([np.tile(low, K), np.zeros(K)]), np.concatenate([np.tile(high, K), np.ones(K)])
+
+    def constraint_bounds(self) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
+        """Lowest and highest values of `constraints`."""
+        K, h, b = self.knots, self.h, self.bounds
+        speed, change = np.tile(h * b.velocity, K), np.tile(h * h * b.acceleration, K - 1)
+        high = np.concatenate([np.zeros(K * self.s), speed, change if self._accelerates else change[:0]])
+        return -high, high
+
+    # ---- objective ------------------------------------------------------------------------------------------------
+
+    def objective(self, x: Float[np.ndarray, " size"]) -> float:
+        """What is minimised."""
+        q, scale = self.postures(x), x[self.knots * self.n :]
+        mu = manipulability_batch(self.constraint, q[1:]).mu
+        change = np.diff(q, 2, axis=0)
+        log_mu = 0.5 * np.log(mu**2 + self.floor**2)
+        return float(-np.mean(log_mu) + SLOWNESS * np.mean(1.0 - scale) + 0.5 * self._smoothing * np.sum(change**2))
+
+    def gradient(self, x: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+        """Gradient of `objective`."""
+        q = self.postures(x)
+        out = -self._log_gradient(q[1:]) / self.knots
+        change = self._smoothing * np.diff(q, 2, axis=0)
+        out[1:] += change
+        out[:-1] -= 2.0 * change
+        out[:-2] += change[1:]
+        return np.concatenate([out.reshape(-1), np.full(self.knots, -SLOWNESS / self.knots)])
+
+    def _log_gradient(self, q: Float[np.ndarray, "m nv"]) -> Float[np.ndarray, "m nv"]:
+        """Gradient of log sqrt(mu^2 + floor^2) = mu grad mu / (mu^2 + floor^2), 0 at a singularity."""
+        batch = manipulability_batch(self.constraint, q)
+        mu = batch.mu
+        return (mu / (mu**2 + self.floor**2))[:, None] * batch.gradient
+
+    # ---- constraints ----------------------------------------------------------------------------------------------
+
+    def constraints(self, x: Float[np.ndarray, " size"]) -> Float[np.ndarray, " rows"]:
+        """The task between the knots, displacements from knot to knot, and their changes."""
+        q, scale = self.postures(x), x[self.knots * self.n :]
+        middle, step = 0.5 * (q[1:] + q[:-1]), np.diff(q, axis=0)
+        A = self.constraint.selection @ self.constraint.features.batch(middle)
+        b = self._velocities(middle)
+        task = np.einsum("kij,kj->ki", A, step) - self.h * scale[:, None] * b
+        parts = [task.reshape(-1), step.reshape(-1)]
+        if self._accelerates:
+            parts.append(np.diff(step, axis=0).reshape(-1))
+        return np.concatenate(parts)
+
+    def jacobian(self, x: Float[np.ndarray, " size"]) -> Float[np.ndarray, " z"]:
+        """Entries of the Jacobian of `constraints` at `jacobian_places`."""
+        q, scale, h = self.postures(x), x[self.knots * self.n :], self.h
+        A, dA, b, db = self._derivatives(x)
+        bend = 0.5 * (np.einsum("kijl,kj->kil", dA, np.diff(q, axis=0)) - h * scale[:, None, None] * db)
+        K, n = self.knots, self.n
+        parts = [(A + bend), (bend - A)[1:], -h * b, np.ones(K * n), -np.ones((K - 1) * n)]
+        if self._accelerates:
+            parts += [np.full((K - 1) * n, 1.0), np.full((K - 1) * n, -2.0), np.full((K - 2) * n, 1.0)]
+        return np.concatenate([p.reshape(-1) for p in parts])
+
+    def hessian(
+        self, x: Float[np.ndarray, " size"], weight: float, multipliers: Float[np.ndarray, " rows"]
+    ) -> Float[np.ndarray, " z"]:
+        """Entries of weight * d2 objective + sum multipliers * d2 constraints at `hessian_places`, upper triangle.
+
+        The objective's by differences of its exact gradient; of the constraints the terms in dA/dq, without those in
+        the second derivatives of A and b, which the step of time makes small.
+        """
+        q, K, n = self.postures(x), self.knots, self.n
+        _, dA, _, db = self._derivatives(x)
+        lam = multipliers[: K * self.s].reshape(K, self.s)
+        M = np.einsum("ki,kijl->kjl", lam, dA)
+        transposed = M.transpose(0, 2, 1)
+        blocks = -weight / K * self._log_hessian(q[1:]) + 0.5 * (M + transposed)
+        blocks[:-1] -= 0.5 * (M + transposed)[1:]
+        neighbours = (-0.5 * (M - transposed))[1:]  # (left, right): the transpose of (right, left)
+        cross = -0.5 * self.h * np.einsum("ki,kil->kl", lam, db)
+        smooth = weight * self._smoothing
+        own = np.concatenate([[5.0], np.full(max(K - 3, 0), 6.0), [5.0, 1.0]])[-K:] if K > 2 else np.array([4.0, 1.0])
+        blocks += smooth * own[:, None, None] * np.eye(n)
+        first = np.concatenate([np.full(max(K - 2, 0), -4.0), [-2.0]])
+        neighbours += smooth * first[:, None, None] * np.eye(n)
+        upper = np.triu_indices(n)
+        second = np.full((K - 2) * n, smooth)
+        parts = (blocks[:, upper[0], upper[1]], neighbours, second, cross, cross[1:])
+        return np.concatenate([p.reshape(-1) for p in parts])
+
+    # ---- internals ------------------------------------------------------------------------------------------------
+
+    def _derivatives(self, x: np.ndarray) -> Derivatives:
+        """A, dA/dq, b and db/dq at the midpoints; the solver asks for both matrices at the same place."""
+        key = x.tobytes()
+        if self._known is not None and self._known[0] == key:
+            return self._known[1]
+        q, Lambda = self.postures(x), self.constraint.selection
+        middle = 0.5 * (q[1:] + q[:-1])
+        Phi, dPhi = self.constraint.features.batch_with_derivative(middle)
+        b = self._velocities(middle)
+        db = np.empty((self.knots, self.s, self.n))
+        for j in range(self.n):
+            moved = middle.copy()
+            moved[:, j] += STEP
+            db[:, :, j] = (self._velocities(moved) - b) / STEP
+        dA = np.einsum("sp,kpjl->ksjl", Lambda, dPhi, optimize=True)
+        self._known = key, Derivatives(Lambda @ Phi, dA, b, db)
+        return self._known[1]
+
+    def _velocities(self, q: np.ndarray) -> np.ndarray:
+        times = (np.arange(self.knots) + 0.5) * self.h
+        return np.array([self.task.velocity(self.constraint, x, t) for x, t in zip(q, times.tolist(), strict=True)])
+
+    def _log_hessian(self, q: np.ndarray) -> np.ndarray:
+        K, n = q.shape
+        moved = np.repeat(q, n, axis=0) + np.tile(STEP * np.eye(n), (K, 1))
+        gradients = self._log_gradient(np.vstack([q, moved]))
+        H = (gradients[K:].reshape(K, n, n) - gradients[:K, None]) / STEP
+        return 0.5 * (H + H.transpose(0, 2, 1))
+
+    def _jacobian_places(self) -> Triplets:
+        K, n, s = self.knots, self.n, self.s
+        k, i, j = (a.reshape(-1) for a in np.indices((K, s, n)))
+        right, left = (k * s + i, k * n + j), ((k * s + i)[s * n :], (k * n + j)[s * n :] - n)
+        speed = (np.arange(K * s), K * n + np.repeat(np.arange(K), s))
+        z, moves, changes = np.arange(K * n), K * s, K * s + K * n
+        places = [right, left, speed, (moves + z, z), (moves + z[n:], z[:-n])]
+        if self._accelerates:
+            y = np.arange((K - 1) * n)  # change of step k: q_{k+2} - 2 q_{k+1} + q_k, where q_0 is fixed
+            places += [(changes + y, y + n), (changes + y, y), (changes + y[n:], y[:-n])]
+        return Triplets(np.concatenate([p[0] for p in places]), np.concatenate([p[1] for p in places]))
+
+    def _hessian_places(self) -> Triplets:
+        K, n = self.knots, self.n
+        a, b = np.triu_indices(n)
+        start = np.arange(K)[:, None] * n
+        blocks = ((start + a).reshape(-1), (start + b).reshape(-1))
+        k, i, j = (x.reshape(-1) for x in np.indices((K - 1, n, n)))
+        z = np.arange((K - 2) * n)
+        kk, jj = (x.reshape(-1) for x in np.indices((K, n)))
+        cross = (kk * n + jj, K * n + kk)
+        cross_left = (cross[0][n:] - n, cross[1][n:])
+        places = [blocks, (k * n + i, (k + 1) * n + j), (z, z + 2 * n), cross, cross_left]
+        return Triplets(np.concatenate([p[0] for p in places]), np.concatenate([p[1] for p in places]))
