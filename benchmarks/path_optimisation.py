@@ -75,9 +75,14 @@ def table(results: dict[str, list[Case]]) -> str:
         cells = [spread([c.mean for c in cases]), spread([c.least for c in cases])]
         gains = sum(c.mean > 1.01 for c in cases)
         seconds = spread([c.seconds for c in cases])
-        lines.append(f"| {name} | {len(cases)} | {' | '.join(cells)} | {gains} | {len(trapped)} | {there} | {seconds} |")
+        lines.append(
+            f"| {name} | {len(cases)} | {' | '.join(cells)} | {gains} | {len(trapped)} | {there} | {seconds} |"
+        )
     lines += ["", "Cases with a smaller least or mean μ than the greedy law:", ""]
-    lines += ["| robot | case | rows | mean μ | least μ | final error, greedy and path [m] |", "|---|---|---|---|---|---|"]
+    lines += [
+        "| robot | case | rows | mean μ | least μ | final error, greedy and path [m] |",
+        "|---|---|---|---|---|---|",
+    ]
     for name, cases in results.items():
         for c in cases:
             if min(c.mean, c.least) < 0.999:
