@@ -35,6 +35,7 @@ ROOMS = {
     "xacrodoc": {"robot"},
     "numba": {"robot", "control"},
     "casadi": {"control"},
+    "pink": {"control"},
     "rosbags": {"recordings"},
     "pyarrow": {"recordings"},
     "h5py": {"recordings"},

@@ -1,0 +1,1 @@
+"""Learnt tasks in other people's solvers."""
