@@ -19,6 +19,32 @@ LEVERAGE_FLOOR = 1e-3
 UNDETERMINED = 1e-12
 
 
+@final
+@dataclass(frozen=True, eq=False)
+class PolicyPrior:
+    """Gaussian prior of the policy's parameters, independent of each other.
+
+    Attributes:
+        precision: Noise variance over the variance of each unknown, 0 for those of Lambda, shape (d,).
+        noise: Noise variance [(rad/s)^2].
+    """
+
+    precision: Float[np.ndarray, " d"]
+    noise: float
+
+    def errors(
+        self, hessians: Float[np.ndarray, "g d d"], m: int, repetitions: int, rng: np.random.Generator
+    ) -> Float[np.ndarray, "k m"]:
+        """Errors of the last m unknowns since the parameters are drawn towards zero, as often as asked for.
+
+        With M = sum H_i + P the estimate is off by M^-1 P times the parameters, whose covariance is sigma^2 P^-1.
+        """
+        total = hessians.sum(axis=0) + np.diag(self.precision)
+        own = np.linalg.solve(total, np.eye(len(total))[:, len(total) - m :])
+        factor = own * np.sqrt(self.precision * self.noise)[:, None]
+        return rng.standard_normal((repetitions, len(factor))) @ factor
+
+
 def bootstrap_angle_deg(
     samples: Samples,
     whitened_selection: Float[np.ndarray, "s r"],
@@ -28,6 +54,7 @@ def bootstrap_angle_deg(
     repetitions: int = 200,
     quantile: float = 0.68,
     offsets: JointOffsets | None = None,
+    prior: PolicyPrior | None = None,
 ) -> float | None:
     """Angle [deg] within which a share of the repetitions keeps the row space of Lambda.
 
@@ -46,6 +73,7 @@ def bootstrap_angle_deg(
         repetitions: How many.
         quantile: Share of the repetitions.
         offsets: What the residual says about the joints' offsets, whose error comes on top.
+        prior: Of the policy's parameters, which the Hessians leave out.
 
     Returns:
         The angle; None with fewer than two trajectories or no freedom.
@@ -54,7 +82,7 @@ def bootstrap_angle_deg(
     n, m = gradients.shape[0], s * (r - s)
     if n < 2 or m == 0:
         return None
-    influence = _influences(gradients, hessians)[:, -m:]
+    influence = _influences(gradients, hessians, prior)[:, -m:]
     weights = rng.multinomial(n, np.full(n, 1.0 / n), size=repetitions) - 1.0
     # where few trajectories carry most of the influence their spread is itself uncertain: Student's distribution
     energy = np.sum((influence @ _whitener(influence)) ** 2, axis=1)
@@ -63,20 +91,24 @@ def bootstrap_angle_deg(
     steps = (-weights @ influence) / spread[:, None]
     if offsets is not None:
         steps = steps + offsets.errors(repetitions, rng)
+    if prior is not None:
+        steps = steps + prior.errors(hessians, m, repetitions, rng)
     turns = steps.reshape(repetitions, s, r - s) @ complement_rows(whitened_selection)
     angles = row_space_angles((whitened_selection + turns) @ samples.whitening, samples.selection(whitened_selection))
     return float(np.degrees(np.quantile(angles, quantile)))
 
 
-def _influences(gradients: Float[np.ndarray, "g d"], hessians: Float[np.ndarray, "g d d"]) -> Float[np.ndarray, "g d"]:
+def _influences(
+    gradients: Float[np.ndarray, "g d"], hessians: Float[np.ndarray, "g d d"], prior: PolicyPrior | None = None
+) -> Float[np.ndarray, "g d"]:
     """Contribution of each trajectory to the error, centred, its residual corrected for the leverage on the fit.
 
     In coordinates where the sum of the Hessians is I, the gradient of a trajectory at the optimum has the covariance
     sigma^2 H_i (I - H_i), since the fit follows its own data; (I - H_i)^(-1/2) restores sigma^2 H_i (bias-reduced
-    linearisation, Bell and McCaffrey, 2002; HC2 where a trajectory has one sample).
+    linearisation, Bell and McCaffrey, 2002; HC2 where a trajectory has one sample). A prior adds to the sum.
     """
     n, d = gradients.shape
-    total = hessians.sum(axis=0)
+    total = hessians.sum(axis=0) if prior is None else hessians.sum(axis=0) + np.diag(prior.precision)
     size = np.sqrt(np.maximum(np.diag(total), np.finfo(np.float64).tiny))
     values, vectors = np.linalg.eigh(total / np.outer(size, size))
     kept = values > UNDETERMINED * values[-1]

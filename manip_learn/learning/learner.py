@@ -245,7 +245,7 @@ class ConstraintLearner:
         constrained = e.name == "null-space"
         offsets = JointOffsets.of(best.samples, e.whitened_selection) if constrained else None
         return bootstrap_angle_deg(
-            best.samples, e.whitened_selection, e.gradients, e.hessians, best.rng, offsets=offsets
+            best.samples, e.whitened_selection, e.gradients, e.hessians, best.rng, offsets=offsets, prior=e.prior
         )
 
     def _conclude(

@@ -8,6 +8,7 @@ from typing import Literal, final
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.learning.bootstrap import PolicyPrior
 from manip_learn.learning.estimators.variable_projection import JointFit
 
 # ratios of singular values, noise directions against free ones
@@ -63,6 +64,7 @@ class Estimate:
         noise: Held-out residual energy per degree of freedom [(rad/s)^2]; 0 where there is no such thing.
         warnings: Doubts.
         joint: Joint estimator: the fit with the policy's parameters, the start of a refinement on more samples.
+        prior: Joint estimator: of the policy's parameters, where they were integrated out.
         levels: Null-space estimator: levels of the whitened directions, least first [1], see `null_space.levels`.
     """
 
@@ -78,6 +80,7 @@ class Estimate:
     noise: float = 0.0
     warnings: tuple[str, ...] = ()
     joint: JointFit | None = None
+    prior: PolicyPrior | None = None
     levels: Float[np.ndarray, " r"] = field(default_factory=lambda: np.zeros(0))
 
 

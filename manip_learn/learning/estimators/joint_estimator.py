@@ -23,6 +23,7 @@ from manip_learn.learning.estimators.model_search import (
 from manip_learn.learning.estimators.noise_covariance import whitened, whitening_factor
 from manip_learn.learning.estimators.per_trajectory_offsets import estimate_with_offsets, offsets_if_clear
 from manip_learn.learning.estimators.policy_model import HarmonicModel, PolicyModel, PolynomialModel, RadialModel
+from manip_learn.learning.estimators.policy_prior import fit_marginal
 from manip_learn.learning.estimators.row_count import POOR, drop_doubtful_rows
 from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, scores
 from manip_learn.learning.samples import Samples
@@ -36,6 +37,8 @@ COMPARE_LIMIT = 1_500
 MAX_COLUMNS = 260
 # share of the energy below which a residual is rounding
 NOTHING = 1e-20
+# share of the energy above which a residual is noise that hides a part of the policy
+NOISY = 1e-10
 
 
 def estimate_joint(
@@ -95,10 +98,18 @@ def estimate_joint(
     # the covariance of the residual is that of the noise only where the policy model explains the motion
     is_explained = chosen.held_out <= POOR * null_energy(samples, chosen.fit)
     own_samples, fit = _fit_whitened(samples, fit) if is_explained and not isotropic else (samples, fit)
-    gradients, hessians = scores(own_samples, fit)
+    Lambda, gradients, hessians, prior = fit.whitened_selection, *scores(own_samples, fit), None
+    if policy_model == "auto" and is_explained and not isotropic and _is_noisy(fit):
+        marginal = fit_marginal(own_samples, fit, MAX_COLUMNS)
+        Lambda, gradients, hessians, prior = (
+            marginal.whitened_selection,
+            marginal.gradients,
+            marginal.hessians,
+            marginal.prior,
+        )
     return Estimate(
         "joint",
-        fit.whitened_selection,
+        Lambda,
         table,
         fit.cost / null_energy(own_samples, fit),
         chosen.held_out / null_energy(samples, chosen.fit),
@@ -109,12 +120,18 @@ def estimate_joint(
         noise=chosen.held_out / (samples.nv - s),
         warnings=doubts,
         joint=fit,
+        prior=prior,
     )
 
 
 def _is_exact(fit: JointFit) -> bool:
     """Whether rounding is all that the policy model leaves of the motion."""
     return fit.cost <= EXACT * fit.energy
+
+
+def _is_noisy(fit: JointFit) -> bool:
+    """Whether normal equations resolve what is left of the motion."""
+    return 0 < len(fit.whitened_selection) < fit.whitened_selection.shape[1] and fit.cost > NOISY * fit.energy
 
 
 def _subsample(samples: Samples) -> Samples:

@@ -134,6 +134,11 @@ class Solver:
                 continue
         raise np.linalg.LinAlgError("the policy's normal equations are not positive definite")
 
+    @property
+    def log_determinant(self) -> float:
+        """log |H + a trifle|."""
+        return 2.0 * float(np.sum(np.log(np.diag(self._factor[0]) / self._scale)))
+
     def __call__(self, y: Float[np.ndarray, "c m"]) -> Float[np.ndarray, "c m"]:
         """Solution for several right sides."""
         return self._scale[:, None] * cho_solve(self._factor, self._scale[:, None] * y, check_finite=False)

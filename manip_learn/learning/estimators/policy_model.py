@@ -31,15 +31,20 @@ class PolicyModel(ABC):
 
 @final
 class PolynomialModel(PolicyModel):
-    """All monomials up to a degree: 0 constant, 1 affine, 2 quadratic, 3 cubic, 4 quartic, 5 quintic."""
+    """All monomials up to a degree: 0 constant, 1 affine, 2 quadratic, 3 cubic, 4 quartic, 5 quintic.
+
+    Attributes:
+        degree: The largest.
+        terms: Indices of the factors of each monomial but the constant.
+    """
 
     NAMES = ("constant", "affine", "quadratic", "cubic", "quartic", "quintic")
 
     def __init__(self, degree: int, m: int):
         self.degree = degree
         self.name = self.NAMES[degree] if degree < len(self.NAMES) else f"degree {degree}"
-        self._terms = [c for d in range(1, degree + 1) for c in combinations_with_replacement(range(m), d)]
-        self.n_terms = 1 + len(self._terms)
+        self.terms = [c for d in range(1, degree + 1) for c in combinations_with_replacement(range(m), d)]
+        self.n_terms = 1 + len(self.terms)
 
     def __call__(
         self, x: Float[np.ndarray, "n m"], trajectory: Int[np.ndarray, " n"] | None = None
@@ -47,7 +52,7 @@ class PolynomialModel(PolicyModel):
         """1, x_i, x_i x_j, ..."""
         out = np.empty((x.shape[0], self.n_terms))
         out[:, 0] = 1.0
-        for column, term in enumerate(self._terms, start=1):
+        for column, term in enumerate(self.terms, start=1):
             out[:, column] = np.prod(x[:, term], axis=1)
         return out
 

@@ -171,6 +171,7 @@ def refine(candidate: Candidate, summary: PassSummary, executor: Executor) -> tu
         gradients=gradients,
         hessians=hessians,
         joint=None,
+        prior=None,
     )
     return dataclasses.replace(candidate, estimate=refined), data
 

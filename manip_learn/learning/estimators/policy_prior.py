@@ -1,0 +1,262 @@
+"""The policy's parameters integrated out instead of fitted: Lambda by marginal likelihood, with a prior on each degree.
+
+Theta ~ N(0, T) with one variance tau_g^2 for all parameters of grade g (degree of the monomials), so that Z^T u is
+normal with the covariance sigma^2 I + K T K^T, K = d (Z^T pi) / d Theta. With C = K^T K = sum beta beta^T (x) N,
+P = sigma^2 T^-1, theta the posterior mean of Theta and c its length
+
+    2 l(Lambda) = (n z - c) log sigma^2 + log |C + P| + log |T| + (|Z^T u|^2 - theta^T K^T u) / sigma^2
+
+tau and sigma by maximum likelihood too (MacKay, 1992, Neural Computation 4(3), eq. (2.33) and following). No degree has
+to be chosen: one that the data do not need has tau = 0, one of which they cannot tell widens the angle. Fitted without
+a prior, combinations of parameters that the null spaces hardly show become large; they make the Gauss-Newton Hessian
+of Lambda, which grows with pi, too large, and left-out trajectories badly predicted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import factorial, prod
+from typing import final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from manip_learn.learning.bootstrap import PolicyPrior, TrajectoryBlocks
+from manip_learn.learning.estimators.policy_equations import CHUNK, Projections, Solver, curvature, pull
+from manip_learn.learning.estimators.policy_model import PolicyModel, PolynomialModel
+from manip_learn.learning.estimators.variable_projection import MAX_BLOCKS, JointFit
+from manip_learn.learning.samples import Samples
+from manip_learn.linalg import complement_rows, orthonormal_rows
+
+# degree up to which every policy is thought possible
+MOST_LIKELY_DEGREE = 3
+MAX_ITERATIONS = 40
+# squared length of the last step in standard errors
+SETTLED = 1e-6
+SHORTEST = 1e-2  # share of a Gauss-Newton step
+# updates of the variances before the first step, and after each
+FIRST_UPDATES, UPDATES = 4, 2
+# variance of the parameters over the mean square of u: at the start, and least
+START, LEAST = 4.0, 1e-14
+# least number of parameters of a grade that count as determined
+DETERMINED = 1e-6
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class GradedRegressors:
+    """beta of each sample, and what shares a variance.
+
+    Attributes:
+        values: Shape (n, k).
+        grades: Grade of each regressor, counted from 0, shape (k,).
+    """
+
+    values: Float[np.ndarray, "n k"]
+    grades: Int[np.ndarray, " k"]
+
+    @staticmethod
+    def of(samples: Samples, model: PolicyModel, most_columns: int) -> GradedRegressors:
+        """Polynomials by degree, and those of a model that is none as one more grade.
+
+        Args:
+            samples: What was recorded.
+            model: The policy model that was selected.
+            most_columns: Number of parameters for which no higher degree is added.
+        """
+        x, trajectory = (np.concatenate(p) for p in zip(*((b.x, b.trajectory) for b in samples.blocks()), strict=True))
+        m = x.shape[1]
+        own = np.zeros((len(x), 0)) if isinstance(model, PolynomialModel) else model(x, trajectory)
+        least = model.degree if isinstance(model, PolynomialModel) else 1
+        polynomials = [PolynomialModel(degree, m) for degree in range(max(least, MOST_LIKELY_DEGREE) + 1)]
+        fitting = [
+            one
+            for one in polynomials
+            if one.degree <= least or (one.n_terms + own.shape[1]) * samples.nv <= most_columns
+        ]
+        largest = fitting[-1]
+        degrees = np.array([0, *map(len, largest.terms)])
+        values = np.concatenate([largest(x) * _weights(largest, m), own], axis=1)
+        return GradedRegressors(values, np.append(degrees, np.full(own.shape[1], largest.degree + 1)))
+
+
+def _weights(model: PolynomialModel, m: int) -> Float[np.ndarray, " k"]:
+    """Factors of the monomials that make sum beta_i(x) beta_i(y) = sum over the degrees of (x . y / m)^degree."""
+    counts = [factorial(len(t)) / prod(factorial(t.count(i)) for i in set(t)) / m ** len(t) for t in model.terms]
+    return np.sqrt(np.array([1.0, *counts]))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Variances:
+    """Of the noise and of the policy's parameters.
+
+    Attributes:
+        noise: sigma^2 [(rad/s)^2].
+        parameters: tau^2 of each grade [(rad/s)^2].
+    """
+
+    noise: float
+    parameters: Float[np.ndarray, " g"]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class MarginalFit:
+    """Lambda of the largest marginal likelihood, and what the uncertainty needs.
+
+    Attributes:
+        whitened_selection: Lambda in whitened coordinates, orthonormal rows, shape (s, p').
+        gradients: Of each block of trajectories; first all parameters of the policy, then those of Lambda.
+        hessians: Gauss-Newton Hessians, likewise, without the prior.
+        prior: Its precision, and the noise.
+    """
+
+    whitened_selection: Float[np.ndarray, "s r"]
+    gradients: Float[np.ndarray, "g d"]
+    hessians: Float[np.ndarray, "g d d"]
+    prior: PolicyPrior
+
+
+def fit_marginal(samples: Samples, fit: JointFit, most_columns: int) -> MarginalFit:
+    """Gauss-Newton steps on the marginal likelihood from a fit.
+
+    Args:
+        samples: What was recorded.
+        fit: The start, with the selected policy model.
+        most_columns: See `GradedRegressors.of`.
+    """
+    regressors = GradedRegressors.of(samples, fit.model, most_columns)
+    here = _Posterior(samples, regressors, fit.whitened_selection)
+    scale = float(np.mean(samples.u**2))
+    n_grades = int(regressors.grades.max()) + 1
+    noise = max(fit.cost / max(samples.nv - len(fit.whitened_selection), 1), LEAST * scale)
+    here.settle(Variances(noise, np.full(n_grades, START * scale)), FIRST_UPDATES)
+    for _ in range(MAX_ITERATIONS):
+        H, gradient = here.equations()
+        step = -np.linalg.solve(H, gradient)
+        if -gradient @ step < SETTLED:
+            break
+        moved = _moved(here, step)
+        if moved is None:
+            break
+        here = moved
+        here.settle(here.variances, UPDATES)
+    gradients, hessians = here.scores()
+    precision = np.append(here.precision, np.zeros(hessians.shape[1] - len(here.precision)))
+    return MarginalFit(here.Lambda, gradients, hessians, PolicyPrior(precision, here.variances.noise))
+
+
+def _moved(here: _Posterior, step: Float[np.ndarray, " m"]) -> _Posterior | None:
+    """After a step, or as much of it as does not lower the likelihood; None if nothing is left of it."""
+    share, before = 1.0, here.deviance()
+    while share > SHORTEST:
+        B = share * step.reshape(len(here.Lambda), -1)
+        trial = _Posterior(here.samples, here.regressors, orthonormal_rows(here.Lambda + B @ complement_rows(here.Lambda)))
+        trial.settle(here.variances, 0)
+        if trial.deviance() <= before:
+            return trial
+        share *= 0.4
+    return None
+
+
+@final
+class _Posterior:
+    """Theta given Lambda and the variances; `settle` comes first.
+
+    Args:
+        samples: What was recorded.
+        regressors: beta.
+        Lambda: In whitened coordinates, shape (s, p').
+    """
+
+    def __init__(self, samples: Samples, regressors: GradedRegressors, Lambda: Float[np.ndarray, "s r"]):
+        self.samples, self.regressors, self.Lambda = samples, regressors, Lambda
+        self._projections = Projections.of(samples, Lambda)
+        self._curvature = curvature(regressors.values, self._projections.N)
+        null_part = self._project(samples.u)
+        self._pulled = pull(regressors.values, null_part[:, :, None])[:, 0]
+        self._energy = float(np.sum(null_part**2))
+        self._grades = np.repeat(regressors.grades, samples.nv)
+
+    def settle(self, variances: Variances, updates: int) -> None:
+        """Solve with some variances, and change these towards the largest likelihood some times."""
+        self._solve(variances)
+        for _ in range(updates):
+            self._solve(self._updated())
+
+    def deviance(self) -> float:
+        """2 l, see the module."""
+        noise, n_rows = self.variances.noise, len(self.samples) * (self.samples.nv - len(self.Lambda))
+        fit = (self._energy - float(self._pulled @ self._theta)) / noise
+        log_prior = float(np.sum(np.log(self.variances.parameters[self._grades])))
+        return (n_rows - len(self._theta)) * np.log(noise) + self._solver.log_determinant + log_prior + fit
+
+    def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
+        """Gauss-Newton Hessian and gradient of l for B."""
+        H, gradient = self._projections.equations(self.regressors.values, self._residual, self._solver)
+        noise = self.variances.noise
+        return H / noise, gradient / noise + self._spread_slopes(np.ones(len(self.samples)))[0]
+
+    def scores(self) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
+        """Gradient and Gauss-Newton Hessian of sigma^2 l of each block of trajectories, for (Theta, B)."""
+        beta, J = self.regressors.values, self._projections.slopes(self._residual)
+        residual = self._project(self._residual)
+        blocks = TrajectoryBlocks(self.samples.n_trajectories, MAX_BLOCKS)
+        c, m = len(self._theta), J.shape[2]
+        gradients, hessians = np.zeros((blocks.n_blocks, c + m)), np.zeros((blocks.n_blocks, c + m, c + m))
+        for i, part in blocks.runs(self.samples.trajectory):
+            gradients[i, :c] -= pull(beta[part], residual[part][:, :, None])[:, 0]
+            gradients[i, c:] += np.einsum("nvi,nv->i", J[part], residual[part], optimize=True)
+            hessians[i, :c, :c] += curvature(beta[part], self._projections.N[part])
+            cross = -pull(beta[part], J[part])
+            hessians[i, :c, c:] += cross
+            hessians[i, c:, :c] += cross.T
+            hessians[i, c:, c:] += np.einsum("nvi,nvj->ij", J[part], J[part], optimize=True)
+        membership = np.zeros((blocks.n_blocks, len(self.samples)))
+        for i, part in blocks.runs(self.samples.trajectory):
+            membership[i, part] = 1.0
+        gradients[:, c:] += self.variances.noise * self._spread_slopes(membership)
+        return gradients, hessians
+
+    def _solve(self, variances: Variances) -> None:
+        self.variances = variances
+        self.precision = variances.noise / variances.parameters[self._grades]
+        self._solver = Solver(self._curvature + np.diag(self.precision))
+        self._theta = self._solver(self._pulled[:, None])[:, 0]
+        self._residual = self.samples.u - self.regressors.values @ self._theta.reshape(-1, self.samples.nv)
+
+    def _updated(self) -> Variances:
+        """MacKay's update: sums of squares over the numbers of parameters, and of residuals, that the data determine."""
+        n_grades = len(self.variances.parameters)
+        determined = 1.0 - self.precision * np.diag(self._solver(np.eye(len(self._theta))))
+        counts = np.maximum(np.bincount(self._grades, determined, n_grades), DETERMINED)
+        least = LEAST * float(np.mean(self.samples.u**2))
+        parameters = np.maximum(np.bincount(self._grades, self._theta**2, n_grades) / counts, least)
+        n_rows = len(self.samples) * (self.samples.nv - len(self.Lambda))
+        square = float(np.sum(self._project(self._residual) ** 2))
+        return Variances(max(square / max(n_rows - counts.sum(), 1.0), least), parameters)
+
+    def _spread_slopes(self, weights: Float[np.ndarray, "*g n"]) -> Float[np.ndarray, "g m"]:
+        """Half the derivative by B of log |C + P|, each sample's share weighted: that of the posterior spread of pi."""
+        slopes = np.concatenate(
+            [
+                -np.einsum("nsv,nvw,nwk->nsk", self._projections.duals[i], S, self._projections.free[i], optimize=True)
+                for i, S in self._spreads()
+            ]
+        )
+        return np.atleast_2d(weights) @ slopes.reshape(len(slopes), -1)
+
+    def _spreads(self) -> Iterator[tuple[slice, Float[np.ndarray, "n nv nv"]]]:
+        """Posterior covariance of pi over sigma^2, some samples at a time."""
+        nv, beta = self.samples.nv, self.regressors.values
+        k = beta.shape[1]
+        inverse = self._solver(np.eye(k * nv)).reshape(k, nv, k, nv).transpose(0, 2, 1, 3).reshape(k, -1)
+        for start in range(0, len(beta), CHUNK):
+            part = slice(start, start + CHUNK)
+            half = (beta[part] @ inverse).reshape(-1, k, nv * nv)
+            yield part, np.einsum("nk,nkv->nv", beta[part], half, optimize=True).reshape(-1, nv, nv)
+
+    def _project(self, values: Float[np.ndarray, "n nv"]) -> Float[np.ndarray, "n nv"]:
+        return np.einsum("nij,nj->ni", self._projections.N, values, optimize=True)
