@@ -23,7 +23,7 @@ from manip_learn.learning.estimators.model_search import (
 from manip_learn.learning.estimators.noise_covariance import whitened, whitening_factor
 from manip_learn.learning.estimators.per_trajectory_offsets import estimate_with_offsets, offsets_if_clear
 from manip_learn.learning.estimators.policy_model import HarmonicModel, PolicyModel, PolynomialModel, RadialModel
-from manip_learn.learning.estimators.policy_prior import fit_marginal
+from manip_learn.learning.estimators.policy_prior import ScoredFit, fit_marginal
 from manip_learn.learning.estimators.row_count import POOR, drop_doubtful_rows
 from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, scores
 from manip_learn.learning.samples import Samples
@@ -60,7 +60,8 @@ def estimate_joint(
             `"quintic"` or `"rbf"`; or
             `"affine-offset"`: affine, with an offset per trajectory, where demonstrators rest in different postures.
         unexplained: Held-out share of the energy above which to give up before the expensive part.
-        isotropic: Take the noise as equally strong in all joints, whatever the residual says: for a fit that goes on.
+        isotropic: Take the noise as equally strong in all joints, whatever the residual says, and fit the selected
+            model alone: for a fit that goes on.
 
     Raises:
         NotIdentifiableError: One trajectory only, too few samples for even the smallest model, or given up.
@@ -94,39 +95,48 @@ def estimate_joint(
             return own
     if chosen.held_out > unexplained * null_energy(samples, chosen.fit):
         raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
-    fit = _fit_from_random_starts(samples, chosen.fit, rng)
-    # the covariance of the residual is that of the noise only where the policy model explains the motion
-    is_explained = chosen.held_out <= POOR * null_energy(samples, chosen.fit)
-    own_samples, fit = _fit_whitened(samples, fit) if is_explained and not isotropic else (samples, fit)
-    Lambda, gradients, hessians, prior = fit.whitened_selection, *scores(own_samples, fit), None
-    if policy_model == "auto" and is_explained and not isotropic and _is_noisy(fit):
-        marginal = fit_marginal(own_samples, fit, MAX_COLUMNS)
-        Lambda, gradients, hessians, prior = (
-            marginal.whitened_selection,
-            marginal.gradients,
-            marginal.hessians,
-            marginal.prior,
-        )
+    own_samples, fit, scored = _fit_all(samples, chosen, rng, is_start=isotropic, is_free=policy_model == "auto")
     return Estimate(
         "joint",
-        Lambda,
+        scored.whitened_selection,
         table,
         fit.cost / null_energy(own_samples, fit),
         chosen.held_out / null_energy(samples, chosen.fit),
-        gradients,
-        hessians,
+        scored.gradients,
+        scored.hessians,
         fit.model.name,
         residuals,
         noise=chosen.held_out / (samples.nv - s),
         warnings=doubts,
         joint=fit,
-        prior=prior,
+        prior=scored.prior,
     )
 
 
 def _is_exact(fit: JointFit) -> bool:
     """Whether rounding is all that the policy model leaves of the motion."""
     return fit.cost <= EXACT * fit.energy
+
+
+def _fit_all(
+    samples: Samples, chosen: CrossValidatedFit, rng: np.random.Generator, *, is_start: bool, is_free: bool
+) -> tuple[Samples, JointFit, ScoredFit]:
+    """The selected model fitted to all samples, these weighted where needed; and Lambda without a fixed model.
+
+    Args:
+        samples: What was recorded.
+        chosen: The selected model.
+        rng: For the random starts.
+        is_start: The fit goes on elsewhere, with equal weights and with this model.
+        is_free: The model was not asked for.
+    """
+    fit = _fit_from_random_starts(samples, chosen.fit, rng)
+    # the residual is noise, and has its covariance, only where the policy model explains the motion
+    if not is_start and chosen.held_out <= POOR * null_energy(samples, chosen.fit):
+        samples, fit = _fit_whitened(samples, fit)
+        if is_free and _is_noisy(fit):
+            return samples, fit, fit_marginal(samples, fit, MAX_COLUMNS)
+    return samples, fit, ScoredFit(fit.whitened_selection, *scores(samples, fit))
 
 
 def _is_noisy(fit: JointFit) -> bool:

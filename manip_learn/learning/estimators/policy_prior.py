@@ -103,23 +103,23 @@ class Variances:
 
 @final
 @dataclass(frozen=True, eq=False)
-class MarginalFit:
-    """Lambda of the largest marginal likelihood, and what the uncertainty needs.
+class ScoredFit:
+    """Lambda, and what its uncertainty needs.
 
     Attributes:
         whitened_selection: Lambda in whitened coordinates, orthonormal rows, shape (s, p').
-        gradients: Of each block of trajectories; first all parameters of the policy, then those of Lambda.
+        gradients: Of each block of trajectories; first the parameters of the policy, then those of Lambda.
         hessians: Gauss-Newton Hessians, likewise, without the prior.
-        prior: Its precision, and the noise.
+        prior: Of the policy's parameters; None if they were fitted.
     """
 
     whitened_selection: Float[np.ndarray, "s r"]
     gradients: Float[np.ndarray, "g d"]
     hessians: Float[np.ndarray, "g d d"]
-    prior: PolicyPrior
+    prior: PolicyPrior | None = None
 
 
-def fit_marginal(samples: Samples, fit: JointFit, most_columns: int) -> MarginalFit:
+def fit_marginal(samples: Samples, fit: JointFit, most_columns: int) -> ScoredFit:
     """Gauss-Newton steps on the marginal likelihood from a fit.
 
     Args:
@@ -135,7 +135,7 @@ def fit_marginal(samples: Samples, fit: JointFit, most_columns: int) -> Marginal
     here.settle(Variances(noise, np.full(n_grades, START * scale)), FIRST_UPDATES)
     for _ in range(MAX_ITERATIONS):
         H, gradient = here.equations()
-        step = -np.linalg.solve(H, gradient)
+        step = -np.linalg.lstsq(H, gradient, rcond=1e-14)[0]
         if -gradient @ step < SETTLED:
             break
         moved = _moved(here, step)
@@ -145,7 +145,7 @@ def fit_marginal(samples: Samples, fit: JointFit, most_columns: int) -> Marginal
         here.settle(here.variances, UPDATES)
     gradients, hessians = here.scores()
     precision = np.append(here.precision, np.zeros(hessians.shape[1] - len(here.precision)))
-    return MarginalFit(here.Lambda, gradients, hessians, PolicyPrior(precision, here.variances.noise))
+    return ScoredFit(here.Lambda, gradients, hessians, PolicyPrior(precision, here.variances.noise))
 
 
 def _moved(here: _Posterior, step: Float[np.ndarray, " m"]) -> _Posterior | None:
@@ -153,7 +153,9 @@ def _moved(here: _Posterior, step: Float[np.ndarray, " m"]) -> _Posterior | None
     share, before = 1.0, here.deviance()
     while share > SHORTEST:
         B = share * step.reshape(len(here.Lambda), -1)
-        trial = _Posterior(here.samples, here.regressors, orthonormal_rows(here.Lambda + B @ complement_rows(here.Lambda)))
+        trial = _Posterior(
+            here.samples, here.regressors, orthonormal_rows(here.Lambda + B @ complement_rows(here.Lambda))
+        )
         trial.settle(here.variances, 0)
         if trial.deviance() <= before:
             return trial
@@ -228,7 +230,7 @@ class _Posterior:
         self._residual = self.samples.u - self.regressors.values @ self._theta.reshape(-1, self.samples.nv)
 
     def _updated(self) -> Variances:
-        """MacKay's update: sums of squares over the numbers of parameters, and of residuals, that the data determine."""
+        """MacKay's update: sums of squares over the numbers of parameters, and of residuals, that data determine."""
         n_grades = len(self.variances.parameters)
         determined = 1.0 - self.precision * np.diag(self._solver(np.eye(len(self._theta))))
         counts = np.maximum(np.bincount(self._grades, determined, n_grades), DETERMINED)
