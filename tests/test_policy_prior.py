@@ -1,0 +1,97 @@
+"""The policy's parameters integrated out: Lambda of the largest marginal likelihood, and its stated angle."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from generated_motions import PLANAR_ROWS, paper_motions
+
+from manip_learn.learning.bootstrap import PolicyPrior
+from manip_learn.learning.estimators.policy_model import HarmonicModel, PolynomialModel
+from manip_learn.learning.estimators.policy_prior import GradedRegressors, ScoredFit, fit_marginal
+from manip_learn.learning.estimators.variable_projection import fit_joint
+from manip_learn.learning.samples import Samples
+from manip_learn.linalg import complement_rows, orthonormal_rows
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from efficiency import measure  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def noisy_reaches() -> tuple[Samples, ScoredFit]:
+    """Twelve short reaches with 2 % noise, an affine fit and what becomes of it."""
+    demos, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(51), 12, noise=0.02)
+    samples = Samples.collect(truth.features, demos)
+    start = truth.selection @ np.linalg.pinv(samples.whitening)
+    return samples, fit_marginal(samples, fit_joint(samples, start, PolynomialModel(1, 3)), 260)
+
+
+def deviance(samples: Samples, Lambda: np.ndarray, prior: PolicyPrior) -> float:
+    """- 2 log N(Z^T u; 0, sigma^2 I + K T K^T), with the covariance written out."""
+    regressors = GradedRegressors.of(samples, PolynomialModel(1, 3), 260).values
+    c = regressors.shape[1] * samples.nv
+    Phi = np.concatenate([block.Phi for block in samples.blocks()])
+    Z = np.linalg.svd(Lambda @ Phi)[2][:, len(Lambda) :]
+    K = np.einsum("nk,nzv->nzkv", regressors, Z).reshape(-1, c)
+    target = np.einsum("nzv,nv->nz", Z, samples.u).reshape(-1)
+    covariance = prior.noise * (np.eye(len(K)) + (K / prior.precision[:c]) @ K.T)
+    return float(np.linalg.slogdet(covariance)[1] + target @ np.linalg.solve(covariance, target))
+
+
+def test_no_other_lambda_is_more_likely(noisy_reaches):
+    """The deviance, computed from the covariance of all samples, rises to all sides as the Hessian says."""
+    samples, fit = noisy_reaches
+    Lambda, m = fit.whitened_selection, 2
+    total = fit.hessians.sum(axis=0) + np.diag(fit.prior.precision)
+    covariance = fit.prior.noise * np.linalg.inv(total)[-m:, -m:]
+    least = deviance(samples, Lambda, fit.prior)
+    values, vectors = np.linalg.eigh(covariance)
+    for value, vector in zip(values, vectors.T, strict=True):
+        for sign in (1.0, -1.0):
+            B = sign * np.sqrt(value) * vector.reshape(len(Lambda), -1)
+            # one standard error: 2 l rises by 1
+            rise = deviance(samples, orthonormal_rows(Lambda + B @ complement_rows(Lambda)), fit.prior) - least
+            assert 0.6 < rise < 1.6
+
+
+def test_gradients_of_the_trajectories_cancel(noisy_reaches):
+    """At the optimum the trajectories pull Lambda in opposite directions, once the policy has followed."""
+    _, fit = noisy_reaches
+    total, pull = fit.hessians.sum(axis=0) + np.diag(fit.prior.precision), fit.gradients.sum(axis=0)
+    covariance = fit.prior.noise * np.linalg.inv(total)[-2:, -2:]
+    # the gradient for Theta belongs to the prior; that for B is zero
+    assert pull[-2:] @ covariance @ pull[-2:] / fit.prior.noise**2 < 1e-4
+
+
+def test_grades_are_degrees():
+    """A polynomial has a variance a degree; a model that is none has one more; columns are limited."""
+    demos, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(52), 5)
+    samples = Samples.collect(truth.features, demos)
+    cubic = GradedRegressors.of(samples, PolynomialModel(1, 3), 260)
+    assert np.bincount(cubic.grades).tolist() == [1, 3, 6, 10]
+    gram = cubic.values[:, cubic.grades == 2] @ cubic.values[:, cubic.grades == 2].T
+    x = np.concatenate([block.x for block in samples.blocks()])
+    np.testing.assert_allclose(gram, (x @ x.T / 3.0) ** 2, atol=1e-12)
+    assert np.bincount(GradedRegressors.of(samples, PolynomialModel(4, 3), 30).grades).tolist() == [1, 3, 6, 10, 15]
+    waves = GradedRegressors.of(samples, HarmonicModel(samples.spread, 1), 45)
+    assert np.bincount(waves.grades).tolist() == [1, 3, 10]
+
+
+def test_errors_of_a_prior_have_its_covariance(rng):
+    """sigma^2 M^-1 P M^-1 for the last unknowns."""
+    root = rng.standard_normal((3, 4, 4))
+    hessians, prior = root @ root.transpose(0, 2, 1), PolicyPrior(np.array([2.0, 0.5, 0.0, 0.0]), 0.3)
+    errors = prior.errors(hessians, 2, 200_000, rng)
+    inverse = np.linalg.inv(hessians.sum(axis=0) + np.diag(prior.precision))
+    expected = 0.3 * (inverse @ np.diag(prior.precision) @ inverse)[-2:, -2:]
+    np.testing.assert_allclose(np.cov(errors.T), expected, atol=0.02 * np.abs(expected).max())
+
+
+def test_at_the_bound_and_inside_two_times_in_three():
+    """A curved policy hidden by noise: at most 1.3 times the bound, but for the chance of 24 sets."""
+    line = measure("planar3", "quadratic", 0.01, (50, 20), 24, seed=303)
+    assert line.ratio < 1.5
+    assert 0.45 <= line.coverage <= 0.9
