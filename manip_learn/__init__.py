@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
     from manip_learn.control.rollout import Rollout, simulate
     from manip_learn.control.status import Status
-    from manip_learn.control.tasks import Hold, PointAttractor, Task, Track
+    from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, Track
     from manip_learn.errors import ManipLearnError
     from manip_learn.learning import ConstraintLearner
     from manip_learn.learning.audit import audit_episodes
@@ -67,6 +67,7 @@ _HOMES = {
     "Demonstrations": "recordings.demonstrations",
     "FeatureMap": "constraint.features",
     "FrameJacobian": "constraint.features",
+    "FreeDirection": "control.tasks",
     "Hold": "control.tasks",
     "JointAttractor": "control.policies",
     "LiveViewer": "playback",
@@ -114,6 +115,7 @@ __all__ = [
     "Demonstrations",
     "FeatureMap",
     "FrameJacobian",
+    "FreeDirection",
     "Hold",
     "JointAttractor",
     "LiveViewer",

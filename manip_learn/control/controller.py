@@ -87,7 +87,8 @@ class ResolvedRateController:
         for name, value in (("threshold", threshold), ("damping", damping), ("dt", dt)):
             if not (np.isfinite(value) and value > 0.0):
                 raise ConstraintError(f"{name} must be a positive number, got {value!r}")
-        self.constraint = constraint
+        self.learnt = constraint
+        self.constraint = constraint = constraint if task is None else task.rows(constraint)
         self.task: Task = task or Hold()
         self.null_policy: NullSpacePolicy = null_policy or ZeroPolicy(constraint.nv)
         self.inverse: Inverse = inverse

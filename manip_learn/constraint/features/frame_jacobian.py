@@ -139,6 +139,10 @@ class FrameJacobian(FeatureMap):
         """sum_ij weights_ij dPhi_ij / dq_k at n postures without forming dPhi/dq (see `FeatureMap`)."""
         return batch_kinematics(self.robot, self.frame).vjp(q, weigh, self.reference, self._row_numbers)
 
+    def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
+        """Pose of the frame in the robot's base."""
+        return self.robot.pose(q, self.frame)
+
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Position of the frame's origin in the base frame [m] and its rotation vector [rad], the chosen rows."""
         return pose_coordinates(self.robot.pose(q, self.frame))[self._rows]

@@ -43,8 +43,8 @@ def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
     Raises:
         TargetError: It is none.
     """
-    off = float(np.max(np.abs(R.dot(R.T) - np.eye(3))))
-    if not off < NEARLY or np.linalg.det(R) < 0.0:
+    off = float(np.abs(R.dot(R.T) - np.eye(3)).max())
+    if not off < NEARLY or R[0] @ skew(R[1]) @ R[2] < 0.0:
         raise TargetError(f"the upper left 3 x 3 part of the pose is not a rotation matrix: {R.tolist()}")
     return R if off < EXACT else Rotation.from_matrix(R).as_matrix()
 

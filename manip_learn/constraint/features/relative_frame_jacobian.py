@@ -110,7 +110,7 @@ class RelativeFrameJacobian(FeatureMap):
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Position of the frame in the other one [m] and its rotation vector there [rad], the chosen rows."""
-        return pose_coordinates(self._pose(q))[self._rows]
+        return pose_coordinates(self.pose(q))[self._rows]
 
     def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Displacement to a target in the axes of the other frame.
@@ -123,14 +123,14 @@ class RelativeFrameJacobian(FeatureMap):
         Raises:
             TargetError: Wrong size or not finite.
         """
-        here = self._pose(q)
+        here = self.pose(q)
         return pose_error(here, self._goal(np.asarray(target, dtype=np.float64), here)[0], False)[self._rows]
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
         """Rate of the coordinates per unit joint velocity, exact (see `FeatureMap`)."""
         if self.only_linear:
             return None
-        return coordinate_rates(self._pose(q))[self._rows] @ self._every_row(q)
+        return coordinate_rates(self.pose(q))[self._rows] @ self._every_row(q)
 
     def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
         """E with d/dt `error_to(target, q)` = -E u, exact; None where E = Phi(q), as for positions.
@@ -140,7 +140,7 @@ class RelativeFrameJacobian(FeatureMap):
         """
         if self.only_linear:
             return None
-        here = self._pose(q)
+        here = self.pose(q)
         goal, numbers = self._goal(np.asarray(target, dtype=np.float64), here)
         error = pose_error(here, goal, False)
         M = error_rates(error, False)
@@ -181,7 +181,7 @@ class RelativeFrameJacobian(FeatureMap):
         d = A[:3, 3] - B[:3, 3]
         return _relative(B[None, :3, :3], d[None], J_A[None], J_B[None])[0]
 
-    def _pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
+    def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
         """Pose of the frame in the other one."""
         A, B = self.robot.pose(q, self.frame), self.robot.pose(q, self.relative_to)
         out = np.eye(4)

@@ -1,0 +1,67 @@
+"""A motion along one free direction of a constraint: what is common to straight ways and to mechanisms."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint.constraint import Constraint
+
+
+@final
+class Setpoint(NamedTuple):
+    """Where a motion should be: how far from its start [m or rad], how fast, and how large its rate may be."""
+
+    distance: float
+    rate: float
+    speed: float
+
+    def approached(self, lag: float, gain: float) -> float:
+        """The rate that makes up for a lag, within the speed [m/s or rad/s]."""
+        return min(max(self.rate + gain * lag, -self.speed), self.speed)
+
+
+class DrivenMotion(ABC):
+    """A free direction, driven; the constrained rows are held at their values at the start.
+
+    Attributes of every child:
+        constraint: The constrained rows and the driven one.
+        unit: `"m"` or `"rad"`, of distances along the motion.
+    """
+
+    constraint: Constraint
+    unit: str
+
+    @abstractmethod
+    def origin(self, q: ArrayLike) -> Float[np.ndarray, "..."]:
+        """What has to be known of the start posture."""
+
+    @abstractmethod
+    def progress(self, origin: Float[np.ndarray, "..."], q: ArrayLike, near: float) -> float:
+        """How far posture q is from the start [m or rad]; of angles a turn apart the one next to `near`."""
+
+    @abstractmethod
+    def rates(
+        self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
+    ) -> Float[np.ndarray, " p"]:
+        """Velocities wanted of the features of `constraint`."""
+
+    @abstractmethod
+    def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
+        """How far the constrained coordinates are from where they are held [m or rad], at that distance."""
+
+    def error_jacobian(
+        self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float
+    ) -> Float[np.ndarray, "s nv"] | None:
+        """E of `Task.error_jacobian`; None where that is A(q)."""
+        return None
+
+
+def nearest_turn(angle: float, near: float) -> float:
+    """The angle [rad] that is the same but for whole turns and next to another one."""
+    return angle + 2.0 * math.pi * round((near - angle) / (2.0 * math.pi))

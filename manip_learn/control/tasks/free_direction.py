@@ -1,0 +1,158 @@
+"""The task after teaching a drawer, a door or a screw: move along what the constraint leaves free."""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint
+from manip_learn.control.tasks.mechanism_motion import MechanismMotion
+from manip_learn.control.tasks.motion_profile import MotionProfile
+from manip_learn.control.tasks.straight_motion import StraightMotion
+from manip_learn.control.tasks.task import Task
+from manip_learn.errors import ConstraintError, TargetError
+
+
+@final
+class FreeDirection(Task):
+    """Move along what a constraint leaves free, by so much, at such a speed, and hold what it holds.
+
+    A drawer moves by metres along its rail, a door or a screw by radians about its axis (one turn is 2 pi). The speed
+    rises and falls smoothly over `ramp`. Feedback keeps the constrained coordinates at their values at the start: on
+    the line, on the circle, on the helix. Where limits slow the arm down it arrives later, and never moves faster
+    than `speed`.
+
+    The motion starts with the first call: its posture and time are the start. A call at or before that time after
+    later ones is a new run and starts again. `reset` forgets the start.
+
+    Args:
+        constraint: What holds the hand; the controller gets the same. Constant rows (the rows of one frame's Jacobian,
+            relative to another frame, of the centre of mass, or any features with coordinates) or rows of a mechanism.
+        distance: Way along the free direction [m], or angle [rad]; negative for the other way. For one free direction
+            of constant rows, the positive sense is that of its largest number along the rows (see `direction`), for
+            mechanisms that of the axis, right-handed.
+        speed: Largest rate [m/s or rad/s], positive.
+        direction: Along which direction, where several are free: numbers along the features' rows, or three for
+            x, y, z; projected onto what is free. The other free directions are left to the null-space policy. For a
+            cylinder or a sleeve the name of a row (`"tangential"`, `"axial"`, `"turn"`, `"slide"`), for a ball the
+            axis of the turn.
+        gain: Rate at which deviations are taken back [1/s].
+        ramp: Time from rest to the speed [s].
+        start: Posture at which the motion starts, where it is not that of the first call.
+
+    Raises:
+        ConstraintError: The constraint leaves nothing free, or several directions without `direction`; lists them.
+        FeatureError: Features that have no coordinates.
+        TargetError: Distance, speed, gain or ramp that is no such thing, or a direction that is held.
+    """
+
+    def __init__(
+        self,
+        constraint: Constraint,
+        distance: float,
+        speed: float,
+        *,
+        direction: ArrayLike | str | None = None,
+        gain: float = 10.0,
+        ramp: float = 0.5,
+        start: ArrayLike | None = None,
+    ):
+        numbers = {"distance": distance, "speed": speed, "gain": gain, "ramp": ramp}
+        for name, value in numbers.items():
+            numbers[name] = _number(name, value, positive=name != "distance")
+        self.learnt = constraint
+        is_mechanism = isinstance(constraint.features, MechanismRows)
+        self._motion: DrivenMotion = (MechanismMotion if is_mechanism else StraightMotion)(constraint, direction)
+        self._profile = MotionProfile(numbers["distance"], numbers["speed"], numbers["ramp"])
+        self.gain = numbers["gain"]
+        self._given = None if start is None else self._motion.origin(start)
+        self.reset()
+
+    @property
+    def constraint(self) -> Constraint:
+        """The constrained rows and the driven one."""
+        return self._motion.constraint
+
+    @property
+    def unit(self) -> str:
+        """Unit of the distance, `"m"` or `"rad"`."""
+        return self._motion.unit
+
+    @property
+    def duration(self) -> float:
+        """How long the motion takes where no limit slows it down [s]."""
+        return self._profile.duration
+
+    def reset(self) -> None:
+        """Forget the start: the next call is the first one again."""
+        self._origin: np.ndarray | None = self._given
+        self._begun: float | None = None
+        self._latest = -math.inf
+
+    def progress(self, q: ArrayLike) -> float:
+        """How far the motion has come at posture q [m or rad]; 0 before the first call, unless `start` was given."""
+        if self._origin is None:
+            return 0.0
+        near = 0.0 if self._begun is None else self._profile.at(self._latest - self._begun)[0]
+        return self._motion.progress(self._origin, q, near)
+
+    def rows(self, constraint: Constraint) -> Constraint:
+        """The constrained rows and the driven one.
+
+        Raises:
+            ConstraintError: Another constraint than that of the task.
+        """
+        if constraint is not self.learnt and constraint is not self.constraint:
+            raise ConstraintError("the task moves along another constraint: give both the same one")
+        return self.constraint
+
+    def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
+        """b along the constrained rows and the driven one."""
+        origin, after = self._begin(q, t)
+        setpoint = Setpoint(*self._profile.at(after), self._profile.speed)
+        return self.constraint.selection @ self._motion.rates(origin, q, setpoint, self.gain)
+
+    def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
+        """E with d/dt (error along the rows) = -E u for a setpoint at rest; None where E = A(q) (see `Task`)."""
+        origin, after = self._begin(q, t)
+        return self._motion.error_jacobian(origin, q, self._profile.at(after)[0])
+
+    def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
+        """Way that is left, and the deviation of the constrained coordinates, as one norm [m or rad]."""
+        origin, after = self._begin(q, t)
+        now = self._profile.at(after)[0]
+        left = self._profile.distance - self._motion.progress(origin, q, now)
+        return float(np.hypot(left, np.linalg.norm(self._motion.deviation(origin, q, now))))
+
+    def _begin(self, q: ArrayLike, t: float) -> tuple[np.ndarray, float]:
+        """What is known of the start, and the time since then [s]."""
+        begun = self._begun
+        if begun is not None and t <= begun < self._latest:
+            self.reset()
+            begun = None
+        if begun is None or self._origin is None:
+            begun = self._begun = t
+            self._origin = self._motion.origin(q) if self._given is None else self._given
+        self._latest = t
+        return self._origin, t - begun
+
+    def __repr__(self) -> str:
+        p = self._profile
+        return f"FreeDirection(distance={p.distance:g} {self.unit}, speed={p.speed:g} {self.unit}/s)"
+
+
+def _number(name: str, value: float, positive: bool) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError) as error:
+        raise TargetError(f"the {name} must be a number, got {value!r}") from error
+    if not math.isfinite(number) or number == 0.0 or (positive and number < 0.0):
+        kind = "a positive number" if positive else "a finite number other than 0 (negative: the other way)"
+        raise TargetError(f"the {name} must be {kind}, got {value!r}")
+    return number

@@ -1,0 +1,169 @@
+"""Motion along a constant direction of feature space: lines, and turning about a fixed direction."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
+from manip_learn.constraint.features.pose_error import pose_error
+from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint
+from manip_learn.errors import ConstraintError, TargetError
+from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix
+
+FREE = 0.1  # share of a direction that must be free for it to be meant
+NEGLIGIBLE = 1e-6
+
+
+@final
+class StraightMotion(DrivenMotion):
+    """Features move along f, a direction that Lambda leaves free: the goal moves with the constant twist f.
+
+    Along the axes of the base p* = p0 + f_lin s and R* = exp([f_rot]x s) R0; along the frame's own axes the goal is
+    (p0, R0) exp(f s). Features that are the rate of coordinates r have r* = r0 + f s.
+
+    Args:
+        constraint: The learnt constraint, of constant rows.
+        direction: Along the features' rows, or three numbers for the linear ones; None where only one is free.
+
+    Raises:
+        ConstraintError: Nothing is free, or several directions are and none was named.
+        TargetError: The direction has the wrong size, is not finite, or is held.
+    """
+
+    def __init__(self, constraint: Constraint, direction: ArrayLike | None):
+        features = constraint.features
+        f = _direction(constraint, direction)
+        self.constraint = Constraint(np.vstack([constraint.selection, f]), features, constraint.provenance)
+        angular = np.array([unit == "rad/s" for unit in features.row_units])
+        linear_size, angular_size = (float(np.linalg.norm(f[part])) for part in (~angular, angular))
+        self.unit = "rad" if angular_size > linear_size else "m"
+        self._f = f / max(linear_size, angular_size)  # a distance counts along the larger part
+        self._held = constraint.selection
+        self._twist = np.zeros(6)
+        self._features: FrameJacobian | RelativeFrameJacobian | None = None
+        if isinstance(features, FrameJacobian | RelativeFrameJacobian) and not features.only_linear:
+            self._features = features
+            self._rows = [AXES.index(name) for name in features.row_names]
+            self._twist[self._rows] = self._f
+            self._own_axes = isinstance(features, FrameJacobian) and features.reference == "local"
+
+    def origin(self, q: ArrayLike) -> Float[np.ndarray, "..."]:
+        """Pose of the frame, or the coordinates."""
+        return self.constraint.features.coordinates(q) if self._features is None else self._features.pose(q)
+
+    def progress(self, origin: Float[np.ndarray, "..."], q: ArrayLike, near: float) -> float:
+        """How far posture q is from the start, along f."""
+        return near - self._lag(self._error(origin, q, near))
+
+    def rates(
+        self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
+    ) -> Float[np.ndarray, " p"]:
+        """The rate of the error that the moving goal causes, and gain times the error; along f within the speed."""
+        error = self._error(origin, q, setpoint.distance)
+        lag = self._lag(error)
+        excess = setpoint.rate + gain * lag - setpoint.approached(lag, gain)
+        return self._along(origin, q, setpoint.distance) * setpoint.rate + gain * error - excess * self._f
+
+    def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
+        """Error along the constrained rows."""
+        return self._held @ self._error(origin, q, distance)
+
+    def error_jacobian(
+        self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float
+    ) -> Float[np.ndarray, "s nv"] | None:
+        """E of `Task.error_jacobian`; None where that is A(q)."""
+        if self._features is None:
+            E = self.constraint.features.coordinates_jacobian(q)
+        else:
+            E = self._features.error_jacobian(self._goal(origin, distance), q)
+        return None if E is None else self.constraint.selection @ E
+
+    def _lag(self, error: np.ndarray) -> float:
+        return float(self._f @ error / (self._f @ self._f))
+
+    def _error(self, origin: np.ndarray, q: ArrayLike, distance: float) -> np.ndarray:
+        if self._features is None:
+            return origin + distance * self._f - self.constraint.features.coordinates(q)
+        goal = self._goal(origin, distance)
+        return pose_error(self._features.pose(q), goal, self._own_axes)[self._rows]
+
+    def _goal(self, origin: np.ndarray, distance: float) -> np.ndarray:
+        v, turn = self._twist[:3] * distance, self._twist[3:] * distance
+        goal, turned = np.eye(4), rotation_matrix(turn)
+        if self._own_axes:
+            goal[:3, :3] = origin[:3, :3] @ turned
+            goal[:3, 3] = origin[:3, 3] + origin[:3, :3] @ left_jacobian(turn) @ v
+        else:
+            goal[:3, :3], goal[:3, 3] = turned @ origin[:3, :3], origin[:3, 3] + v
+        return goal
+
+    def _along(self, origin: np.ndarray, q: ArrayLike, distance: float) -> np.ndarray:
+        """Rate of the error per unit rate of the distance, at a frame that stands still."""
+        if self._features is None:
+            return self._f
+        goal, pose, out = self._goal(origin, distance), self._features.pose(q), np.empty(6)
+        turn = pose_error(pose, goal, self._own_axes)[3:]
+        v, w = self._twist[:3], self._twist[3:]
+        out[:3] = pose[:3, :3].T @ goal[:3, :3] @ v if self._own_axes else v
+        out[3:] = left_jacobian_inverse(-turn if self._own_axes else turn) @ w
+        return out[self._rows]
+
+
+def _direction(constraint: Constraint, direction: ArrayLike | None) -> Float[np.ndarray, " p"]:
+    features, Lambda = constraint.features, constraint.selection
+    p, free = features.n_rows, features.n_rows - constraint.n_constraints
+    projector = np.eye(p) - Lambda.T @ Lambda
+    if free < 1:
+        raise ConstraintError(f"the constraint leaves none of {' '.join(features.row_names)} free to move along")
+    if direction is None:
+        basis = free_directions(projector, free)
+        if free > 1:
+            words = "; ".join(in_words(row, features.row_names) for row in basis)
+            raise ConstraintError(
+                f"the constraint leaves {free} directions free ({words}): say along which one to move with direction="
+            )
+        return basis[0]
+    try:
+        given = np.array(direction, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise TargetError(f"the direction must be numbers along the rows of the features: {direction!r}") from error
+    if given.shape == (3,) and p > 3 and set(AXES[:3]) <= set(features.row_names):
+        wanted = np.zeros(p)
+        wanted[[features.row_names.index(name) for name in AXES[:3]]] = given
+        given = wanted
+    if given.shape != (p,) or not np.all(np.isfinite(given)) or not np.linalg.norm(given) > 0.0:
+        raise TargetError(
+            f"the direction must be {p} finite numbers ({', '.join(features.row_names)}) that are not all zero, "
+            f"got {direction!r}"
+        )
+    moved = projector @ given
+    if np.linalg.norm(moved) < FREE * np.linalg.norm(given):
+        words = "; ".join(in_words(row, features.row_names) for row in free_directions(projector, free))
+        raise TargetError(f"the constraint holds the direction {given.tolist()}; free is {words}")
+    return moved / np.linalg.norm(moved)
+
+
+def free_directions(projector: Float[np.ndarray, "p p"], number: int) -> Float[np.ndarray, "k p"]:
+    """An orthonormal base of what a projector leaves, each along an axis as far as that goes (pivoted Gram-Schmidt).
+
+    The largest entry of each is positive, so that the sense of a direction does not depend on rounding.
+    """
+    rest, out = projector.copy(), []
+    for _ in range(number):
+        row = rest[int(np.argmax(np.diag(rest)))].copy()
+        row /= np.linalg.norm(row)
+        row *= np.sign(row[int(np.argmax(np.abs(row) > np.max(np.abs(row)) - NEGLIGIBLE))])
+        out.append(row)
+        rest -= np.outer(row, row)
+    return np.array(out)
+
+
+def in_words(row: Float[np.ndarray, " p"], names: tuple[str, ...]) -> str:
+    """A direction as a sum of rows, e.g. "+0.6 x +0.8 y"."""
+    return " ".join(f"{c:+.3g} {n}" for c, n in zip(row, names, strict=True) if abs(c) > 1e-3)

@@ -1,0 +1,359 @@
+"""Moving along what a constraint leaves free: how far, how fast, and what is held meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import (
+    CentreOfMass,
+    CustomFeatures,
+    FrameJacobian,
+    MechanismRows,
+    RelativeFrameJacobian,
+)
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.policies import ManipulabilityAscent
+from manip_learn.control.rollout import Rollout, simulate
+from manip_learn.control.status import Status
+from manip_learn.control.tasks import FreeDirection, Hold
+from manip_learn.control.tasks.motion_profile import MotionProfile
+from manip_learn.errors import ConstraintError, FeatureError, TargetError
+from manip_learn.learning.learner import ConstraintLearner
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.load_demonstrations import load_demonstrations
+from manip_learn.robot.loading import load_robot
+from manip_learn.robot.robot import Robot
+from manip_learn.robot.rotations import rotation_matrix, rotation_vector
+
+RobotOf = Callable[[str], Robot]
+DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
+TIP = "panda_hand_tcp"
+READY = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7])
+AXIS = np.array([0.1, -0.2, 0.95]) / np.linalg.norm([0.1, -0.2, 0.95])
+
+
+@cache
+def drawer() -> tuple[Constraint, Demonstrations]:
+    robot = load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
+    demonstrations = load_demonstrations(DATA / "panda_drawer_whole", robot)
+    return ConstraintLearner(FrameJacobian(robot, TIP)).fit(demonstrations).constraint_, demonstrations
+
+
+def run(task: FreeDirection, q: np.ndarray, limits: bool = True, climb: bool = True) -> Rollout:
+    learnt = task.learnt
+    policy = ManipulabilityAscent(learnt, 0.3) if climb else None
+    controller = ResolvedRateController(learnt, task, policy, limits=limits)
+    return simulate(learnt.robot, controller, q, task.duration + 1.0, 0.01)
+
+
+def tips(rollout: Rollout, robot: Robot, frame: str = TIP) -> np.ndarray:
+    return np.array([robot.position(q, robot.frame(frame)) for q in rollout.q])
+
+
+@pytest.mark.parametrize("distance", [0.18, -0.1])
+def test_the_learnt_drawer(distance: float) -> None:
+    """What was learnt from the shipped recordings opens by 180 mm at 0.1 m/s, closes again, and stays within 0.1 mm of
+    the rail, while the policy climbs the manipulability of what was learnt.
+    """
+    constraint, demonstrations = drawer()
+    task = FreeDirection(constraint, distance, 0.1)
+    trajectory = demonstrations[0]
+    rollout = run(task, trajectory.q[len(trajectory.q) // 2])
+    moved = tips(rollout, constraint.robot) - tips(rollout, constraint.robot)[0]
+    f = task.constraint.selection[-1]
+    along, off = moved @ f, np.linalg.norm(moved - np.outer(moved @ f, f), axis=1)
+    assert np.max(np.abs(constraint.selection @ f)) < 1e-12
+    assert along[-1] == pytest.approx(distance, abs=1e-4)
+    assert np.max(off) < 1e-4
+    assert task.progress(rollout.q[-1]) == pytest.approx(distance, abs=1e-4)
+    speed = np.diff(along) / np.diff(rollout.time)
+    assert 0.099 < np.max(np.abs(speed)) < 0.1001
+    assert np.max(np.abs(np.diff(speed))) < 1.6 * 0.1 / 0.5 * 0.01  # no jump of the speed, at the start either
+    assert rollout.task_error[-1] < 1e-4
+    assert constraint.n_constraints == 2
+
+
+@pytest.mark.parametrize("view", ["world", "local", "relative"])
+@pytest.mark.parametrize("distance", [0.12, -0.12])
+def test_a_held_pose_along_an_oblique_line(robot_of: RobotOf, view: str, distance: float) -> None:
+    """With five of six directions held, along the base, the hand or another link, the hand moves by the distance, does
+    not turn, and leaves the line by less than 0.1 mm.
+    """
+    robot = robot_of("panda")
+    f = np.concatenate([[0.6, 0.64, 0.48], np.zeros(3)])
+    features = (
+        RelativeFrameJacobian(robot, TIP, "panda_link1")
+        if view == "relative"
+        else FrameJacobian(robot, TIP, "pose", view)
+    )
+    constraint = Constraint(np.linalg.svd(f[None])[2][1:], features)
+    task = FreeDirection(constraint, distance, 0.08)
+    rollout = run(task, READY, climb=False)
+    start, end = features.pose(READY), features.pose(rollout.q[-1])
+    turn = start[:3, :3] if view == "local" else np.eye(3)
+    np.testing.assert_allclose(end[:3, 3] - start[:3, 3], turn @ f[:3] * distance, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(end[:3, :3], start[:3, :3], rtol=0, atol=1e-4)
+    assert task.unit == "m"
+    assert task.progress(rollout.q[-1]) == pytest.approx(distance, abs=1e-4)
+
+
+@pytest.mark.parametrize("view", ["world", "local"])
+def test_turning_about_a_held_point(robot_of: RobotOf, view: str) -> None:
+    """Where only one rotation is free, the distance is an angle: the tip stays, the hand turns by it."""
+    features = FrameJacobian(robot_of("panda"), TIP, "pose", view)
+    task = FreeDirection(Constraint(np.eye(6)[:5], features), -0.8, 0.5)
+    rollout = run(task, READY, climb=False)
+    start, end = features.pose(READY), features.pose(rollout.q[-1])
+    Q = end[:3, :3] @ start[:3, :3].T if view == "world" else start[:3, :3].T @ end[:3, :3]
+    assert task.unit == "rad"
+    np.testing.assert_allclose(rotation_vector(Q), [0.0, 0.0, -0.8], rtol=0, atol=1e-4)
+    np.testing.assert_allclose(end[:3, 3], start[:3, 3], rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("distance", [np.deg2rad(60.0), -np.deg2rad(60.0)])
+@pytest.mark.parametrize(
+    "rows", ["radial axial", "turn-1 turn-2 slide-1 slide-2 slide", "radial axial turn-1 turn-2 turn"]
+)
+def test_hinge(robot_of: RobotOf, rows: str, distance: float) -> None:
+    """A door turns by 60 degrees: radius and height are kept within 0.1 mm, however the hand is held."""
+    robot = robot_of("panda")
+    start = robot.pose(READY, robot.frame(TIP))
+    point = start[:3, 3] + [0.1, 0.25, -0.3]
+    features = MechanismRows(robot, TIP, rows, axis=AXIS, point=point)
+    task = FreeDirection(Constraint(np.eye(features.n_rows), features), distance, 0.6)
+    rollout = run(task, READY, climb=rows == "radial axial", limits=False)
+    d = tips(rollout, robot) - point
+    z = d @ AXIS
+    rho = np.linalg.norm(d - np.outer(z, AXIS), axis=1)
+    assert np.ptp(rho) < 1e-4
+    assert np.ptp(z) < 1e-4
+    there = point + rotation_matrix(distance * AXIS) @ (start[:3, 3] - point)
+    end = robot.pose(rollout.q[-1], robot.frame(TIP))
+    np.testing.assert_allclose(end[:3, 3], there, rtol=0, atol=2e-4)
+    if "slide" in rows:
+        np.testing.assert_allclose(end[:3, :3], rotation_matrix(distance * AXIS) @ start[:3, :3], rtol=0, atol=1e-3)
+    if rows.endswith(" turn"):
+        np.testing.assert_allclose(end[:3, :3], start[:3, :3], rtol=0, atol=1e-3)
+    assert task.unit == "rad"
+    assert task.progress(rollout.q[-1]) == pytest.approx(distance, abs=1e-3)
+
+
+@pytest.mark.parametrize(("rows", "pitch"), [("radial helical", 0.03), ("turn-1 turn-2 slide-1 slide-2 screw", -0.03)])
+def test_screw(robot_of: RobotOf, rows: str, pitch: float) -> None:
+    """A screw moves along its axis by the pitch times the angle, in both senses of thread, also beyond half a turn."""
+    robot = robot_of("panda")
+    start, angle = robot.pose(READY, robot.frame(TIP)), 4.0 if "radial" in rows else 1.5
+    point = start[:3, 3] + [0.05, 0.03, 0.0]
+    features = MechanismRows(robot, TIP, rows, axis=(0, 0, 1), point=point, pitch=pitch)
+    task = FreeDirection(Constraint(np.eye(features.n_rows), features), angle, 0.8)
+    rollout = run(task, READY, climb=False, limits=False)
+    d = tips(rollout, robot) - point
+    assert np.ptp(np.hypot(d[:, 0], d[:, 1])) < 1e-4
+    assert d[-1, 2] - d[0, 2] == pytest.approx(pitch * angle, abs=1e-4)
+    phi = np.unwrap(np.arctan2(d[:, 1], d[:, 0]))
+    assert phi[-1] - phi[0] == pytest.approx(angle, abs=2e-3)
+    assert task.progress(rollout.q[-1]) == pytest.approx(angle, abs=2e-3)
+
+
+def test_cylinder_sleeve_and_ball(robot_of: RobotOf) -> None:
+    """Where several directions are free the named one is driven, and what is held stays."""
+    robot = robot_of("panda")
+    start = robot.position(READY, robot.frame(TIP))
+    point = start + [0.1, 0.2, -0.1]
+
+    def moved(rows: str, distance: float, direction) -> tuple[FreeDirection, np.ndarray]:
+        features = MechanismRows(robot, TIP, rows, axis=AXIS, point=point)
+        task = FreeDirection(Constraint(np.eye(features.n_rows), features), distance, 0.3, direction=direction)
+        rollout = run(task, READY, climb=False, limits=False)
+        assert task.progress(rollout.q[-1]) == pytest.approx(distance, abs=1e-3)
+        return task, tips(rollout, robot) - point
+
+    task, d = moved("radial", 0.1, "axial")
+    assert task.unit == "m"
+    assert d[-1] @ AXIS - d[0] @ AXIS == pytest.approx(0.1, abs=1e-3)
+    assert np.ptp(np.linalg.norm(np.cross(d, AXIS), axis=1)) < 1e-4
+    task, d = moved("turn-1 turn-2 slide-1 slide-2", -0.4, "turn")
+    assert np.ptp(np.linalg.norm(np.cross(d, AXIS), axis=1)) < 1e-4
+    task, d = moved("turn-1 turn-2 slide-1 slide-2", -0.05, "slide")
+    assert task.unit == "m"
+    for rows in ("spherical", "slide-1 slide-2 slide"):
+        task, d = moved(rows, 0.5, (0.0, 0.0, 2.0))
+        assert task.unit == "rad"
+        assert np.ptp(np.linalg.norm(d, axis=1)) < 1e-4
+
+
+def test_direction_in_a_plane_is_projected(robot_of: RobotOf) -> None:
+    """A direction out of a plane counts as far as it lies in the plane; other features with coordinates work too."""
+    robot = robot_of("panda")
+    constraint = Constraint([[0.0, 0.0, 1.0]], FrameJacobian(robot, TIP))
+    rollout = run(FreeDirection(constraint, 0.1, 0.1, direction=(3.0, 4.0, 2.0)), READY, climb=False)
+    moved = tips(rollout, robot)[-1] - tips(rollout, robot)[0]
+    assert moved @ [0.6, 0.8, 0.0] == pytest.approx(0.1, abs=1e-4)
+    assert abs(moved[2]) < 1e-4
+    masses = Constraint(np.eye(3)[:2], CentreOfMass(robot))
+    rollout = run(FreeDirection(masses, -0.04, 0.05), READY, climb=False)
+    moved = robot.centre_of_mass(rollout.q[-1]) - robot.centre_of_mass(READY)
+    np.testing.assert_allclose(moved, [0.0, 0.0, -0.04], rtol=0, atol=1e-4)
+    with pytest.raises(ConstraintError, match=r"3 directions free \(\+1 x; \+1 y; \+1 rz\)"):
+        FreeDirection(Constraint([[0, 0, 1.0, 0]], FrameJacobian(robot, TIP, "x y z rz")), 0.1, 0.1)
+    four = Constraint([[0, 0, 1.0, 0]], FrameJacobian(robot, TIP, "x y z rz"))
+    assert FreeDirection(four, 0.1, 0.1, direction=(1.0, 0.0, 0.0)).unit == "m"  # three numbers: x, y, z
+
+
+def test_limits_delay_but_do_not_bend(robot_of: RobotOf) -> None:
+    """Asked for more speed than the joints have, the arm arrives late, on the line, and never faster than asked; where
+    a joint limit ends the way it stays on the line and the status says so.
+    """
+    robot = robot_of("panda")
+    constraint = Constraint(np.eye(3)[1:], FrameJacobian(robot, TIP))
+    fast = FreeDirection(constraint, -0.25, 3.0, ramp=0.05)
+    rollout = run(fast, READY, climb=False)
+    p = tips(rollout, robot)
+    assert Status.VELOCITY_LIMITED in rollout.status
+    assert np.max(np.abs(p[:, 1:] - p[0, 1:])) < 1e-3
+    assert p[-1, 0] - p[0, 0] == pytest.approx(-0.25, abs=1e-3)
+    assert np.max(np.abs(np.diff(p[:, 0]))) / 0.01 < 3.0 * 1.001
+    assert np.all(np.abs(rollout.u) <= robot.velocity_limit + 1e-9)
+    far = FreeDirection(constraint, 2.0, 0.5)
+    rollout = run(far, READY, climb=False)
+    p = tips(rollout, robot)
+    assert np.all(rollout.q <= robot.position_upper + 1e-9)
+    assert np.all(rollout.q >= robot.position_lower - 1e-9)
+    assert 0.05 < far.progress(rollout.q[-1]) < 1.0
+    assert rollout.task_error[-1] > 1.0
+    assert set(rollout.status) - {Status.OK, Status.NULL_SCALED, Status.REROUTED}
+
+
+def test_profile() -> None:
+    """Position and rate agree, rise from and end at rest, reach the speed, also where the way is short or backwards."""
+    for distance, speed, ramp in ((0.18, 0.1, 0.5), (-2.0, 0.7, 0.2), (0.01, 0.1, 0.5), (0.05, 0.1, 0.5)):
+        profile, h = MotionProfile(distance, speed, ramp), 1e-6
+        assert profile.at(-1.0) == (0.0, 0.0)
+        assert profile.at(profile.duration + 1.0) == pytest.approx((distance, 0.0))
+        assert profile.at(profile.duration / 2)[0] == pytest.approx(distance / 2)
+        times = np.linspace(0.0, profile.duration, 200)
+        for t in times[1:-1]:
+            slope = (profile.at(t + h)[0] - profile.at(t - h)[0]) / (2 * h)
+            assert profile.at(t)[1] == pytest.approx(slope, abs=1e-7)
+        rates = np.array([profile.at(t)[1] for t in times])
+        assert np.max(np.abs(rates)) == pytest.approx(profile.peak, rel=1e-3)
+        assert profile.peak <= speed
+        assert np.max(np.abs(np.diff(rates))) / (times[1] - times[0]) < 1.5 * profile.peak / ramp * 1.001
+
+
+def test_start_reset_and_a_second_run(robot_of: RobotOf) -> None:
+    """The start is the first call's, or the one that was given; a run that begins again at its first time, and reset,
+    start anew.
+    """
+    robot = robot_of("panda")
+    constraint = Constraint(np.eye(3)[1:], FrameJacobian(robot, TIP))
+    task = FreeDirection(constraint, 0.05, 0.1)
+    assert task.progress(READY) == 0.0
+    for start in (READY, READY + 0.1):
+        rollout = run(task, start, climb=False)
+        p = tips(rollout, robot)
+        assert p[-1, 0] - p[0, 0] == pytest.approx(0.05, abs=1e-4)
+    task.reset()
+    controller = ResolvedRateController(constraint, task)
+    for t in (7.0, 7.01):  # clocks need not begin at 0
+        assert np.linalg.norm(controller(READY, t).velocity) < 0.02
+    given = FreeDirection(constraint, 0.05, 0.1, start=READY)
+    here = READY + 0.02 * np.linalg.pinv(constraint.features(READY))[:, 0]
+    assert given.progress(here) == pytest.approx(0.02, abs=1e-3)
+    end = tips(run(given, here, climb=False), robot)[-1]
+    np.testing.assert_allclose(end, robot.position(READY, robot.frame(TIP)) + [0.05, 0.0, 0.0], rtol=0, atol=1e-4)
+
+
+def test_rows_of_the_controller(robot_of: RobotOf) -> None:
+    """The controller works on held and driven rows together and remembers what was learnt; other tasks change nothing,
+    and the task of another constraint is refused.
+    """
+    robot = robot_of("panda")
+    constraint = Constraint(np.eye(3)[1:], FrameJacobian(robot, TIP))
+    task = FreeDirection(constraint, 0.05, 0.1)
+    controller = ResolvedRateController(constraint, task)
+    assert controller.learnt is constraint
+    assert controller.constraint is task.constraint
+    assert controller(READY).task_velocity.shape == (3,)
+    assert task.rows(task.constraint) is task.constraint
+    assert ResolvedRateController(constraint, Hold()).constraint is constraint
+    with pytest.raises(ConstraintError, match="another constraint"):
+        ResolvedRateController(Constraint(np.eye(3)[:2], constraint.features), task)
+    assert repr(task) == "FreeDirection(distance=0.05 m, speed=0.1 m/s)"
+
+
+def test_the_error_of_a_setpoint_decays_exactly(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """For a hand that has turned away from its start meanwhile, the rows of the task's error are its derivative."""
+    features = FrameJacobian(robot_of("panda"), TIP, "pose", "local")
+    constraint = Constraint(np.linalg.qr(rng.normal(size=(6, 3)))[0].T, features)
+    task = FreeDirection(constraint, 0.1, 0.1, direction=(1.0, 0.2, 0.1), gain=2.0)
+    task.velocity(task.constraint, READY, 0.0)
+    q, u, t, h = READY + rng.uniform(-0.3, 0.3, 7), rng.normal(size=7), 9.0, 1e-5
+    E = task.error_jacobian(task.constraint, q, t)
+    # at rest in the end: b is gain times the error along the held rows
+    b = [
+        constraint.selection @ task.constraint.selection.T @ task.velocity(task.constraint, q + k * h * u, t) / 2.0
+        for k in (-1, 1)
+    ]
+    held = constraint.selection @ task.constraint.selection.T @ E
+    np.testing.assert_allclose((b[1] - b[0]) / (2 * h), -held @ u, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"distance": 0.0}, "distance must be a finite number other than 0"),
+        ({"distance": np.nan}, "distance"),
+        ({"distance": "far"}, "distance must be a number"),
+        ({"speed": 0.0}, "speed must be a positive number"),
+        ({"speed": -0.1}, "speed must be a positive number"),
+        ({"speed": np.inf}, "speed"),
+        ({"gain": 0.0}, "gain"),
+        ({"ramp": -1.0}, "ramp"),
+        ({"direction": (0.0, 1.0, 0.0)}, r"holds the direction .* free is \+1 x"),
+        ({"direction": (1.0, 0.0)}, "3 finite numbers"),
+        ({"direction": (0.0, 0.0, 0.0)}, "not all zero"),
+        ({"direction": "ahead"}, "direction must be numbers"),
+    ],
+)
+def test_wrong_arguments(robot_of: RobotOf, arguments: dict, words: str) -> None:
+    """Each is refused with a sentence that names it."""
+    constraint = Constraint(np.eye(3)[1:], FrameJacobian(robot_of("panda"), TIP))
+    with pytest.raises(TargetError, match=words):
+        FreeDirection(constraint, **({"distance": 0.1, "speed": 0.1} | arguments))
+
+
+def test_what_cannot_be_driven(robot_of: RobotOf) -> None:
+    """Nothing free, several directions free, a held or unknown row, combinations, and features without coordinates."""
+    robot = robot_of("panda")
+
+    def mechanism(rows: str, selection=None, direction=None) -> None:
+        features = MechanismRows(robot, TIP, rows)
+        FreeDirection(
+            Constraint(np.eye(features.n_rows) if selection is None else selection, features), 1, 1, direction=direction
+        )
+
+    with pytest.raises(ConstraintError, match="none of x y free"):
+        FreeDirection(Constraint(np.eye(2), FrameJacobian(robot, TIP, "x y")), 0.1, 0.1)
+    with pytest.raises(ConstraintError, match=r"2 directions free .*tangential \(around the axis\).*direction='tang"):
+        mechanism("radial")
+    with pytest.raises(ConstraintError, match="turns about every axis"):
+        mechanism("spherical")
+    with pytest.raises(ConstraintError, match="nothing free"):
+        mechanism("radial axial tangential")
+    with pytest.raises(ConstraintError, match="combinations"):
+        mechanism("radial axial", [[1.0, 0.5]])
+    for rows, direction in (("radial", "turn"), ("radial", (0, 0, 1)), ("spherical", "x"), ("spherical", (0, 0, 0))):
+        with pytest.raises(TargetError):
+            mechanism(rows, None, direction)
+    mechanism("radial axial", [[1.0, 0.0]], "axial")  # what is not selected is free
+    silent = CustomFeatures(lambda q: np.eye(2), ("a", "b"), 2)
+    task = FreeDirection(Constraint([[1.0, 0.0]], silent), 0.1, 0.1)
+    with pytest.raises(FeatureError, match="no task coordinates"):
+        task.velocity(task.constraint, np.zeros(2), 0.0)
