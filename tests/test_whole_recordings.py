@@ -45,7 +45,6 @@ def check_windows(
     demos: ml.Demonstrations,
     learner: ml.ConstraintLearner,
     order: list[int],
-    allowed: float = 0.03,
 ):
     """Of the time in which the tip moves, 95 % of each contact is found and hardly anything outside it."""
     features = ml.FrameJacobian(learner.constraint_.robot, truth["tip"], "xyz")
@@ -62,7 +61,7 @@ def check_windows(
             outside += np.count_nonzero(~held & found & moves)
             total += np.count_nonzero(held & moves)
         assert inside >= 0.95 * total
-        assert outside <= allowed * (inside + outside)
+        assert outside <= 0.03 * (inside + outside)
 
 
 def test_whole_recordings_of_a_drawer():
@@ -88,8 +87,7 @@ def test_two_tasks_in_one_recording():
     found = sorted(learner.constraints_, key=lambda c: -c.n_constraints)
     for constraint, number in zip(found, order, strict=True):
         assert np.degrees(row_space_angle(constraint.selection, true_rows(truth, number))) < 0.3
-    # the hand leaves this table at a flat angle: 3.3 % of what is found lies after the contact
-    check_windows(truth, demos, learner, [order[found.index(c)] for c in learner.constraints_], allowed=0.04)
+    check_windows(truth, demos, learner, [order[found.index(c)] for c in learner.constraints_])
 
 
 def with_one_table() -> tuple[ml.FrameJacobian, list[ml.Trajectory], tuple[float, float]]:
@@ -165,6 +163,45 @@ def test_free_motion_is_no_constraint(kind: str):
     demos = [ml.Trajectory(time, q) for time, q in motions]
     with pytest.raises(NotIdentifiableError, match="what the data show|nothing shows that they are held"):
         ml.ConstraintLearner(ml.FrameJacobian(robot, truth["tip"], "xyz")).fit(demos)
+
+
+def generated(kind: str, robot: str, seed: int, n: int, whole: bool) -> tuple[dict[str, Any], list[ml.Trajectory]]:
+    """Truth and recordings of a set that the scripts beside the examples make."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(DATA.parent))
+        make_set = importlib.import_module("make_recordings.kinematic_sets").make_set
+        motions, truth = make_set(kind, robot, seed, n, whole=whole)
+    return truth, [ml.Trajectory(t, q, name=f"demo_{i}") for i, (t, q) in enumerate(motions)]
+
+
+def test_a_slip_that_the_phases_cut_out_is_named():
+    """The grip slips in one of eight recordings: the answer is right without the slip, and the recording is named."""
+    truth, demos = generated("drawer_slip", "xarm7", 1201, 8, whole=True)
+    robot = ml.load_robot("xarm7")
+    report = ml.ConstraintLearner(ml.FrameJacobian(robot, truth["tip"], "xyz")).fit(demos).report_
+    assert [odd.trajectory for odd in report.odd_trajectories] == [f"demo_{i}" for i in truth["contaminated"]]
+    assert "interrupted from" in report.odd_trajectories[0].reason
+
+
+@pytest.mark.parametrize("seed", [1100, 1104])
+def test_a_door_that_hardly_turns_is_answered_with_the_width_of_what_is_not_known(seed: int):
+    """Turned by five degrees, a door is a hinge whose place is known to centimetres, and the report says how far to
+    turn it.
+    """
+    truth, demos = generated("door", "xarm7", seed, 6, whole=False)
+    robot, (true,) = ml.load_robot("xarm7"), truth["mechanisms"]
+    tip, axis, point = robot.frame(truth["tip"]), np.array(true["axis"]), np.array(true["point"])
+    short = []
+    for t in demos:
+        arms = np.array([robot.pose(q, tip)[:3, 3] for q in t.q]) - point
+        across = arms - np.outer(arms @ axis, axis)
+        turned = np.arctan2(np.cross(across[0], across) @ axis, across @ across[0])
+        short.append(t.part(slice(0, int(np.argmax(np.abs(turned) > np.radians(5.0))))))
+    report = ml.ConstraintLearner(ml.FrameJacobian(robot, tip, "xyz")).fit(short).report_
+    hinge = report.mechanism
+    assert hinge is not None and hinge.type == "hinge" and report.n_constraints == 2 and hinge.radius is not None
+    assert abs(hinge.radius - true["radius"]) < 3.0 * hinge.uncertainty["radius"]
+    assert any("move it by at least" in warning for warning in report.warnings)
 
 
 def test_one_recording_is_not_answered_with_certainty():

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from jaxtyping import Bool
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
@@ -20,26 +19,16 @@ from manip_learn.learning.division import Part
 from manip_learn.learning.estimators.estimate import CLEAR_GAP
 from manip_learn.learning.evidence.recombination import recombination_test
 from manip_learn.learning.evidence.row_evidence import RowEvidence
-from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_mechanism
+from manip_learn.learning.mechanisms.find_mechanism import MechanismFit
+from manip_learn.learning.place_rows import all_held, mechanism_of, place_rows
 from manip_learn.recordings.demonstrations import Demonstrations
 
 # (what to learn from, which Phi, with which settings) -> the best candidate, and a summary of all samples
 Fit = Callable[[Part, LearnerSettings], tuple[Candidate, DataSummary]]
-# trajectories beyond this number add nothing to a mechanism but time
-MOST_PATHS = 16
-# rows of Phi below this are ones that the arm cannot move
-BLIND = 1e-6
 # rows about an axis replace as many constant ones that leave so many times the energy unexplained
 TIGHTER = 1.1
 # refusals that rows which depend on the place, or the evidence alone, may answer
 RESCUED = ("weak-gap", "no-freedom", "no-evidence")
-# rows of a mechanism that concern the position of the frame alone, for features without rotations
-POSITION_ROWS = {
-    "hinge": ("radial", "axial"),
-    "screw": ("radial", "helical"),
-    "ball": ("spherical",),
-    "other": ("radial",),
-}
 
 
 @final
@@ -53,7 +42,7 @@ class Answer:
         data: Summary of the samples.
         evidence: Evidence for each row; None where the demonstrator moves the rows (b unknown).
         mechanism: What the hand's path says of the mechanism; None if it was not asked for.
-        warnings: Doubts beside those of the candidate.
+        warnings: Doubts beside those of the candidate and of the mechanism.
     """
 
     part: Part
@@ -199,24 +188,12 @@ def _mechanism(part: Part, settings: LearnerSettings) -> MechanismFit | None:
     maps = [f for f in part.feature_maps if isinstance(f, FrameJacobian)]
     if not settings.mechanism or not maps or settings.estimator not in ("auto", "null-space"):
         return None
-    rng = np.random.default_rng(settings.seed)
-    chosen = _evenly(len(part.demonstrations))
-    paths = [part.demonstrations[i] for i in chosen]
-    try:
-        found = find_mechanism(maps[0].robot, maps[0].frame.name, paths, rng)
-    except NotIdentifiableError:
-        return None
-    return dataclasses.replace(found, odd=tuple(chosen[i] for i in found.odd))
-
-
-def _evenly(n: int) -> list[int]:
-    """Numbers of the trajectories that a mechanism is found from: all, or an even choice of many."""
-    return np.unique(np.linspace(0, n - 1, min(n, MOST_PATHS)).round().astype(int)).tolist()
+    return mechanism_of(maps, part.demonstrations, np.random.default_rng(settings.seed))
 
 
 def _with_mechanism(answer: Answer, settings: LearnerSettings, fit: Fit, asked: int | None) -> Answer:
     """Rows that depend on the place, if they hold more than constant ones."""
-    features = _place_rows(answer.part, answer.mechanism)
+    features = place_rows(answer.mechanism, answer.part.feature_maps, answer.part.demonstrations)
     if features is None or asked is not None:
         return answer
     constant = answer.candidate
@@ -227,7 +204,7 @@ def _with_mechanism(answer: Answer, settings: LearnerSettings, fit: Fit, asked: 
         if constant.n_constraints > features.n_rows or firmly:
             return answer
     evidence = _evidence(features, answer.part, settings)
-    if not _all_held(features, evidence):
+    if not all_held(features, evidence):
         return answer
     return dataclasses.replace(answer, candidate=candidate, data=data, evidence=evidence, warnings=_doubt(evidence))
 
@@ -241,8 +218,8 @@ def _despite(refusal: NotIdentifiableError, part: Part, settings: LearnerSetting
     if refusal.code not in RESCUED or settings.n_constraints is not None:
         raise refusal
     mechanism = _mechanism(part, settings)
-    features = _place_rows(part, mechanism)
-    if features is not None and _all_held(features, evidence := _evidence(features, part, settings)):
+    features = place_rows(mechanism, part.feature_maps, part.demonstrations)
+    if features is not None and all_held(features, evidence := _evidence(features, part, settings)):
         candidate, data = _fit_rows(features, part, settings, fit)
         return Answer(part, candidate, data, evidence, mechanism, _doubt(evidence))
     if refusal.code == "weak-gap":
@@ -254,12 +231,9 @@ def _despite(refusal: NotIdentifiableError, part: Part, settings: LearnerSetting
                 candidate, data = fit(only, again)
                 said = f"no gap shows the number of rows, the recombination test does: {evidence.sentence()}"
                 return Answer(part, candidate, data, evidence, mechanism, (said,))
+    if mechanism is not None and mechanism.mechanism is None and mechanism.warnings:
+        raise NotIdentifiableError(f"{refusal}; {'; '.join(mechanism.warnings)}", code=refusal.code)
     raise refusal
-
-
-def _all_held(features: MechanismRows, evidence: RowEvidence) -> bool:
-    """Whether the recombination test, too, finds every row of the mechanism held."""
-    return evidence.enough and evidence.n_rows == features.n_rows
 
 
 def _evidence(features: FeatureMap, part: Part, settings: LearnerSettings) -> RowEvidence:
@@ -271,29 +245,3 @@ def _fit_rows(
 ) -> tuple[Candidate, DataSummary]:
     again = dataclasses.replace(settings, estimator="null-space", n_constraints=features.n_rows)
     return fit(dataclasses.replace(part, feature_maps=(features,)), again)
-
-
-def _place_rows(part: Part, found: MechanismFit | None) -> MechanismRows | None:
-    """The rows of a mechanism that depend on the place, in the axes asked for and in which the arm can move."""
-    if found is None or found.mechanism is None or not isinstance(found.features, MechanismRows):
-        return None
-    features, units = found.features, {unit for f in part.feature_maps for unit in f.row_units}
-    names = tuple(n for n, unit in zip(features.row_names, features.row_units, strict=True) if unit in units)
-    if units == {"m/s"}:
-        names = POSITION_ROWS.get(found.mechanism.type, ())
-    if names:
-        names = tuple(n for n, moves in zip(names, _movable(_only(features, names), part), strict=True) if moves)
-    return _only(features, names) if names else None
-
-
-def _only(features: MechanismRows, names: tuple[str, ...]) -> MechanismRows:
-    place = features.geometry
-    return MechanismRows(
-        features.robot, features.frame.name, names, axis=place.axis, point=place.point, pitch=place.pitch
-    )
-
-
-def _movable(features: MechanismRows, part: Part) -> Bool[np.ndarray, " p"]:
-    """Whether the arm can move the frame along each row, somewhere on the recordings."""
-    few = np.concatenate([t.q[:: max(1, len(t) // 10)] for t in part.demonstrations])
-    return np.max(np.linalg.norm(features.batch(few), axis=2), axis=0) > BLIND

@@ -154,7 +154,7 @@ def _estimate(
     if settings.estimator == "null-space":
         return estimate_null_space(samples, settings.n_constraints)
     if settings.estimator == "joint":
-        return estimate_joint(start, settings.n_constraints, rng, settings.policy_model, isotropic=start is not samples)
+        return _joint(samples, start, settings, rng)
     if settings.estimator == "separate":
         from manip_learn.learning.estimators.separation import estimate_separate
 
@@ -171,14 +171,33 @@ def _select_estimator(
         return null_space
     s = null_space.whitened_selection.shape[0]
     try:
-        joint = estimate_joint(
-            start, settings.n_constraints, rng, settings.policy_model, EXPLAINED, isotropic=start is not samples
-        )
+        joint = _joint(samples, start, settings, rng, EXPLAINED)
     except NotIdentifiableError:
         return null_space  # no policy model predicts this motion: the evidence is how little some directions are used
     # both explain the motion: it is held if the held directions show no more than the noise
     is_noise = null_space.unexplained * samples.energy / s <= NOISE_MARGIN**2 * joint.noise
     return null_space if is_noise else joint
+
+
+def _joint(
+    samples: Samples, start: Samples, settings: LearnerSettings, rng: np.random.Generator, unexplained: float = np.inf
+) -> Estimate:
+    """The joint estimate, if the motion is rich enough for one.
+
+    Raises:
+        NotIdentifiableError: It is not, or no policy model leaves less than this share unexplained.
+    """
+    isotropic = start is not samples
+    try:
+        return estimate_joint(
+            start, settings.n_constraints, rng, settings.policy_model, unexplained, isotropic=isotropic
+        )
+    except np.linalg.LinAlgError as error:
+        raise NotIdentifiableError(
+            "the motion is too short, or too much the same in all recordings, for a model of the null-space policy: "
+            "move further, and differently",
+            code="too-few-samples",
+        ) from error
 
 
 def _is_held(estimate: Estimate) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -11,10 +12,12 @@ import numpy as np
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.learning.agreement.agreement import Agreement, judge_agreement
+from manip_learn.learning.agreement.interruption import interruptions
 from manip_learn.learning.agreement.reason import reason
 from manip_learn.learning.phases.decoding import TRIM
 from manip_learn.learning.phases.find_phases import find_phases, one_constraint_fits, too_short
 from manip_learn.learning.phases.result import PhaseConstraint, PhaseResult, Stretch
+from manip_learn.learning.place_rows import one_mechanism_fits
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Reference
@@ -86,6 +89,7 @@ def divide(
     rng: np.random.Generator,
     *,
     phases: bool = True,
+    mechanisms: bool = True,
 ) -> Division:
     """Find out which parts of the recordings one constraint can explain.
 
@@ -98,6 +102,7 @@ def divide(
         feature_maps: The candidates for Phi.
         rng: For the comparisons with chance.
         phases: Whether to look for phases.
+        mechanisms: Whether the rows of a mechanism, e.g. of a tether, may explain what no constant rows do.
     """
     widths = {t.u.shape[1] for t in demonstrations if t.u is not None}
     if any(widths != {f.nv} for f in feature_maps):
@@ -111,6 +116,9 @@ def divide(
     elsewhere = () if fitting else _held_elsewhere(demonstrations, usable)
     if elsewhere:
         return Division(undivided(demonstrations, feature_maps).parts, one_fits=False, warnings=elsewhere)
+    if not fitting and mechanisms and one_mechanism_fits(usable, demonstrations, rng.spawn(1)[0]):
+        (part,) = undivided(demonstrations, feature_maps).parts
+        return Division((dataclasses.replace(part, is_held=True),))
     agreed = _by_agreement(demonstrations, fitting or usable, feature_maps, bool(fitting))
     if agreed is not None:
         return agreed
@@ -198,6 +206,8 @@ def _by_phases(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap
             apart += [cut[i][0] for i, _ in agreement.odd]
             cut = [cut[i] for i in agreement.members]
         odd |= _missing(demonstrations, features, constraint, number)
+        slips = interruptions(features, demonstrations.trajectories, constraint)
+        odd |= {i: why for i, why in slips.items() if i not in odd}
         members = Demonstrations([c for _, c in cut], demonstrations.notes)
         parts.append(Part(members, tuple(s for s, _ in cut), (features,), constraint.n_rows, True))
     unlearnt = (*((s, DISAGREES) for s in apart), *_of_one(found.unsupported))

@@ -188,7 +188,8 @@ class ConstraintLearner:
         if self.estimator in ("joint", "separate"):
             return undivided(demonstrations, self._feature_maps)
         rng = np.random.default_rng(self.seed)
-        return divide(demonstrations, self._feature_maps, rng, phases=self.phases == "auto")
+        mechanisms = self.mechanism == "auto" and self.n_constraints is None
+        return divide(demonstrations, self._feature_maps, rng, phases=self.phases == "auto", mechanisms=mechanisms)
 
     def _answers(self, division: Division, fit: Fit) -> tuple[list[Answer], list[str]]:
         """An answer for each part that determines a constraint, and why the others do not.

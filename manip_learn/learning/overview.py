@@ -76,8 +76,8 @@ class RecordingOverview:
         if odd:
             listed = "; ".join(f"{names[i]}: {why}" for i, why in sorted(odd.items()))
             warnings.append(
-                f"{len(odd)} of {len(demonstrations)} recordings do not agree with the others and were left out of the "
-                f"first constraint: {listed}"
+                f"{len(odd)} of {len(demonstrations)} recordings do not agree with the others; what does not agree was "
+                f"left out of the first constraint: {listed}"
             )
         return RecordingOverview(
             tuple(phases), tuple(OddTrajectory(names[i], why) for i, why in sorted(odd.items())), tuple(warnings)

@@ -189,7 +189,7 @@ def build_report(
         n_trajectories=data.n_trajectories,
         seconds=seconds,
         notes=_few_notes(data.notes),
-        warnings=(*warnings, *(answer.warnings if answer else ()), *overview.warnings),
+        warnings=(*warnings, *_doubts(answer), *overview.warnings),
         row_evidence=_row_support(answer),
         evidence=answer.evidence.sentence() if answer and answer.evidence else "",
         phases=overview.phases,
@@ -198,6 +198,13 @@ def build_report(
     )
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
     return Constraint(selection, features, provenance), report
+
+
+def _doubts(answer: Answer | None) -> tuple[str, ...]:
+    """About the number of rows and about the mechanism."""
+    if answer is None:
+        return ()
+    return (*answer.warnings, *(answer.mechanism.warnings if answer.mechanism else ()))
 
 
 def _row_support(answer: Answer | None) -> tuple[RowSupport, ...]:

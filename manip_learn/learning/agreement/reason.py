@@ -20,12 +20,12 @@ def reason(
 ) -> str:
     """One sentence: how far it moves along the direction that the others hold still, and how far they do."""
     t = trajectories[odd]
-    way = _way(features, t, selection)
+    way = way_along(features, t, selection)
     centred = way - way.mean(axis=0)
     worst = np.linalg.svd(centred, full_matrices=False)[2][0]
     row = worst @ selection
     moved = float(np.ptp(way @ worst))
-    usual = float(np.median([np.ptp(_way(features, trajectories[i], selection) @ worst) for i in members]))
+    usual = float(np.median([np.ptp(way_along(features, trajectories[i], selection) @ worst) for i in members]))
     turns = np.array([unit.startswith("rad") for unit in features.row_units])
     rotation = float(np.sum(row[turns] ** 2)) > 0.5
     others = f"the other {len(members)} hold" if len(members) > 1 else "the other one holds"
@@ -37,7 +37,7 @@ def reason(
     )
 
 
-def _way(features: FeatureMap, t: Trajectory, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "T s"]:
+def way_along(features: FeatureMap, t: Trajectory, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "T s"]:
     """Way along each row [m or rad], trapezoid rule."""
     rates = np.matmul(features.batch(t.q), np.asarray(t.u)[:, :, None])[:, :, 0] @ selection.T
     steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(t.time)[:, None]

@@ -30,6 +30,10 @@ REFINED = 300  # of each trajectory in the last fit
 BLIND = 1e-6  # rows of Phi below this are ones that the arm cannot move
 SOFT = 0.03  # share of the motion left in the held rows: hardware stays below
 POOR_RADIUS, POOR_AXIS = 0.2, 5.0  # relative, and [deg]: one standard deviation above which a fit is no answer
+WIDE, WANTED = (
+    0.03,
+    0.01,
+)  # relative: one standard deviation of the radius that is worth a warning, and the one aimed at
 
 Confirm = Callable[[FeatureMap, Float[np.ndarray, "s p"]], bool]
 
@@ -109,11 +113,12 @@ def find_mechanism(
     features, selection = _constraint(robot, frame, fit, few)
     poor = _poor(mechanism)
     if poor:
-        return MechanismFit(None, None, None, held_out, table, poor)
+        return MechanismFit(None, None, None, held_out, table, poor, (poor,))
     if confirm is not None and not confirm(features, selection):
         reason = f"the recordings look like {mechanism.sentence}, but the test of its rows refuses it"
         return MechanismFit(None, None, None, held_out, table, reason)
-    return MechanismFit(mechanism, features, selection, held_out, table, "", _warnings(choice, len(postures), odd), odd)
+    warnings = (*_warnings(choice, len(postures)), *_wide(mechanism))
+    return MechanismFit(mechanism, features, selection, held_out, table, "", warnings, odd)
 
 
 def _compared(
@@ -147,12 +152,9 @@ def _paths(
     return TipPaths.of(robot, tip, [thinned(q, SAMPLES) for q in postures]), mixed
 
 
-def _warnings(choice: Choice, n_trajectories: int, odd: tuple[int, ...]) -> tuple[str, ...]:
+def _warnings(choice: Choice, n_trajectories: int) -> tuple[str, ...]:
     chosen = next(a for a in choice.table if a.verdict == "chosen")
     warnings = []
-    if odd:
-        named = ", ".join(str(i + 1) for i in odd)
-        warnings.append(f"left out: trajectory {named}, which the {chosen.name} of the others does not hold")
     if n_trajectories == 1:
         warnings.append("one trajectory only: a repeated motion cannot be told from a contact")
     if chosen.held_out > SOFT:
@@ -229,6 +231,18 @@ def _poor(mechanism: Mechanism) -> str:
         f"the recordings look like {mechanism.sentence}, but they turn by {np.degrees(arc):.0f} degrees only: the axis "
         f"is known to {u.get('axis', 0.0):.1f} degrees and its place to {1e3 * u['point']:.0f} mm; move it by at least "
         f"{needed:.0f} degrees"
+    )
+
+
+def _wide(mechanism: Mechanism) -> tuple[str, ...]:
+    """A warning if the motion determines the place of an axis or a centre badly."""
+    radius, arc, place = mechanism.radius, mechanism.arc, mechanism.uncertainty.get("point", 0.0)
+    if radius is None or arc is None or place <= WIDE * radius or mechanism.grip == "firm":
+        return ()
+    needed = min(np.degrees(arc) * np.sqrt(place / (WANTED * radius)), 90.0)
+    return (
+        f"the hand goes {np.degrees(arc):.0f} degrees about the axis or the centre only, whose place is known to "
+        f"+- {1e3 * place:.0f} mm: move it by at least {needed:.0f} degrees",
     )
 
 

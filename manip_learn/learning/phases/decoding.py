@@ -17,6 +17,8 @@ SHORTEST = 0.3
 # left out at both ends of a stretch before rows are fitted: velocities are smoothed over the change [s]
 TRIM = 0.1
 REFITS = 3
+# ends of a stretch that may have left it [s], and how many times as far from where it is held as its inner part
+EDGE, FAR = 0.3, 3.0
 
 
 def evidences(motion: PhaseMotion, found: Sequence[Found]) -> Float[np.ndarray, "n k"]:
@@ -93,6 +95,29 @@ def stretches_of(motion: PhaseMotion, states: Int[np.ndarray, " n"], state: int)
             start, end = float(motion.time[a + inside[0]]), float(motion.time[a + inside[-1]])
             if end - start >= SHORTEST or state == 0:
                 out.append(Stretch(int(motion.trajectory[a]), start, end))
+    return tuple(out)
+
+
+def sharpened(motion: PhaseMotion, found: Found, stretches: Sequence[Stretch]) -> tuple[Stretch, ...]:
+    """Stretches without their ends where these have left what the inner part holds still.
+
+    A hand that leaves a surface at a flat angle has moved along the held rows before its velocity shows it.
+    """
+    out = []
+    for s in stretches:
+        inside = (motion.trajectory == s.trajectory) & (motion.time >= s.start) & (motion.time <= s.end)
+        time = motion.time[inside]
+        inner = (time >= s.start + EDGE) & (time <= s.end - EDGE)
+        if s.duration < 4.0 * EDGE or np.count_nonzero(inner) < 10:
+            out.append(s)
+            continue
+        way = np.cumsum(motion.rates[inside] * motion.weight[inside, None], axis=0) @ found.rows.T
+        away = np.linalg.norm(way - np.median(way[inner], axis=0), axis=1)
+        left = time[(away > FAR * np.quantile(away[inner], 0.9)) & ~inner]
+        before, after = left[left < s.start + EDGE], left[left > s.end - EDGE]
+        start = s.start if not len(before) else float(time[time > before[-1]][0])
+        end = s.end if not len(after) else float(time[time < after[0]][-1])
+        out.append(Stretch(s.trajectory, start, end))
     return tuple(out)
 
 

@@ -18,6 +18,7 @@ from manip_learn.learning.phases.decoding import (
     explained,
     finally_fitted,
     refitted,
+    sharpened,
     stretches_of,
     supports,
 )
@@ -135,8 +136,9 @@ class PhaseDiscovery:
         constraints = []
         for k, f in enumerate(self.found):
             stretches = stretches_of(motion, states, k + 1)
+            fitted = finally_fitted(motion, f, stretches)
             constraints.append(
-                self._constraint(finally_fitted(motion, f, stretches), stretches, self.least[k], self.marks[k])
+                self._constraint(fitted, sharpened(motion, fitted, stretches), self.least[k], self.marks[k])
             )
         return PhaseResult(tuple(constraints), stretches_of(motion, states, 0), (), rejected=tuple(self.rejected))
 
