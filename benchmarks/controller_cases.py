@@ -1,0 +1,129 @@
+"""The tasks of `peer_controllers.py`: oblique rows, reachable and unreachable targets, half from near singularities."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import manip_learn as ml
+
+ROBOTS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "panda": ("panda_hand", ("panda_finger_joint1",)),
+    "xarm7": ("link7", ()),
+    "ur5": ("tool0", ()),
+    "sawyer": ("right_l6", ()),
+}
+NEAR = 0.02  # mu of a near-singular start, relative to the median over random postures
+INERTIAL = '<inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>'
+
+
+class Tasks(NamedTuple):
+    """Cases of one robot; rows (s, 3), start (nv,) and target (3,) each."""
+
+    robot: ml.Robot
+    tip: str
+    rows: list[np.ndarray]
+    starts: list[np.ndarray]
+    targets: list[np.ndarray]
+    near_singular: list[bool]
+
+    def constraint(self, i: int) -> ml.Constraint:
+        """A(q) of one case."""
+        return ml.Constraint(self.rows[i], ml.FrameJacobian(self.robot, self.tip, "xyz"))
+
+
+def plain_urdf(robot: ml.Robot, folder: Path) -> Path:
+    """The robot without shapes, with exactly its movable joints: all peers can read that."""
+    assert robot.description is not None
+    tree = ET.fromstring(robot.description)
+    for element in list(tree):
+        if element.tag not in ("link", "joint"):
+            tree.remove(element)
+    for link in tree.findall("link"):
+        for child in list(link):
+            link.remove(child)
+        link.append(ET.fromstring(INERTIAL))
+    for joint in tree.findall("joint"):
+        if joint.get("name") not in robot.joint_names:
+            joint.set("type", "fixed")
+        for child in list(joint):
+            if child.tag not in ("parent", "child", "origin", "axis", "limit"):
+                joint.remove(child)
+    # MuJoCo would merge links that are fixed to each other, the tip among them
+    tree.append(ET.fromstring('<mujoco><compiler fusestatic="false" discardvisual="true"/></mujoco>'))
+    path = folder / f"{robot.name}.urdf"
+    path.write_bytes(ET.tostring(tree))
+    return path
+
+
+def tasks_of(name: str, folder: Path, number: int, reachable: bool) -> Tasks:
+    """Random oblique tasks with s = 1, 2, 3 in turn; every second one starts near a singularity."""
+    tip, locked = ROBOTS[name]
+    robot = ml.load_robot(plain_urdf(ml.load_robot(name, locked=locked), folder))
+    features = ml.FrameJacobian(robot, tip, "xyz")
+    rows, starts, targets, near = [], [], [], []
+    for i in range(number):
+        rng = np.random.default_rng([sorted(ROBOTS).index(name), i, int(reachable)])
+        Lambda = np.linalg.qr(rng.normal(size=(3, 3)))[0][: 1 + i % 3]
+        constraint = ml.Constraint(Lambda, features)
+        # every second of each s: starts and s do not go together
+        near.append(i // 3 % 2 == 1)
+        starts.append(near_singular(constraint, rng) if near[-1] else inside(robot, rng))
+        goal = robot.position(inside(robot, rng), tip)
+        if not reachable:  # 3 m further along the rows than a point that is in reach
+            way = constraint.selection.T @ constraint.selection @ (goal - robot.position(starts[-1], tip))
+            goal = goal + 3.0 * way / np.linalg.norm(way)
+        rows.append(constraint.selection)
+        targets.append(goal)
+    return Tasks(robot, tip, rows, starts, targets, near)
+
+
+def inside(robot: ml.Robot, rng: np.random.Generator) -> np.ndarray:
+    """A random posture, 5 % of the range away from the limits."""
+    q = robot.positions(robot.random_configuration(rng))
+    middle = 0.5 * (robot.position_lower + robot.position_upper)
+    return np.where(np.isfinite(middle), middle + 0.9 * (q - middle), q)
+
+
+def near_singular(constraint: ml.Constraint, rng: np.random.Generator) -> np.ndarray:
+    """A posture at which mu is NEAR times its median, found by descending from the best of 300."""
+    robot = constraint.robot
+    assert robot is not None
+    postures = np.array([inside(robot, rng) for _ in range(300)])
+    mu = ml.manipulability_batch(constraint, postures).mu
+    wanted, q = NEAR * float(np.median(mu)), postures[np.argmin(mu)]
+    for _ in range(200):
+        here, gradient = ml.manipulability(constraint, q), ml.manipulability_gradient(constraint, q)
+        if here <= wanted:
+            break
+        step = (wanted - here) * gradient / max(float(gradient @ gradient), 1e-12)
+        step *= min(1.0, 0.05 / max(float(np.linalg.norm(step)), 1e-12))
+        q = np.clip(q + step, robot.position_lower, robot.position_upper)
+    return q
+
+
+def write(tasks: Tasks, path: Path, gains: list[float], dt: float, duration: float, task_gain: float) -> None:
+    """What the children read: every case once per gain."""
+    robot = tasks.robot
+    arm: dict[str, Any] = {
+        "urdf": str(robot.source),
+        "base": robot.frame_names[0],
+        "tip": tasks.tip,
+        "names": list(robot.joint_names),
+        "lower": robot.position_lower.tolist(),
+        "upper": robot.position_upper.tolist(),
+        "velocity": robot.velocity_limit.tolist(),
+        "dt": dt,
+        "duration": duration,
+        "task_gain": task_gain,
+    }
+    cases = [
+        {"rows": rows.tolist(), "start": start.tolist(), "target": target.tolist(), "gain": gain}
+        for gain in gains
+        for rows, start, target in zip(tasks.rows, tasks.starts, tasks.targets, strict=True)
+    ]
+    path.write_text(json.dumps({"arm": arm, "cases": cases}), encoding="utf-8")

@@ -1,0 +1,38 @@
+"""Robotics Toolbox: its Jacobian, and its manipulability Jacobian in the null space."""
+
+import warnings
+
+import numpy as np
+
+warnings.simplefilter("ignore")  # it warns about its own escapes while it is imported
+
+import roboticstoolbox as rtb  # noqa: E402
+from driving import drive  # noqa: E402
+
+
+def stepper(manipulability):
+    """A^+ b, and the gradient of its mu of all three axes in the null space."""
+
+    def make(arm, case):
+        robot = rtb.Robot.URDF(arm.urdf)
+        end = robot.link_dict[arm.tip]
+        moving = sorted((link for link in robot.links if link.isjoint), key=lambda link: link.jindex)
+        order = [[link._joint_name for link in moving].index(n) for n in arm.names]
+
+        def step(q):
+            full = np.empty(robot.n)
+            full[order] = q
+            A = case.rows @ robot.jacob0(full, end=end)[:3]
+            inverse = np.linalg.pinv(A)
+            u = inverse @ (arm.task_gain * case.rows @ (case.target - robot.fkine(full, end=end).t))
+            if manipulability:
+                climb = case.gain * robot.jacobm(full, end=end, axes="trans").reshape(-1)
+                u = u + climb - inverse @ (A @ climb)
+            return u[order]
+
+        return step
+
+    return make
+
+
+drive("roboticstoolbox-python", {"roboticstoolbox": stepper(False), "roboticstoolbox, jacobm": stepper(True)})
