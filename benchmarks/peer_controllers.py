@@ -117,7 +117,7 @@ def reach_table(results: Results, near: dict[str, list[bool]]) -> str:
     """One line per method, all robots together."""
     methods = list(dict.fromkeys(m for per_robot in results.values() for m in per_robot))
     lines = [
-        "| method | runs | within 1 cm | 1 mm | least μ after 1 s / plain | mean μ / plain | mean μ, near-singular starts "
+        "| method | runs | within 1 cm | 1 mm | least μ after 1 s / plain | mean μ / plain | mean μ, singular half "
         "| deviation [mm] | runs with jumps > 20 % | acceleration / limit | steps without answer | us a step |",
         "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
