@@ -19,18 +19,18 @@ FIRM = {"drawer_firm", "table_flat", "door_firm", "hinge", "screw", "sleeve", "j
 CUT = ("drawer", "drawer_firm", "table", "table_flat", "door", "door_firm", "hinge")
 # study: sets of each of its lines in the full table
 STUDIES = {
-    "phases": 25,
+    "phases": 20,
     "phases-pose": 4,
-    "physics": 4,
-    "lone": 12,
+    "physics": 2,
+    "lone": 8,
     "free": 17,
     "evidence": 25,
-    "mechanisms": 25,
-    "small-turn": 12,
-    "contaminated": 12,
+    "mechanisms": 20,
+    "small-turn": 8,
+    "contaminated": 6,
     "clean": 5,
-    "timing": 8,
-    "speed": 6,
+    "timing": 4,
+    "speed": 4,
 }
 SMALL_TURN = 5.0  # of a hinge [deg]
 CUT_FREE = 1.5, 4.0  # length of a cut free motion [s]

@@ -83,7 +83,11 @@ def _several_phases(division: Division, phases: str, n: int) -> list[str]:
         ]
     if n < 2:
         return ["no single constraint fits the recording as a whole: cut it with --from and --until"]
-    return ["no stretch of the recordings obeys a constraint that several of them confirm: this looks like free motion"]
+    return [
+        "no stretch of the recordings obeys a constraint that several of them confirm: this looks like free motion. A "
+        "contact without any constant direction, e.g. with a tether, is learnt from recordings that are cut to it, with "
+        "--from and --until"
+    ]
 
 
 def _other_rows(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> list[str]:
