@@ -18,6 +18,7 @@ ROBOTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "sawyer": ("right_l6", ()),
 }
 NEAR = 0.02  # mu of a near-singular start, relative to the median over random postures
+BEYOND = 0.3  # [m]
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>'
 
 
@@ -74,9 +75,8 @@ def tasks_of(name: str, folder: Path, number: int, reachable: bool) -> Tasks:
         near.append(i // 3 % 2 == 1)
         starts.append(near_singular(constraint, rng) if near[-1] else inside(robot, rng))
         goal = robot.position(inside(robot, rng), tip)
-        if not reachable:  # 3 m further along the rows than a point that is in reach
-            way = constraint.selection.T @ constraint.selection @ (goal - robot.position(starts[-1], tip))
-            goal = goal + 3.0 * way / np.linalg.norm(way)
+        if not reachable:
+            goal = beyond_reach(constraint, tip, starts[-1], goal, rng)
         rows.append(constraint.selection)
         targets.append(goal)
     return Tasks(robot, tip, rows, starts, targets, near)
@@ -87,6 +87,19 @@ def inside(robot: ml.Robot, rng: np.random.Generator) -> np.ndarray:
     q = robot.positions(robot.random_configuration(rng))
     middle = 0.5 * (robot.position_lower + robot.position_upper)
     return np.where(np.isfinite(middle), middle + 0.9 * (q - middle), q)
+
+
+def beyond_reach(
+    constraint: ml.Constraint, tip: str, start: np.ndarray, goal: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """A point towards the goal along the rows, BEYOND further than the tip came in 1,000 random postures."""
+    robot = constraint.robot
+    assert robot is not None
+    here = robot.position(start, tip)
+    way = constraint.selection.T @ constraint.selection @ (goal - here)
+    way /= np.linalg.norm(way)
+    reached = max(way @ (robot.position(inside(robot, rng), tip) - here) for _ in range(1000))
+    return here + (reached + BEYOND) * way
 
 
 def near_singular(constraint: ml.Constraint, rng: np.random.Generator) -> np.ndarray:
