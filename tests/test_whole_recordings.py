@@ -183,6 +183,16 @@ def test_a_slip_that_the_phases_cut_out_is_named():
     assert "interrupted from" in report.odd_trajectories[0].reason
 
 
+@pytest.mark.timeout(120)
+def test_constraints_that_replace_each_other_do_not_keep_the_search_going():
+    """Two constraints that explain the same stretches, each better in its turn, end the search all the same."""
+    truth, demos = generated("door_slip", "panda", 1204, 8, whole=True)
+    robot = ml.load_robot("panda", locked=FINGERS)
+    report = ml.ConstraintLearner(ml.FrameJacobian(robot, truth["tip"], "xyz")).fit(demos).report_
+    assert report.mechanism is not None and report.mechanism.type == "hinge"
+    assert {odd.trajectory for odd in report.odd_trajectories} == {f"demo_{i}" for i in truth["contaminated"]}
+
+
 @pytest.mark.parametrize("seed", [1100, 1104])
 def test_a_door_that_hardly_turns_is_answered_with_the_width_of_what_is_not_known(seed: int):
     """Turned by five degrees, a door is a hinge whose place is known to centimetres, and the report says how far to

@@ -29,6 +29,7 @@ from manip_learn.recordings.trajectory import Trajectory
 
 MOST_CONSTRAINTS = 4
 MOST_REJECTIONS = 3
+MOST_STEPS = 10
 # versions of the recordings without a contact, of each kind, that are searched for comparison
 CHANCE_RUNS = 5
 # least support of a constraint [nats], and over what is found by chance (mean and three standard deviations)
@@ -89,8 +90,9 @@ class PhaseDiscovery:
 
     def run(self) -> PhaseResult:
         """All constraints, one after the other."""
-        while len(self.found) < MOST_CONSTRAINTS and len(self.rejected) < MOST_REJECTIONS:
-            if not self.step():
+        for _ in range(MOST_STEPS):
+            full = len(self.found) == MOST_CONSTRAINTS or len(self.rejected) == MOST_REJECTIONS
+            if full or not self.step():
                 break
         return self.result()
 
@@ -119,6 +121,8 @@ class PhaseDiscovery:
         self.marks = [m for m, k in zip(marks, kept, strict=True) if k]
         self.least = [x for x, k in zip(least, kept, strict=True) if k]
         self.found = refitted(self.thin, [f for f, k in zip(trial, kept, strict=True) if k])
+        # what a better one has replaced would otherwise be found, and replace that one, again and again
+        self.refused += [f for f, k in zip(trial, kept, strict=True) if not k]
         return bool(kept[-1])
 
     def _judged(self, candidate: Found, constraint: PhaseConstraint) -> tuple[bool, tuple[float, float]]:
