@@ -19,18 +19,18 @@ FIRM = {"drawer_firm", "table_flat", "door_firm", "hinge", "screw", "sleeve", "j
 CUT = ("drawer", "drawer_firm", "table", "table_flat", "door", "door_firm", "hinge")
 # study: sets of each of its lines in the full table
 STUDIES = {
-    "phases": 20,
-    "phases-pose": 4,
-    "physics": 2,
-    "lone": 8,
     "free": 17,
-    "evidence": 25,
-    "mechanisms": 20,
-    "small-turn": 8,
-    "contaminated": 6,
     "clean": 5,
-    "timing": 4,
-    "speed": 4,
+    "evidence": 20,
+    "contaminated": 5,
+    "mechanisms": 10,
+    "phases": 8,
+    "lone": 8,
+    "small-turn": 6,
+    "phases-pose": 3,
+    "physics": 2,
+    "timing": 3,
+    "speed": 3,
 }
 SMALL_TURN = 5.0  # of a hinge [deg]
 CUT_FREE = 1.5, 4.0  # length of a cut free motion [s]
