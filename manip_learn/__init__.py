@@ -30,8 +30,10 @@ if TYPE_CHECKING:
     from manip_learn.control.compiled_controller import CompiledController
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.paths.optimise_path import optimise_path
+    from manip_learn.control.limits import Limits
     from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
     from manip_learn.control.rollout import Rollout, simulate
+    from manip_learn.control.servo_loop import ServoLoop
     from manip_learn.control.status import Status
     from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, Track
     from manip_learn.errors import ManipLearnError
@@ -76,6 +78,7 @@ _HOMES = {
     "MechanismFit": "learning.mechanisms.find_mechanism",
     "MechanismRows": "constraint.features",
     "find_mechanism": "learning.mechanisms.find_mechanism",
+    "Limits": "control.limits",
     "ManipulabilityAscent": "control.policies",
     "NullSpacePolicy": "control.policies",
     "PointAttractor": "control.tasks",
@@ -83,6 +86,7 @@ _HOMES = {
     "ResolvedRateController": "control.controller",
     "Robot": "robot",
     "Rollout": "control.rollout",
+    "ServoLoop": "control.servo_loop",
     "Status": "control.status",
     "Stacked": "constraint.features",
     "Task": "control.tasks",
@@ -118,6 +122,7 @@ __all__ = [
     "FreeDirection",
     "Hold",
     "JointAttractor",
+    "Limits",
     "LiveViewer",
     "ManipLearnError",
     "ManipulabilityAscent",
@@ -131,6 +136,7 @@ __all__ = [
     "ResolvedRateController",
     "Robot",
     "Rollout",
+    "ServoLoop",
     "Stacked",
     "Status",
     "Task",

@@ -20,11 +20,17 @@ class Command(NamedTuple):
         manipulability: mu(q).
         task_velocity: b, shape (s,), before limits.
         task_part: A^+ b as commanded, shape (nv,).
-        null_part: N pi as commanded, shape (nv,), with the null-space motion that avoids position limits; A null_part
-            = 0.
-        task_scale: Factor on the task part, 0 to 1.
-        null_scale: Factor on the null-space part, 0 to 1.
+        null_part: N pi as commanded, shape (nv,), with the null-space motion that makes room for the task at limits;
+            A null_part = 0.
+        task_scale: Factor on the task part; 1 is the velocity asked for.
+        null_scale: Share of the null-space part that is commanded, 0 to 1.
         smallest_singular_value: Of A(q).
+        escape_part: Velocity out of a singularity, shape (nv,); None away from singularities. `velocity` is the sum of
+            the three parts.
+        progress: Velocity along b over the velocity asked for, b^T A u / |b|^2; 1 where b = 0.
+        outside: Largest distance of a joint beyond its position limits [rad or m].
+        limiting_joint: Number of the joint whose limit changes the command most, -1 if none does.
+        following_error: Largest distance between commanded and measured joint positions [rad or m] (`ServoLoop`).
     """
 
     velocity: Float[np.ndarray, " nv"]
@@ -36,13 +42,18 @@ class Command(NamedTuple):
     task_scale: float
     null_scale: float
     smallest_singular_value: float
+    escape_part: Float[np.ndarray, " nv"] | None = None
+    progress: float = 1.0
+    outside: float = 0.0
+    limiting_joint: int = -1
+    following_error: float = 0.0
 
 
 class Controller(Protocol):
     """Anything that `simulate` can run: `ResolvedRateController`, `CompiledController`, or a class of your own."""
 
     def __call__(self, q: Float[np.ndarray, " n"], t: float = 0.0, dt: float | None = None) -> Command:
-        """The command at posture q and time t [s]; dt is the look-ahead for the position limits [s]."""
+        """The command at posture q and time t [s], held for dt [s]."""
         ...
 
 

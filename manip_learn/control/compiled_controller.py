@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.control.command import Command
-from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.controller import ResolvedRateController, next_slide
 from manip_learn.control.integration import Method, next_posture
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.status import STATUSES, Status
@@ -19,6 +19,9 @@ from manip_learn.control.tasks import Hold, PointAttractor
 from manip_learn.errors import ConstraintError, MissingExtraError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Robot
+
+
+LARGEST_ACCELERATION = 1e12  # [rad/s2] stands for none in the kernel, which must stay finite
 
 
 @final
@@ -60,32 +63,32 @@ class CompiledController:
         self.robot: Robot = controller.robot  # type: ignore[assignment]
         self.nv, self._s = self.robot.nv, controller.constraint.n_constraints
         self._dt = controller.dt
+        self._unknown = np.full(self.nv, np.nan)  # the velocity before, where no acceleration is bounded
         self._kernel = kernel
         self._step = kernel.control_step
         self._constants = _packed(controller)
         self._shape = kernel.results_shape(int(self._constants[0, kernel.N_JOINTS]), self.nv, self._s)
         self(self.robot.neutral())  # compiled, or read from the cache, now and not in the loop
 
-    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float | None = None) -> Command:
+    def __call__(
+        self,
+        q: ArrayLike,
+        t: float = 0.0,
+        dt: float | None = None,
+        previous: Float[np.ndarray, " nv"] | None = None,
+        slide: float = 0.0,
+    ) -> Command:
         """The command at posture q; arguments and errors as for `ResolvedRateController`."""
         if not (type(q) is np.ndarray and q.shape == (self.nv,) and q.dtype == np.float64 and q.flags.c_contiguous):
             q = self.robot.positions(q)
         out, nv = np.empty(self._shape), self.nv
-        code = self._step(self._constants, q, self._dt if dt is None else dt, out)
+        before = self._unknown if previous is None else previous
+        code = self._step(self._constants, q, self._dt if dt is None else dt, before, out)
         if code < 0:
-            return self.controller(q, t, dt)
-        mu, task_scale, null_scale, smallest = out[4, :4].tolist()
-        return Command(
-            out[0, :nv],
-            STATUSES[code],
-            mu,
-            out[3, : self._s],
-            out[1, :nv],
-            out[2, :nv],
-            task_scale,
-            null_scale,
-            smallest,
-        )
+            return self.controller(q, t, dt, previous, slide)
+        mu, smallest = out[4, :2].tolist()
+        parts = (out[3, : self._s], out[1, :nv], out[2, :nv])
+        return Command(out[0, :nv], STATUSES[code], mu, *parts, 1.0, 1.0, smallest)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]."""
@@ -94,7 +97,7 @@ class CompiledController:
     def rollout(
         self, start: Float[np.ndarray, " nv"], steps: int, dt: float, method: Method = "euler"
     ) -> CompiledRollout:
-        """The start and `steps` steps after it, in compiled code except near singularities and at position limits.
+        """The start and `steps` steps after it, in compiled code except near singularities and at limits.
 
         Args:
             start: Joint positions [rad or m].
@@ -108,15 +111,20 @@ class CompiledController:
         T, nv = steps + 1, self.nv
         q, u, mu, error = np.empty((T, nv)), np.empty((T, nv)), np.empty(T), np.empty(T)
         code, work = np.zeros(T, dtype=np.int64), (np.empty(self._shape), np.empty(nv), np.empty(nv))
+        bounded = method == "euler" and self.controller.limits is not None
+        previous = np.zeros(nv) if bounded else np.full(nv, np.nan)
         q[0] = start
         by_python: dict[int, Status] = {}
-        row, kernel = 0, self._kernel
+        row, kernel, slide = 0, self._kernel, 0.0
         while row < T:
-            row = kernel.rollout(self._constants, row, dt, method == "rk4", q, u, mu, error, code, *work)
+            row = kernel.rollout(self._constants, row, dt, method == "rk4", q, u, mu, error, code, *work, previous)
             if row < T:
-                command = self.controller(q[row], row * dt, dt)
+                command = self.controller(q[row], row * dt, dt, previous if bounded else None, slide)
+                slide = next_slide(slide, command, dt) if bounded else 0.0
                 u[row], mu[row], by_python[row] = command.velocity, command.manipulability, command.status
                 error[row] = self.controller.task_error(q[row], row * dt)
+                if bounded:
+                    previous[:] = command.velocity
                 if row + 1 < T:
                     q[row + 1] = next_posture(None, self.controller, q[row], row * dt, dt, method, command.velocity)
                 row += 1
@@ -158,19 +166,21 @@ def _packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
     """All constants of the step in one table: one argument costs less than thirty."""
     from manip_learn.control import kernel
 
-    constraint, task, robot = controller.constraint, controller.task, controller.robot
+    constraint, task = controller.constraint, controller.task
     features: FrameJacobian = constraint.features  # type: ignore[assignment]
     chain = batch_kinematics(features.robot, features.frame).chain_table(features.reference)
     rows = np.zeros((constraint.n_constraints, chain.shape[1]))
     rows[:, :6] = features.padded(constraint.selection)
     dofs = np.zeros((constraint.nv, chain.shape[1]))
-    limits = (robot.velocity_limit, robot.position_lower, robot.position_upper)  # type: ignore[union-attr]
-    dofs[:, :3] = np.stack(limits, axis=1)
+    limits = controller.limits
+    if limits is not None:
+        dofs[:, :3] = np.stack((limits.velocity, limits.lower, limits.upper), axis=1)
+        dofs[:, kernel.ACCELERATION] = np.minimum(limits.acceleration, LARGEST_ACCELERATION)
     header = np.zeros((1, chain.shape[1]))
     header[0, kernel.N_JOINTS] = chain.shape[0] - kernel.JOINTS
     header[0, kernel.NV], header[0, kernel.N_CONSTRAINTS] = constraint.nv, constraint.n_constraints
     header[0, kernel.DAMPS], header[0, kernel.THRESHOLD] = controller.inverse == "damped", controller.threshold
-    header[0, kernel.LIMITS] = controller.limits
+    header[0, kernel.LIMITS] = limits is not None
     if isinstance(task, PointAttractor):
         header[0, kernel.REACHES], header[0, kernel.GAIN] = True, task.gain
         header[0, kernel.MAX_SPEED] = np.inf if task.max_speed is None else task.max_speed
@@ -188,6 +198,7 @@ def _pack_policy(controller: ResolvedRateController, header: np.ndarray, dofs: n
     if isinstance(policy, ManipulabilityAscent):
         header[kernel.POLICY] = kernel.LOG_ASCENT if policy.logarithmic else kernel.ASCENT
         header[kernel.POLICY_GAIN] = policy.gain
+        header[kernel.LONGEST] = np.inf if policy.max_speed is None else policy.max_speed
     elif isinstance(policy, JointAttractor):
         header[kernel.POLICY], header[kernel.POLICY_GAIN] = kernel.REST, policy.gain
         dofs[:, kernel.REST_AT] = controller.robot.positions(policy.rest)  # type: ignore[union-attr]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from math import isfinite
 from typing import NamedTuple, final
@@ -13,15 +14,43 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
+from manip_learn.control.bounded_velocity import BoundedVelocity, Desired, bounded_velocity
 from manip_learn.control.command import Command
-from manip_learn.control.null_space_saturation import BLOCKED, project_policy, saturate_null_space
+from manip_learn.control.limits import ACCELERATION, POSITION, VELOCITY, Bounds, Limits
 from manip_learn.control.policies import ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
+from manip_learn.control.polytope_projection import Solver, projection_by
+from manip_learn.control.singularity import (
+    APPROACH_RATE,
+    BRAKING_SHARE,
+    Decomposition,
+    approach_bound,
+    escape_velocity,
+    smallest_gradient,
+)
 from manip_learn.control.status import Status
 from manip_learn.control.tasks import Hold, Task
-from manip_learn.control.velocity_limits import VelocityLimits
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 from manip_learn.linalg import Inverse, inverse_singular_values, matlab_tolerance, row_inverse, svd
 from manip_learn.robot.robot import Robot
+
+
+# width of the escape from a singularity, as a share of the singular value at which damping sets in
+ESCAPE_WIDTH = 0.6
+# a task stalls where less than this share of the velocity asked for is left
+STALLED_BELOW = 0.01
+# [s] for which a task stalls until the arm slides along what blocks it, and goes on until its direction is kept again
+SLIDING_AFTER, KEEPING_AFTER = 0.5, 1.0
+# share of the velocity asked for from which a task goes on
+GOING_ON = 0.5
+# [m/s or rad/s] a task that asks for less than this has reached its goal
+AT_GOAL = 1e-6
+# a task is slowed down where less than this share of its velocity is commanded
+SCALED_BELOW = 0.999
+SLOWED = {
+    POSITION: Status.POSITION_LIMITED,
+    VELOCITY: Status.VELOCITY_LIMITED,
+    ACCELERATION: Status.ACCELERATION_LIMITED,
+}
 
 
 @final
@@ -30,11 +59,12 @@ class _Law(NamedTuple):
 
     A: Float[np.ndarray, "s nv"]
     b: Float[np.ndarray, " s"]
-    task_part: Float[np.ndarray, " nv"]
-    null_part: Float[np.ndarray, " nv"]
+    desired: Desired
     mu: float
     smallest: float
     singular: bool
+    decomposition: Decomposition | None
+    vjp: Vjp | None
 
 
 @final
@@ -50,9 +80,10 @@ class ResolvedRateController:
     N = I - A^+ A = Z Z^T is always the exact projector, Z the null basis of A: a damped one would leak into the task.
     Away from singularities, A^{+T} = (A A^T)^-1 A and N pi = pi - A^+ (A pi) give the same without the decomposition.
 
-    The task part is scaled down as a whole at the limits (clipping joint by joint would change the task's direction),
-    and the null-space part is then scaled to what is left. Where a position limit would slow the task down, null-space
-    motion first compensates for the joints at their limits, as far as it can.
+    Within limits, the command is the nearest one that keeps the task's direction (see `bounded_velocity`); where no
+    motion along it is possible, the arm slides along what blocks it. With `inverse="damped"`, a singularity is
+    approached no faster than the arm can brake, and, where the null policy climbs this constraint's mu, left again (see
+    `singularity`).
 
     Args:
         constraint: A(q).
@@ -61,12 +92,16 @@ class ResolvedRateController:
         inverse: `"damped"` for a real arm; `"exact"` or `"truncated"` (Matlab's tolerance) as in the paper.
         threshold: Singular value of A at which damping sets in, in the constraint's units (m or 1).
         damping: Damping factor at a singular value of 0.
-        limits: False ignores the joint limits and scales nothing (the paper's law as printed).
-        dt: Look-ahead for the position limits [s], unless the call says otherwise.
+        limits: `True` for the robot's own (see `Limits` for the accelerations); a `Limits`; `False` ignores the
+            joint limits and scales nothing (the paper's law as printed).
+        dt: Time for which a command is held [s], unless the call says otherwise.
         robot: Whose limits count; the features' own robot by default.
+        solver: `"active-set"` finds the bounded command by the library's own method; `"qp"` by the library DAQP (the extra
+            `qp`).
 
     Raises:
         ConstraintError: The null policy belongs to another number of joints, or settings that are not positive.
+        MissingExtraError: DAQP is not installed.
     """
 
     def __init__(
@@ -78,9 +113,10 @@ class ResolvedRateController:
         *,
         threshold: float = 0.05,
         damping: float = 0.05,
-        limits: bool = True,
+        limits: bool | Limits = True,
         dt: float = 0.01,
         robot: Robot | None = None,
+        solver: Solver = "active-set",
     ):
         if inverse not in ("exact", "truncated", "damped"):
             raise ConstraintError(f"inverse must be 'exact', 'truncated' or 'damped', not {inverse!r}")
@@ -94,21 +130,36 @@ class ResolvedRateController:
         self.inverse: Inverse = inverse
         self.threshold = float(threshold)
         self.damping = float(damping)
-        self.limits = bool(limits)
         self.dt = float(dt)
-        self.robot: Robot | None = robot or constraint.robot
-        self._limits = VelocityLimits(self.robot) if self.limits and self.robot is not None else None
+        own = limits.robot if isinstance(limits, Limits) else None
+        self.robot: Robot | None = robot or own or constraint.robot
+        self.limits = self._limits_of(limits)
+        self.solver: Solver = solver
+        self._project = projection_by(solver)
         self._features_check = self.robot is not None and self.robot is constraint.robot
         policy = self.null_policy
         self._ascent = policy if isinstance(policy, ManipulabilityAscent) and policy.constraint is constraint else None
+        self._escapes = inverse == "damped" and self._ascent is not None and self._ascent.max_speed is not None
+        self._brakes = inverse == "damped" and self.limits is not None
 
-    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float | None = None) -> Command:
+    def __call__(
+        self,
+        q: ArrayLike,
+        t: float = 0.0,
+        dt: float | None = None,
+        previous: Float[np.ndarray, " nv"] | None = None,
+        slide: float = 0.0,
+    ) -> Command:
         """The command at posture q and time t.
 
         Args:
             q: Posture: a configuration or joint positions.
             t: Time [s].
-            dt: Look-ahead for the position limits [s].
+            dt: Time for which the command is held [s].
+            previous: Velocity commanded in the step before [rad/s or m/s], within whose reach the acceleration limits
+                keep the command; None bounds no acceleration.
+            slide: 0 keeps the task's direction where limits allow any motion along it, and else the nearest one; 1
+                comes as near to the task's velocity as limits allow, whatever the direction.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite, or dt is not positive.
@@ -120,6 +171,21 @@ class ResolvedRateController:
             raise ConfigurationError(f"dt must be a positive number of seconds, got {dt!r}")
         if not (self._features_check and type(q) is np.ndarray and q.dtype.char == "d"):
             q = self._checked_posture(q)
+        return self._limited(q, dt, self._law(q, t, dt), previous, slide)
+
+    def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
+        """Distance to the task's goal along the constrained rows [m or rad]."""
+        return self.task.error(self.constraint, np.asarray(q, dtype=np.float64), t)
+
+    def with_limits(self, limits: Limits) -> ResolvedRateController:
+        """The same controller with other limits."""
+        other = copy.copy(self)
+        other.limits = other._limits_of(limits)
+        other._brakes = other.inverse == "damped"
+        return other
+
+    def _law(self, q: np.ndarray, t: float, dt: float) -> _Law:
+        """The parts of equation (2), before limits."""
         ascent, vjp = self._ascent, None
         if ascent is None:
             A = self.constraint(q)
@@ -128,39 +194,60 @@ class ResolvedRateController:
         b = self._checked(self.task.velocity(self.constraint, q, t), A.shape[0], "the task's velocity b")
         inverse = row_inverse(A)
         if inverse is None or (self.inverse == "damped" and inverse[2] < self.threshold):
-            return self._limited(q, dt, self._near_singularity(q, t, dt, A, b, vjp))
+            return self._near_singularity(q, t, dt, A, b, vjp)
         # nothing to damp or to truncate, the case of nearly every step
         X, mu, smallest = inverse
-        pi = self._policy(q, t) if ascent is None or vjp is None else ascent.from_inverse(X, mu, vjp)
-        return self._limited(q, dt, _Law(A, b, b.dot(X), pi - A.dot(pi).dot(X), mu, smallest, False))
-
-    def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
-        """Distance to the task's goal along the constrained rows [m or rad]."""
-        return self.task.error(self.constraint, np.asarray(q, dtype=np.float64), t)
+        pi = self._policy(q, t) if ascent is None or vjp is None else ascent.from_inverse(X, mu, smallest, vjp, dt)
+        desired = Desired(b.dot(X), pi - A.dot(pi).dot(X), None)
+        return _Law(A, b, desired, mu, smallest, False, None, vjp)
 
     def _near_singularity(
         self, q: np.ndarray, t: float, dt: float, A: np.ndarray, b: np.ndarray, vjp: Vjp | None
     ) -> _Law:
         """The law by the singular value decomposition, see the class."""
-        ascent = self._ascent
-        U, sigma, Vt = svd(A)
+        ascent, escape = self._ascent, None
+        U, sigma, Vt = decomposition = Decomposition(*svd(A))
         if ascent is None or vjp is None:
             pi = self._policy(q, t)
         else:
-            pi = ascent.from_decomposition(A.shape, (U, sigma, Vt), vjp)
+            pi = ascent.from_decomposition(A.shape, decomposition, vjp, dt)
         gains = inverse_singular_values(sigma, A.shape, self.inverse, self.threshold, self.damping)
         k = sigma.shape[0]
         task_part = (gains * b.dot(U[:, :k])).dot(Vt[:k])
         Z = Vt[np.count_nonzero(sigma > matlab_tolerance(sigma, A.shape)) :]
         smallest, singular = float(sigma[-1]), bool(sigma[-1] <= SINGULAR_RATIO * sigma[0])
         mu = math.prod(sigma.tolist()) if A.shape[0] <= A.shape[1] else 0.0
-        null_part = Z.dot(pi).dot(Z)
-        if singular and ascent is not None and self._limits is not None:
-            # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
-            directions = (null_part, -null_part)
-            scales = [self._limits.scale_factors(q, dt, task_part, v).null for v in directions]
-            null_part = directions[0] if scales[0] >= scales[1] else directions[1]
-        return _Law(A, b, task_part, null_part, mu, smallest, singular)
+        if self._escapes and vjp is not None:
+            escape = escape_velocity(decomposition, vjp, dt, ESCAPE_WIDTH * self.threshold)
+            if singular and self.limits is not None:
+                # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
+                escape = self.limits.freer_sense(q, escape)
+        desired = Desired(task_part, Z.dot(pi).dot(Z), escape)
+        return _Law(A, b, desired, mu, smallest, singular, decomposition, vjp)
+
+    def _barrier(self, q: np.ndarray, dt: float, law: _Law, u: np.ndarray) -> tuple[np.ndarray, float] | None:
+        """(g, least): the approach to a singularity, g u >= least, where u could exceed it; None elsewhere."""
+        A, smallest, limits = law.A, law.smallest, self.limits
+        if not self._brakes or limits is None or law.singular or A.shape[0] > A.shape[1]:
+            return None
+        # |grad sigma| is about as large as A itself: no closer look where that is slow enough
+        size = float(np.vdot(A, A))
+        least_deceleration = BRAKING_SHARE * float(limits.acceleration.min()) * math.sqrt(size)
+        rate = min(APPROACH_RATE, 0.5 / dt) * smallest
+        if float(u.dot(u)) * size < min(2.0 * least_deceleration * smallest, rate * rate):
+            return None
+        decomposition = law.decomposition or Decomposition(*svd(A))
+        vjp = law.vjp or self.constraint.value_and_vjp(q)[1]
+        slope = smallest_gradient(decomposition, vjp)
+        bound = approach_bound(smallest, slope, limits.acceleration, dt)
+        return (slope, -bound) if bound < math.inf else None
+
+    def _limits_of(self, limits: bool | Limits) -> Limits | None:
+        if isinstance(limits, Limits):
+            if self.robot is not limits.robot:
+                raise ConstraintError("the limits belong to another robot than the constraint's")
+            return limits
+        return Limits(self.robot) if limits and self.robot is not None else None
 
     def _checked_posture(self, q: ArrayLike) -> np.ndarray:
         if self.robot is not None:
@@ -180,44 +267,89 @@ class ResolvedRateController:
             raise TargetError(f"{what} must be {size} finite numbers, got {array.tolist()}")
         return array
 
-    def _limited(self, q: np.ndarray, dt: float, law: _Law) -> Command:
-        """The two parts of the law scaled to the limits, and added."""
-        A, b, task_part, null_part, mu, smallest, singular = law
-        limits, task_scale, null_scale = self._limits, 1.0, 1.0
-        position_bound, saturation = False, None
-        if limits is not None:
-            task_scale, null_scale, position_bound = limits.scale_factors(q, dt, task_part, null_part)
-            if position_bound:
-                saturation = saturate_null_space(task_part, null_part, A, *limits.bounds(q, dt), task_scale)
-            if saturation is not None:
-                task_scale, null_part, null_scale = saturation
-            elif task_scale == 1.0 and null_scale < BLOCKED:
-                null_part, null_scale = project_policy(task_part, null_part, A, *limits.bounds(q, dt))
-                null_scale = min(null_scale, 1.0 - BLOCKED)
-            elif null_scale < 1.0:
-                null_part = null_scale * null_part
-            if task_scale < 1.0:
-                task_part = task_scale * task_part
-        velocity = task_part + null_part
+    def _limited(self, q: np.ndarray, dt: float, law: _Law, previous: np.ndarray | None, slide: float) -> Command:
+        """The parts of the law brought within the limits, and added."""
+        task, null, escape = law.desired
+        velocity = task + null if escape is None else task + null + escape
         if not isfinite(sum(velocity.tolist())):
             raise ConfigurationError(
-                f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {smallest:.1e}): "
+                f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {law.smallest:.1e}): "
                 "use inverse='damped'"
             )
-        if singular:
+        limits = self.limits
+        if limits is None:
+            return self._plain(law, velocity, 0.0)
+        bounds = limits.bounds(q, dt, previous)
+        barrier = self._barrier(q, dt, law, velocity)
+        slow = barrier is None or float(barrier[0].dot(velocity)) >= barrier[1]
+        if slow and bounds.admit(velocity):
+            return self._plain(law, velocity, bounds.outside)
+        low, high = np.array(bounds.low), np.array(bounds.high)
+        # an explicit step of dt follows sliding that is damped that much
+        damping = max(self.damping, math.sqrt(2.0 * dt * math.sqrt(law.b.dot(law.b))))
+        found = bounded_velocity(law.A, law.desired, low, high, limits.velocity, barrier, self._project, slide, damping)
+        return self._bounded(law, found, bounds, low, high)
+
+    def _plain(self, law: _Law, velocity: np.ndarray, outside: float) -> Command:
+        """The command where no limit changes the law."""
+        task, null, escape = law.desired
+        progress, status = 1.0, Status.OK
+        if self.inverse == "damped" and law.smallest < self.threshold:
+            progress, status = _progress(law, velocity), Status.DAMPED
+            if progress < STALLED_BELOW:
+                status = Status.STALLED
+        if law.singular:
             status = Status.SINGULAR
-        elif task_scale < 1.0:
-            status = Status.POSITION_LIMITED if position_bound else Status.VELOCITY_LIMITED
-        elif self.inverse == "damped" and smallest < self.threshold:
+        if outside > 0.0:
+            status = Status.OUTSIDE_LIMITS
+        return Command(
+            *(velocity, status, law.mu, law.b, task, null, 1.0, 1.0, law.smallest, escape, progress, outside)
+        )
+
+    def _bounded(self, law: _Law, found: BoundedVelocity, bounds: Bounds, low: np.ndarray, high: np.ndarray) -> Command:
+        """The command where limits change the law."""
+        task, null, escape = law.desired
+        velocity, task_scale, null_part = found
+        task_part = velocity - null_part
+        if escape is not None:
+            escape = escape * min(1.0, max(0.0, float(velocity.dot(escape)) / max(float(escape.dot(escape)), 1e-300)))
+            task_part = task_part - escape
+        square = float(null.dot(null))
+        null_scale = min(1.0, max(0.0, float(null.dot(null_part)) / square)) if square > 0.0 else 1.0
+        progress = _progress(law, velocity)
+        joint, cause = bounds.binding(velocity, task + null)
+        if bounds.outside > 0.0:
+            status = Status.OUTSIDE_LIMITS
+        elif law.singular:
+            status = Status.SINGULAR
+        elif progress < STALLED_BELOW and cause != ACCELERATION:
+            status = Status.STALLED
+        elif task_scale < SCALED_BELOW:
+            status = Status.DAMPED if joint < 0 else SLOWED[cause]
+        elif self.inverse == "damped" and law.smallest < self.threshold:
             status = Status.DAMPED
-        elif saturation is not None:
-            status = Status.REROUTED
         else:
-            status = Status.NULL_SCALED if null_scale < 1.0 else Status.OK
-        return Command(velocity, status, mu, b, task_part, null_part, task_scale, null_scale, smallest)
+            status = Status.NULL_SCALED if bounds.admit(task) else Status.REROUTED
+        return Command(
+            *(velocity, status, law.mu, law.b, task_part, null_part, min(task_scale, 1.0), null_scale, law.smallest),
+            *(escape, progress, bounds.outside, joint),
+        )
 
     def __repr__(self) -> str:
         return (
             f"ResolvedRateController({self.constraint!r}, task={self.task!r}, null_policy={self.null_policy!r}, "
             f"inverse={self.inverse!r})"
         )
+
+
+def next_slide(slide: float, command: Command, dt: float) -> float:
+    """`slide` after a command that was held for dt: it grows while the task stalls, and falls when it goes on."""
+    if command.status is Status.STALLED:
+        return min(1.0, slide + dt / SLIDING_AFTER)
+    return max(0.0, slide - dt / KEEPING_AFTER) if command.progress > GOING_ON else slide
+
+
+def _progress(law: _Law, velocity: np.ndarray) -> float:
+    """Velocity along b over the velocity asked for, b^T A u / |b|^2; 1 where nothing is asked for."""
+    square = float(law.b.dot(law.b))
+    return float(law.b.dot(law.A.dot(velocity))) / square if square > AT_GOAL * AT_GOAL else 1.0

@@ -10,9 +10,11 @@ from __future__ import annotations
 import math
 
 from manip_learn.control.kernel_linalg import row_inverse
-from manip_learn.control.null_space_saturation import BLOCKED
+from manip_learn.control.limits import APPROACH_RATE
+from manip_learn.control.policies.manipulability_ascent import STABLE_SLOPE
+from manip_learn.control.singularity import APPROACH_RATE as SINGULAR_RATE
+from manip_learn.control.singularity import BRAKING_SHARE
 from manip_learn.control.status import STATUSES, Status
-from manip_learn.control.velocity_limits import NEGLIGIBLE
 from manip_learn.robot.batch.compiled_kinematics import (
     JOINTS,
     LARGEST_ANGLE,
@@ -27,21 +29,22 @@ from manip_learn.robot.batch.compiled_kinematics import (
 from manip_learn.robot.batch.kernel_cache import compiled
 
 REFUSED = -1  # too close to a singularity, at a position limit, or not finite: Python decides
-# all other statuses are Python's
-OK, NULL_SCALED = STATUSES.index(Status.OK), STATUSES.index(Status.NULL_SCALED)
-VELOCITY_LIMITED = STATUSES.index(Status.VELOCITY_LIMITED)
+OK = STATUSES.index(Status.OK)  # all other statuses are Python's
 NO_POLICY, ASCENT, LOG_ASCENT, REST = 0, 1, 2, 3
 
 # The constants of a controller are one table of twelve columns: this row, the chain's table, one row per degree of
-# freedom (velocity limit, lower, upper, rest posture, whether it wraps), and one per row of Lambda (padded to six).
-N_JOINTS, NV, N_CONSTRAINTS, POLICY, POLICY_GAIN, DAMPS, THRESHOLD, LIMITS, REACHES, GAIN, MAX_SPEED = range(11)
+# freedom (velocity limit, lower, upper, rest posture, whether it wraps, acceleration limit), and one per row of Lambda
+# (padded to six).
+N_JOINTS, NV, N_CONSTRAINTS, POLICY, POLICY_GAIN, DAMPS, THRESHOLD, LIMITS, REACHES, GAIN, MAX_SPEED, LONGEST = range(
+    12
+)
 CHAIN = 1
 TARGET_POINT = 6  # column of the chain's second row, after the tool's position, sign and reference
-LIMIT, LOWER, UPPER, REST_AT, WRAPS = range(5)
+LIMIT, LOWER, UPPER, REST_AT, WRAPS, ACCELERATION = range(6)
 
 # Rows of the results: three parts of the command, b, and numbers; the rows after that are scratch.
-VELOCITY, TASK_PART, NULL_PART, TASK_VELOCITY, FACTS, PI, LOW, HIGH, MATRICES = range(9)
-MU, TASK_SCALE, NULL_SCALE, SMALLEST, ERROR = range(5)
+VELOCITY, TASK_PART, NULL_PART, TASK_VELOCITY, FACTS, PI, MATRICES = range(7)
+MU, SMALLEST, ERROR = range(3)
 # columns of a joint's row of scratch, after (v, w) and the origin
 WEIGHTS, SLIDE, GRADIENT = 9, 15, 18
 LEAST_WIDTH = 19
@@ -85,24 +88,31 @@ def six(table, k, at):
 
 
 @compiled
-def scale_factors(constants, dofs, nv, q, dt, out):
-    """`VelocityLimits.scale_factors` of the parts in `out`: (task, null, position bound)."""
-    task, null, position_bound = 1.0, 1.0, False
+def allowed_speed(distance, velocity, acceleration, dt):
+    """Fastest approach to a position limit, as `limits.Limits`."""
+    rate = min(APPROACH_RATE, 0.5 / dt)
+    half = 0.5 * acceleration * dt
+    joined = acceleration / rate - half
+    linear = joined / rate
+    if distance <= linear:
+        return min(rate * distance, velocity)
+    offset = linear - joined * (joined + acceleration * dt) / (2.0 * acceleration)
+    return min(math.sqrt(half * half + 2.0 * acceleration * (distance - offset)) - half, velocity)
+
+
+@compiled
+def admitted(constants, dofs, nv, q, dt, u, previous):
+    """Whether `Limits.bounds` admit the velocity u; `previous` is NaN where no acceleration is bounded."""
     for j in range(nv):
-        limit, v = constants[dofs + j, LIMIT], out[TASK_PART, j]
-        low, high = (constants[dofs + j, LOWER] - q[j]) / dt, (constants[dofs + j, UPPER] - q[j]) / dt
-        low = -limit if low < -limit else min(low, 0.0)
-        high = limit if high > limit else max(high, 0.0)
-        out[LOW, j], out[HIGH, j] = low, high
-        bound = high if v > 0.0 else low
-        if abs(bound) < abs(v) * task and abs(v) > NEGLIGIBLE:
-            task, position_bound = bound / v, abs(bound) < limit
-    for j in range(nv):
-        w, v = out[NULL_PART, j], out[TASK_PART, j]
-        left = out[HIGH, j] - task * v if w > 0.0 else task * v - out[LOW, j]
-        if left < abs(w) * null and abs(w) > NEGLIGIBLE:
-            null = max(left, 0.0) / abs(w)
-    return task, null, position_bound
+        k = dofs + j
+        v, a = constants[k, LIMIT], constants[k, ACCELERATION]
+        above, below = constants[k, UPPER] - q[j], q[j] - constants[k, LOWER]
+        if above < 0.0 or below < 0.0:
+            return False
+        distance = above if u[j] > 0.0 else below
+        if abs(u[j]) > allowed_speed(distance, v, a, dt) or abs(u[j] - previous[j]) > a * dt:
+            return False
+    return True
 
 
 @compiled
@@ -144,7 +154,7 @@ def task_velocity(constants, rows, s, p0, p1, p2, out):
 
 
 @compiled
-def policy_velocity(constants, dofs, rows, nv, joints, s, q, volume, X, out, base):
+def policy_velocity(constants, dofs, rows, nv, joints, s, q, dt, volume, X, out, base):
     """Write the null-space policy's velocity pi, away from singularities, into `out`.
 
     Manipulability ascent is equation (13), grad mu = mu A^{+T} : dA/dq, or grad log mu without the factor mu.
@@ -166,14 +176,23 @@ def policy_velocity(constants, dofs, rows, nv, joints, s, q, volume, X, out, bas
                     total += X[i, j] * constants[rows + i, k]
                 out[base + j, WEIGHTS + k] = total
         jacobian_vjp(out, base, joints, constants[CHAIN + 1, LOCAL] != 0.0)
-        scale = gain if policy == LOG_ASCENT else gain * volume
+        scale = gain * volume
+        if policy == LOG_ASCENT:
+            steepness = 0.0
+            for j in range(joints):
+                steepness += out[base + j, GRADIENT] * out[base + j, GRADIENT]
+            steepness = math.sqrt(steepness)
+            fastest = constants[0, LONGEST]
+            ramp = dt * fastest * steepness / STABLE_SLOPE
+            longest = fastest / math.sqrt(1.0 + ramp * ramp)
+            scale = gain if not gain * steepness > longest else longest / steepness
         for j in range(joints):
             k = CHAIN + JOINTS + j
             out[PI, int(constants[k, SOURCE])] = scale * out[base + int(constants[k, 1]), GRADIENT]
 
 
 @compiled
-def control_step(constants, q, dt, out):
+def control_step(constants, q, dt, previous, out):
     """Write one command, u = A^+ b + N pi, into the rows of `out`; return its status, or REFUSED."""
     joints, nv, s = int(constants[0, N_JOINTS]), int(constants[0, NV]), int(constants[0, N_CONSTRAINTS])
     for j in range(nv):
@@ -196,7 +215,7 @@ def control_step(constants, q, dt, out):
     if volume == 0.0 or (constants[0, DAMPS] != 0.0 and smallest < constants[0, THRESHOLD]):
         return REFUSED
     out[FACTS, ERROR] = task_velocity(constants, rows, s, p0, p1, p2, out)
-    policy_velocity(constants, dofs, rows, nv, joints, s, q, volume, X, out, base)
+    policy_velocity(constants, dofs, rows, nv, joints, s, q, dt, volume, X, out, base)
     for j in range(nv):
         out[TASK_PART, j] = 0.0
         out[NULL_PART, j] = out[PI, j]
@@ -210,33 +229,41 @@ def control_step(constants, q, dt, out):
             x, column = X[i, int(constants[k, 1])], int(constants[k, SOURCE])
             out[TASK_PART, column] += out[TASK_VELOCITY, i] * x
             out[NULL_PART, column] -= along * x
-    return limited(constants, dofs, nv, q, dt, volume, smallest, out)
+    size = 0.0
+    for i in range(s):
+        for j in range(joints):
+            size += A[i, j] * A[i, j]
+    out[FACTS, MU], out[FACTS, SMALLEST] = volume, smallest
+    return limited(constants, dofs, nv, q, dt, previous, smallest, size, out)
 
 
 @compiled
-def limited(constants, dofs, nv, q, dt, volume, smallest, out):
-    """The two parts scaled to the limits, and added."""
-    task, null = 1.0, 1.0
-    if constants[0, LIMITS] != 0.0:
-        task, null, position_bound = scale_factors(constants, dofs, nv, q, dt, out)
-        if position_bound or (task == 1.0 and null < BLOCKED):
-            return REFUSED
+def limited(constants, dofs, nv, q, dt, previous, smallest, size, out):
+    """The sum of the two parts, if no limit changes it; see `ResolvedRateController`."""
+    square, weakest = 0.0, math.inf
     for j in range(nv):
-        out[TASK_PART, j] *= task
-        out[NULL_PART, j] *= null
-        out[VELOCITY, j] = out[TASK_PART, j] + out[NULL_PART, j]
-        if not math.isfinite(out[VELOCITY, j]):
+        u = out[TASK_PART, j] + out[NULL_PART, j]
+        out[VELOCITY, j] = u
+        square += u * u
+        weakest = min(weakest, constants[dofs + j, ACCELERATION])
+    if not math.isfinite(square):
+        return REFUSED
+    if constants[0, LIMITS] == 0.0:
+        return OK
+    rate = min(SINGULAR_RATE, 0.5 / dt) * smallest
+    if constants[0, DAMPS] != 0.0:
+        # too fast to stop at a singularity? Python takes a closer look
+        if square * size >= min(2.0 * BRAKING_SHARE * weakest * math.sqrt(size) * smallest, rate * rate):
             return REFUSED
-    out[FACTS, MU], out[FACTS, TASK_SCALE], out[FACTS, NULL_SCALE] = volume, task, null
-    out[FACTS, SMALLEST] = smallest
-    if task < 1.0:
-        return VELOCITY_LIMITED
-    return NULL_SCALED if null < 1.0 else OK
+    return OK if admitted(constants, dofs, nv, q, dt, out[VELOCITY], previous) else REFUSED
 
 
 @compiled
-def rollout(constants, first, dt, rk4, q, u, mu, error, code, out, point, slope):
-    """`integration.next_posture` from row `first` of q (T, nv) on; returns the row that Python must do, or T."""
+def rollout(constants, first, dt, rk4, q, u, mu, error, code, out, point, slope, previous):
+    """`integration.next_posture` from row `first` of q (T, nv) on; returns the row that Python must do, or T.
+
+    `previous` is the velocity before row `first`, NaN for every step where no acceleration is bounded.
+    """
     nv, steps = q.shape[1], q.shape[0]
     for i in range(first, steps):
         for j in range(nv):
@@ -246,13 +273,15 @@ def rollout(constants, first, dt, rk4, q, u, mu, error, code, out, point, slope)
                 length = dt if stage == 3 else 0.5 * dt
                 for j in range(nv):
                     point[j] = q[i, j] + length * out[VELOCITY, j]
-            done = control_step(constants, point, dt, out)
+            done = control_step(constants, point, dt, previous, out)
             if done == REFUSED:
                 return i
             if stage == 0:
                 code[i], mu[i], error[i] = done, out[FACTS, MU], out[FACTS, ERROR]
                 for j in range(nv):
                     u[i, j] = out[VELOCITY, j]
+                    if not math.isnan(previous[j]):
+                        previous[j] = u[i, j]
             weight = 2.0 if stage == 1 or stage == 2 else 1.0
             for j in range(nv):
                 slope[j] += weight * out[VELOCITY, j]

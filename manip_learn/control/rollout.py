@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,6 +23,7 @@ from manip_learn.control.command import Command, Controller, TaskController
 from manip_learn.control.compiled_controller import CompiledController, why_not
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.integration import Method, next_posture
+from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.status import Status
 from manip_learn.errors import ConfigurationError, RecordingError
 from manip_learn.recordings.trajectory import Trajectory
@@ -222,11 +223,12 @@ def _integrated(
     report: Progress,
 ) -> Rollout:
     task_error = controller.task_error if isinstance(controller, TaskController) else None
+    command_at = _loop_of(controller, dt, method)
     postures, errors = np.empty((steps + 1, q.shape[0])), np.full(steps + 1, np.nan)
     commands: list[Command] = []
     for i in range(steps + 1):
         t = i * dt
-        command = controller(q, t, dt)
+        command = command_at(q, t)
         postures[i] = q
         commands.append(command)
         if task_error is not None:
@@ -245,6 +247,16 @@ def _integrated(
         errors,
         _frame_of(controller),
     )
+
+
+def _loop_of(controller: Controller | ServoLoop, dt: float, method: Method) -> Callable[[np.ndarray, float], Command]:
+    """The rule of one step: a servo loop, the library's controllers in one of their own, others as they are."""
+    if isinstance(controller, ServoLoop):
+        return controller.update
+    law = controller.controller if isinstance(controller, CompiledController) else controller
+    if method == "euler" and isinstance(law, ResolvedRateController) and law.limits is not None:
+        return ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt)).step
+    return lambda q, t: controller(q, t, dt)
 
 
 def _simulate_table(

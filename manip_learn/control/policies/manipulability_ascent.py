@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import final
 
 import numpy as np
@@ -12,32 +13,62 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, escape_direction, gradient_from
 from manip_learn.control.policies.policy import NullSpacePolicy
+from manip_learn.errors import ConstraintError
 from manip_learn.linalg import row_inverse, svd
+
+
+# an explicit step of dt can follow a velocity field whose slope is at most this over dt
+STABLE_SLOPE = 0.25
 
 
 @final
 class ManipulabilityAscent(NullSpacePolicy):
-    """pi = gain * grad log mu, or gain * grad mu as in equation (13) of Manavalan and Howard.
+    """pi = gain * grad log mu, at most `max_speed`; or gain * grad mu as in equation (13) of Manavalan and Howard.
 
         d mu / d q_k = mu tr((A A^T)^-1 A (dA / dq_k)^T) = mu A^{+T} : dA / dq_k,    grad log mu = grad mu / mu
 
     grad log mu points the same way and does not depend on the units of the constraint, nor on how small mu has become:
-    raw grad mu all but vanishes in SI units where it matters most. At a singularity the direction of steepest ascent is
-    taken, also where several directions are lost at once and grad mu is zero (not with `logarithmic=False`).
+    raw grad mu all but vanishes in SI units where it matters most. It grows as 1 / sigma towards a singularity, where an
+    explicit step would jump from one side to the other; its length is therefore bounded by
+
+        max_speed sigma / sqrt(sigma^2 + r^2),    r = dt max_speed |grad log mu| sigma / STABLE_SLOPE,
+
+    sigma the smallest singular value of A: continuous, with a slope that a step of dt can follow, and 0 at the singularity itself. The
+    controller adds the motion that leaves it.
 
     Args:
         constraint: Whose manipulability is climbed; true or learnt.
-        gain: Rate; for grad log mu [rad^2/s], so that 1.0 gives about 1 rad/s.
-        logarithmic: False for the paper's raw gradient.
+        gain: Rate; for grad log mu [rad^2/s].
+        logarithmic: False for the paper's raw gradient, which is not bounded.
+        max_speed: Largest norm of pi [rad/s]; None for no bound. At a singularity the unbounded gradient has the direction of
+            steepest ascent, also where several directions are lost at once.
+
+    Raises:
+        ConstraintError: `max_speed` is not positive.
     """
 
-    def __init__(self, constraint: Constraint, gain: float = 1.0, *, logarithmic: bool = True):
+    def __init__(
+        self,
+        constraint: Constraint,
+        gain: float = 1.0,
+        *,
+        logarithmic: bool = True,
+        max_speed: float | None = 1.0,
+    ):
+        if max_speed is not None and not max_speed > 0.0:
+            raise ConstraintError(f"max_speed must be positive [rad/s], or None for no bound, got {max_speed!r}")
         self.constraint = constraint
         self.gain = float(gain)
         self.logarithmic = bool(logarithmic)
+        self.max_speed = None if max_speed is None or not logarithmic else float(max_speed)
 
-    def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
         """Ascent velocity, finite everywhere.
+
+        Args:
+            q: Posture: a configuration or joint positions.
+            t: Time [s]; the policy does not depend on it.
+            dt: Time for which the velocity is held [s].
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -45,24 +76,41 @@ class ManipulabilityAscent(NullSpacePolicy):
         A, vjp = self.constraint.value_and_vjp(q)
         inverse = row_inverse(A)
         if inverse is not None:
-            return self.from_inverse(inverse[0], inverse[1], vjp)
-        return self.from_decomposition(A.shape, svd(A), vjp)
+            return self.from_inverse(*inverse, vjp, dt)
+        return self.from_decomposition(A.shape, svd(A), vjp, dt)
 
-    def from_inverse(self, X: Float[np.ndarray, "s nv"], mu: float, vjp: Vjp) -> Float[np.ndarray, " nv"]:
+    def from_inverse(
+        self, X: Float[np.ndarray, "s nv"], mu: float, smallest: float, vjp: Vjp, dt: float
+    ) -> Float[np.ndarray, " nv"]:
         """The same away from singularities, where d log mu = A^{+T} : dA, from X = A^{+T} that the controller has."""
-        return vjp(X) * (self.gain if self.logarithmic else self.gain * mu)
+        if not self.logarithmic:
+            return vjp(X) * (self.gain * mu)
+        return self._bounded(vjp(X), smallest, dt)
 
     def from_decomposition(
-        self, shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp
+        self, shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp, dt: float
     ) -> Float[np.ndarray, " nv"]:
         """The same near a singularity too, see `gradient_from`."""
         mu, gradient, floor = gradient_from(shape, decomposition, vjp)
         if not self.logarithmic:
             return gradient * self.gain
         sigma = decomposition[1]
+        smallest = float(sigma[-1])
+        if self.max_speed is not None and (shape[0] > shape[1] or smallest <= SINGULAR_RATIO * sigma[0]):
+            return np.zeros(shape[1])
         if 1 < shape[0] <= shape[1] and sigma[-2] <= SINGULAR_RATIO * sigma[0]:
             return escape_direction(decomposition, vjp) * (self.gain / SINGULAR_RATIO)
-        return gradient * (self.gain / max(mu, floor, 1e-300))
+        return self._bounded(gradient / max(mu, floor, 1e-300), smallest, dt)
+
+    def _bounded(self, slope: np.ndarray, smallest: float, dt: float) -> np.ndarray:
+        """gain * grad log mu, shortened to the bound."""
+        if self.max_speed is None:
+            return slope * self.gain
+        steepness = math.sqrt(slope.dot(slope))
+        ramp = dt * self.max_speed * steepness / STABLE_SLOPE  # r / sigma
+        longest = self.max_speed / math.sqrt(1.0 + ramp * ramp)
+        speed = self.gain * steepness
+        return slope * (self.gain if speed <= longest else longest / steepness)
 
     def __repr__(self) -> str:
         return f"ManipulabilityAscent(gain={self.gain:g}, logarithmic={self.logarithmic})"

@@ -31,8 +31,9 @@ KERNEL_FILES = (
 CONSTANT_FILES = (
     "linalg.py",
     "control/status.py",
-    "control/velocity_limits.py",
-    "control/null_space_saturation.py",
+    "control/limits.py",
+    "control/singularity.py",
+    "control/policies/manipulability_ascent.py",
 )
 
 _lock = threading.Lock()

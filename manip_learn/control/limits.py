@@ -1,0 +1,271 @@
+"""Limits of a robot's motion, as bounds on the next joint velocity."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.errors import ConfigurationError
+from manip_learn.robot.robot import Robot
+
+# [1/s] default acceleration limit over velocity limit: a joint reaches its full speed in 0.2 s
+ACCELERATION_RATE = 5.0
+# [rad/s2 or m/s2] default acceleration limit of a joint that has no velocity limit
+DEFAULT_ACCELERATION = 10.0
+# share of the acceleration limit that braking before a position limit uses; the rest keeps the task on its way
+BRAKING_SHARE = 0.5
+# [1/s] rate at which a joint approaches its position limit exponentially, at the end of its braking distance
+APPROACH_RATE = 20.0
+# share of the velocity limit at which a joint that starts outside its position limits returns
+RETURN_SPEED = 0.25
+# [rad or m] room that the joints need for leaving a singularity
+ROOM_TO_LEAVE = 0.1
+# [rad or m] a joint is outside when it is more than this beyond a position limit
+OUTSIDE = 1e-9
+
+
+POSITION, VELOCITY, ACCELERATION = range(3)
+# share of a bound within which a velocity counts as being at it
+AT_BOUND = 1e-7
+
+
+@final
+class Bounds(NamedTuple):
+    """Lowest and highest velocity of each joint for the next step, one number per joint.
+
+    Attributes:
+        low: [rad/s or m/s].
+        high: [rad/s or m/s]; low <= high, and both have one sign where a joint must brake or return.
+        low_cause: Which limit sets `low`: `POSITION`, `VELOCITY` or `ACCELERATION`.
+        high_cause: Which limit sets `high`.
+        outside: Largest distance of a joint beyond a position limit [rad or m], 0 if none is outside.
+    """
+
+    low: list[float]
+    high: list[float]
+    low_cause: list[int]
+    high_cause: list[int]
+    outside: float
+
+    def admit(self, velocity: Float[np.ndarray, " nv"]) -> bool:
+        """Whether a velocity is within the bounds."""
+        for u, low, high in zip(velocity.tolist(), self.low, self.high, strict=True):
+            if not low <= u <= high:
+                return False
+        return True
+
+    def binding(self, velocity: Float[np.ndarray, " nv"], desired: Float[np.ndarray, " nv"]) -> tuple[int, int]:
+        """The joint at a bound whose desired velocity exceeds it most, and the limit that sets it; (-1, -1) if none."""
+        joint, cause, most = -1, -1, 0.0
+        rows = zip(velocity.tolist(), desired.tolist(), self.low, self.high, strict=True)
+        for j, (u, wish, low, high) in enumerate(rows):
+            tolerance = AT_BOUND * (1.0 + abs(u))
+            if u >= high - tolerance and wish - high > most:
+                joint, cause, most = j, self.high_cause[j], wish - high
+            elif u <= low + tolerance and low - wish > most:
+                joint, cause, most = j, self.low_cause[j], low - wish
+        return joint, cause
+
+
+@final
+class Limits:
+    """Position limits with the distance that braking takes, velocity, acceleration and jerk.
+
+    The next velocity u of a joint at distance d from its upper position limit, with u' commanded in the step before:
+
+        u <= min(velocity, brake(d), u' + a dt),    brake(d): the fastest from which the joint stops at the limit
+
+    and the mirror image below. With deceleration a in steps of dt a joint stops within u^2 / (2 a) + u dt / 2, so that
+
+        brake(d) = sqrt(2 a (d - d0) + (a dt / 2)^2) - a dt / 2    for d > d1,    kappa d    for d <= d1,
+
+    with d0 and d1 such that value and slope are continuous: a joint at its limit is approached exponentially. Bounds
+    of this kind can always be met in the step that follows (Del Prete, "Joint position and velocity bounds in
+    discrete-time acceleration/torque control of robot manipulators", 2018). Where they cannot, because the motion
+    started too fast or outside, the acceleration limit has precedence. A joint outside returns.
+
+    Args:
+        robot: The robot, for its position and velocity limits.
+        velocity: shape (nv,) or a number [rad/s or m/s]; the robot's own by default.
+        acceleration: shape (nv,) or a number [rad/s2 or m/s2]; by default `ACCELERATION_RATE` times the velocity limit,
+            and `DEFAULT_ACCELERATION` for a joint without one. inf for none.
+        jerk: shape (nv,) or a number [rad/s3 or m/s3]; None for none. A `ServoLoop` keeps it.
+        position: False ignores the position limits.
+        margin: Distance to keep from the position limits [rad or m].
+
+    Attributes:
+        velocity: shape (nv,) [rad/s or m/s].
+        acceleration: shape (nv,) [rad/s2 or m/s2].
+        jerk: shape (nv,) [rad/s3 or m/s3], or None.
+        lower: shape (nv,), lowest positions [rad or m].
+        upper: shape (nv,), highest positions.
+
+    Raises:
+        ConfigurationError: A limit that is not positive or has the wrong size, or a margin that leaves no room.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        velocity: ArrayLike | None = None,
+        acceleration: ArrayLike | None = None,
+        jerk: ArrayLike | None = None,
+        position: bool = True,
+        margin: float = 0.0,
+    ):
+        self.robot = robot
+        names = robot.joint_names
+        self.velocity = _positive("velocity", robot.velocity_limit if velocity is None else velocity, names)
+        if acceleration is None:
+            bounded = np.isfinite(self.velocity)
+            acceleration = np.where(bounded, ACCELERATION_RATE * self.velocity, DEFAULT_ACCELERATION)
+        self.acceleration = _positive("acceleration", acceleration, names)
+        self.jerk = None if jerk is None else _positive("jerk", jerk, names)
+        if not (math.isfinite(margin) and margin >= 0.0):
+            raise ConfigurationError(f"margin must be a distance of at least 0, got {margin!r}")
+        self.position, self.margin = bool(position), float(margin)
+        infinite = np.full(robot.nv, np.inf)
+        self.lower = robot.position_lower + margin if position else -infinite
+        self.upper = robot.position_upper - margin if position else infinite
+        narrow = np.flatnonzero(self.lower > self.upper)
+        if narrow.size:
+            j = int(narrow[0])
+            width = robot.position_upper[j] - robot.position_lower[j]
+            raise ConfigurationError(
+                f"a margin of {margin:g} leaves no room to joint {names[j]!r}, whose range is {width:g} wide"
+            )
+        for array in (self.velocity, self.acceleration, self.lower, self.upper):
+            array.setflags(write=False)
+        self._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, self.acceleration))
+        self._unknown: list[None] = [None] * robot.nv
+        self._approach: tuple[float, list[_Approach]] = (0.0, [])
+
+    def bounds(self, q: Float[np.ndarray, " n"], dt: float, previous: Float[np.ndarray, " nv"] | None) -> Bounds:
+        """Bounds on the velocity of the next dt.
+
+        Args:
+            q: Posture, checked: a configuration or joint positions.
+            dt: Time that the next velocity is held [s].
+            previous: Velocity commanded in the step before [rad/s or m/s]; None bounds no acceleration.
+        """
+        if dt != self._approach[0]:
+            self._approach = (dt, [_approach(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)])
+        x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
+        # loops over Python floats: NumPy calls on vectors as short as an arm's cost more
+        low, high, low_cause, high_cause, outside = [], [], [], [], 0.0
+        before = self._unknown if previous is None else previous.tolist()
+        rows = zip(x.tolist(), *self._columns, before, self._approach[1], strict=True)
+        for y, lower, upper, v, a, u, approach in rows:
+            bottom, top, bottom_cause, top_cause = -v, v, VELOCITY, VELOCITY
+            below, above = y - lower, upper - y
+            if above < approach.free and (fastest := approach.speed(above)) < top:
+                top, top_cause = fastest, POSITION
+            if below < approach.free and (fastest := approach.speed(below)) < v:
+                bottom, bottom_cause = -fastest, POSITION
+            outside = max(outside, -below, -above)
+            if u is not None:
+                slowest, fastest = u - a * dt, u + a * dt
+                if slowest > bottom:
+                    bottom, bottom_cause = slowest, ACCELERATION
+                if fastest < top:
+                    top, top_cause = fastest, ACCELERATION
+                if bottom > top:  # too fast, or too far, for what the acceleration limit allows: it has precedence
+                    bottom = top = slowest if top < slowest else fastest
+            low.append(bottom)
+            high.append(top)
+            low_cause.append(bottom_cause)
+            high_cause.append(top_cause)
+        return Bounds(low, high, low_cause, high_cause, outside if outside > OUTSIDE else 0.0)
+
+    def with_rates(self, acceleration: ArrayLike | None, jerk: ArrayLike | None) -> Limits:
+        """The same limits with other accelerations and jerks; None keeps what there is.
+
+        Raises:
+            ConfigurationError: A limit that is not positive or has the wrong size.
+        """
+        if acceleration is None and jerk is None:
+            return self
+        other = copy.copy(self)
+        if acceleration is not None:
+            other.acceleration = _positive("acceleration", acceleration, self.robot.joint_names)
+        if jerk is not None:
+            other.jerk = _positive("jerk", jerk, self.robot.joint_names)
+        other._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, other.acceleration))
+        other._approach = (0.0, [])
+        return other
+
+    def freer_sense(self, q: Float[np.ndarray, " n"], direction: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
+        """A direction, or its opposite where position limits leave that more room."""
+        x = self.robot.positions(q)
+        speeds = np.abs(direction)
+        moving = speeds > 1e-3 * np.max(speeds, initial=0.0)
+        if not np.any(moving):
+            return direction
+        up, down = self.upper - x, x - self.lower
+        ahead = np.where(direction > 0.0, up, down)[moving] / speeds[moving]
+        behind = np.where(direction > 0.0, down, up)[moving] / speeds[moving]
+        enough = ROOM_TO_LEAVE / float(speeds.max())
+        return direction if float(ahead.min()) >= min(float(behind.min()), enough) else -direction
+
+
+@final
+class _Approach(NamedTuple):
+    """How fast one joint may approach a position limit, see `Limits`.
+
+    Attributes:
+        free: Distance from which every speed is allowed.
+        rate: kappa.
+        linear: d1, where the exponential approach begins.
+        offset: d0.
+        twice: 2 a.
+        half: a dt / 2.
+        fastest: Speed of return from outside.
+    """
+
+    free: float
+    rate: float
+    linear: float
+    offset: float
+    twice: float
+    half: float
+    fastest: float
+
+    def speed(self, distance: float) -> float:
+        """brake(d); negative outside, where the joint returns."""
+        if distance <= self.linear:
+            return max(self.rate * distance, -self.fastest)
+        return math.sqrt(self.half * self.half + self.twice * (distance - self.offset)) - self.half
+
+
+def _approach(velocity: float, acceleration: float, dt: float) -> _Approach:
+    """The constants of a joint: value and slope of brake(d) are continuous at d1."""
+    acceleration = BRAKING_SHARE * acceleration
+    rate = min(APPROACH_RATE, 0.5 / dt)
+    v = min(velocity, 1e6)
+    fastest = RETURN_SPEED * v
+    if not math.isfinite(acceleration):  # stops at once
+        return _Approach(v / rate, rate, math.inf, 0.0, 0.0, 0.0, fastest)
+    twice, half = 2.0 * acceleration, 0.5 * acceleration * dt
+    joined = acceleration / rate - half  # speed at d1
+    linear = joined / rate
+    offset = linear - joined * (joined + acceleration * dt) / twice
+    free = v / rate if v <= joined else offset + v * (v + acceleration * dt) / twice
+    return _Approach(free, rate, linear, offset, twice, half, fastest)
+
+
+def _positive(what: str, values: ArrayLike, names: tuple[str, ...]) -> Float[np.ndarray, " nv"]:
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape not in ((), (len(names),)):
+        raise ConfigurationError(f"{what} limits: {len(names)} numbers or one are needed, got shape {array.shape}")
+    array = np.array(np.broadcast_to(array, (len(names),)))
+    wrong = np.flatnonzero(~(array > 0.0))
+    if wrong.size:
+        j = int(wrong[0])
+        raise ConfigurationError(f"the {what} limit of joint {names[j]!r} must be positive, got {array[j]:g}")
+    return array

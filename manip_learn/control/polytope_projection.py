@@ -1,0 +1,134 @@
+"""The point of a polytope that is nearest to another: the quadratic program behind bounded commands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg.lapack import dposv  # pyright: ignore[reportAttributeAccessIssue]
+
+from manip_learn.errors import ConstraintError, MissingExtraError
+
+# how much a bound may be exceeded by rounding, in the unit of the bounds
+TOLERANCE = 1e-11
+# a row whose part outside the active rows is shorter than this share of it depends on them
+DEPENDENT = 1e-10
+
+Solver = Literal["active-set", "qp"]
+Projection = Callable[
+    [Float[np.ndarray, " k"], Float[np.ndarray, "m k"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]],
+    "Float[np.ndarray, ' k'] | None",
+]
+
+
+def projection_by(solver: Solver) -> Projection:
+    """A solver by its name: `"active-set"`, or `"qp"` for DAQP (the optional extra `qp`).
+
+    Raises:
+        ConstraintError: Unknown name.
+        MissingExtraError: DAQP is not installed.
+    """
+    if solver == "active-set":
+        return project_by_active_set
+    if solver != "qp":
+        raise ConstraintError(f"solver must be 'active-set' or 'qp', not {solver!r}")
+    if find_spec("daqp") is None:
+        raise MissingExtraError("the solver 'qp'", "qp")
+    return project_by_daqp
+
+
+def project_by_daqp(
+    x: Float[np.ndarray, " k"],
+    C: Float[np.ndarray, "m k"],
+    low: Float[np.ndarray, " m"],
+    high: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, " k"] | None:
+    """The same by DAQP, a dual active-set solver in C (Arnstrom, Bemporad and Axehill, 2022)."""
+    import daqp
+
+    rows = np.ascontiguousarray(C)
+    y, _, exit_flag, _ = daqp.solve(
+        np.eye(x.shape[0]), -x, rows, high, low, np.zeros(low.shape[0], dtype=np.int32), primal_tol=TOLERANCE
+    )
+    return np.asarray(y) if exit_flag == 1 else None
+
+
+def project_by_active_set(
+    x: Float[np.ndarray, " k"],
+    C: Float[np.ndarray, "m k"],
+    low: Float[np.ndarray, " m"],
+    high: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, " k"] | None:
+    """argmin |y - x|^2 subject to low <= C y <= high, by the dual active-set method of Goldfarb and Idnani (1983).
+
+    Starts from x itself, and brings the row that is exceeded most to its bound, one after another; rows whose multiplier
+    would change its sign are let go. The answer depends continuously on all arguments, and is exact up to rounding.
+
+    Args:
+        x: The point.
+        C: One row per constraint.
+        low: Lower bounds.
+        high: Upper bounds.
+
+    Returns:
+        The nearest point; None if no point meets the bounds.
+    """
+    active: list[int] = []
+    bounds: list[float] = []
+    rows = np.empty((0, x.shape[0]))  # outward normals of the active rows
+    multipliers = np.empty(0)
+    y = x
+    for _ in range(8 * C.shape[0]):
+        reached = C.dot(y)
+        beyond = np.maximum(reached - high, low - reached)
+        beyond[active] = 0.0
+        worst = int(beyond.argmax())
+        excess = float(beyond[worst])
+        if excess <= TOLERANCE:
+            return y if not active else _on_faces(x, y, rows, np.array(bounds))
+        above = reached[worst] > high[worst]
+        normal, bound = (C[worst], float(high[worst])) if above else (-C[worst], -float(low[worst]))
+        square, multiplier = float(normal.dot(normal)), 0.0
+        while True:
+            if active:
+                _, r, failed = dposv(rows.dot(rows.T), rows.dot(normal))
+                if failed:
+                    return None
+                direction = normal - r.dot(rows)
+            else:
+                r, direction = multipliers, normal
+            slope = float(direction.dot(normal))
+            full = excess / slope if slope > DEPENDENT * square else np.inf
+            falling = np.flatnonzero(r > 0.0)
+            partial, leaving = np.inf, -1
+            if falling.size:
+                ratios = multipliers[falling] / r[falling]
+                leaving = int(falling[ratios.argmin()])
+                partial = float(ratios.min())
+            step = min(full, partial)
+            if step == np.inf:
+                return None
+            multipliers = multipliers - step * r
+            multiplier += step
+            if full < np.inf:
+                y = y - step * direction
+                excess -= step * slope
+            if step == full:
+                active.append(worst)
+                bounds.append(bound)
+                rows = np.vstack((rows, normal))
+                multipliers = np.append(multipliers, multiplier)
+                break
+            del active[leaving], bounds[leaving]
+            rows = np.delete(rows, leaving, axis=0)
+            multipliers = np.delete(multipliers, leaving)
+    return None
+
+
+def _on_faces(x: np.ndarray, y: np.ndarray, rows: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+    """The nearest point to x with rows y = bounds, without the rounding of the steps that led to y."""
+    _, multipliers, failed = dposv(rows.dot(rows.T), rows.dot(x) - bounds)
+    return y if failed else x - multipliers.dot(rows)

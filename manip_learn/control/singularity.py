@@ -1,0 +1,128 @@
+"""Motion near a singularity: the way out of it, and how fast it may be approached."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.constraint.features.feature_map import Vjp
+from manip_learn.constraint.manipulability import SINGULAR_RATIO
+
+# [rad/s] speed at which a singularity is left
+ESCAPE_SPEED = 0.2
+# [rad/s] speed at which an exact singularity is left, where no sense is better than its opposite
+SEED_SPEED = 5e-4
+# singular value up to which the seed acts, as a share of the width of the escape
+SEED_SHARE = 1e-3
+# an explicit step of dt can follow a velocity field whose slope is at most this over dt
+STABLE_SLOPE = 0.25
+# [1/s] rate at which the smallest singular value may fall where it is nearly 0
+APPROACH_RATE = 20.0
+# [rad/s] speed at which a singularity may be crossed
+CROSSING_SPEED = 5e-4
+# share of the joints' acceleration that is kept for braking before a singularity
+BRAKING_SHARE = 0.5
+
+
+@final
+class Decomposition(NamedTuple):
+    """A = U diag(sigma) V^T with square U (s, s) and V^T (nv, nv)."""
+
+    U: Float[np.ndarray, "s s"]
+    sigma: Float[np.ndarray, " k"]
+    Vt: Float[np.ndarray, "nv nv"]
+
+
+def smallest_gradient(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarray, " nv"]:
+    """d sigma_min / dq = u_min^T (dA / dq) v_min, for a singular value that is neither 0 nor double."""
+    U, sigma, Vt = decomposition
+    last = sigma.shape[0] - 1
+    return vjp(np.outer(U[:, last], Vt[last]))
+
+
+def escape_velocity(decomposition: Decomposition, vjp: Vjp, dt: float, width: float) -> Float[np.ndarray, " nv"]:
+    """Joint velocity out of a singularity, along the directions v_i whose singular values are below `width`.
+
+    The exact projector N leaves no motion along a direction that is nearly lost, and none that climbs out where mu is
+    level along the null space. There the task is not exact either (it is damped), and this velocity is added:
+
+        e = speed * d / |d|,   d = sum_i (1 - (sigma_i / width)^2)^2 v_i v_i^T grad log mu,   sum over sigma_i < width
+        speed = ESCAPE_SPEED (1 - (sigma / width)^2)^2 sigma / sqrt(sigma^2 + r^2),  sigma the smallest,
+        r = dt ESCAPE_SPEED |grad sigma| / STABLE_SLOPE
+
+    It vanishes at the singularity itself, so that it is continuous there and an explicit step of dt can follow it; it
+    grows exponentially beside it, in STABLE_SLOPE / dt per second at most. At the singularity itself, `SEED_SPEED`
+    along the steepest ascent of mu among the directions that A does not see starts the motion. It disturbs the task by
+    A e, at most ESCAPE_SPEED sigma.
+
+    Args:
+        decomposition: Of A(q).
+        vjp: weights -> sum_ij weights_ij dA_ij / dq_k.
+        dt: Time for which the velocity is held [s].
+        width: Singular value at which it ends, in the constraint's units.
+    """
+    U, sigma, Vt = decomposition
+    s, nv = U.shape[0], Vt.shape[0]
+    smallest = float(sigma[-1])
+    if smallest >= width or s > nv:
+        return np.zeros(nv)
+    seed = SEED_SPEED * max(0.0, 1.0 - smallest / (SEED_SHARE * width))
+    lost = sigma <= SINGULAR_RATIO * sigma[0]
+    if lost[-1]:
+        return seed * _steepest(decomposition, vjp, int(np.count_nonzero(~lost)))
+    share = np.clip(1.0 - (sigma / width) ** 2, 0.0, None) ** 2
+    ascent = vjp((U / sigma).dot(Vt[:s]))
+    d = (share * Vt[:s].dot(ascent)).dot(Vt[:s])
+    length = math.sqrt(d.dot(d))
+    if length == 0.0:
+        return d
+    slope = smallest_gradient(decomposition, vjp)
+    ramp = dt * ESCAPE_SPEED * math.sqrt(slope.dot(slope)) / STABLE_SLOPE
+    speed = ESCAPE_SPEED * float(share[-1]) * smallest / math.hypot(smallest, ramp)
+    return (max(speed, seed) / length) * d
+
+
+def _steepest(decomposition: Decomposition, vjp: Vjp, rank: int) -> Float[np.ndarray, " nv"]:
+    """Unit vector along which the lost singular values grow fastest, in the null space of A if they grow there.
+
+    With U_0, V_0 spanning what A has lost, U_0^T A(q + step) V_0 is linear in the step, with matrix M; mu is a cone
+    there, and the leading right singular vector of M its steepest ascent.
+    """
+    U, _, Vt = decomposition
+    Z = Vt[rank:]
+    M = np.stack([vjp(np.outer(u, z)) for u in U[:, rank:].T for z in Z])
+    _, all_rates, _ = np.linalg.svd(M, full_matrices=False)
+    _, rates, Yt = np.linalg.svd(M @ Z.T, full_matrices=False)
+    if all_rates[0] == 0.0:
+        return np.zeros(M.shape[1])
+    direction = Yt[0] @ Z if rates[0] > 1e-6 * all_rates[0] else np.linalg.svd(M, full_matrices=False)[2][0]
+    return -direction if direction[np.argmax(np.abs(direction))] < 0.0 else direction
+
+
+def approach_bound(
+    smallest: float, slope: Float[np.ndarray, " nv"], acceleration: Float[np.ndarray, " nv"], dt: float
+) -> float:
+    """Largest rate at which the smallest singular value may fall, so that the arm can stop at the singularity.
+
+        rate = |grad sigma| CROSSING_SPEED + min(kappa sigma, sqrt(2 a sigma)),
+        a = BRAKING_SHARE |grad sigma| min_j (a_j / |n_j|),  n = grad sigma / |grad sigma|
+
+    A task whose target is out of reach presses the arm against a singularity (a stretched elbow), with joint
+    velocities that grow as 1 / sigma until they flip from step to step; with the bound it comes to rest there.
+
+    Args:
+        smallest: sigma, the smallest singular value of A.
+        slope: Its gradient.
+        acceleration: Acceleration limits [rad/s2 or m/s2].
+        dt: Time for which a velocity is held [s].
+    """
+    length = math.sqrt(slope.dot(slope))
+    if length == 0.0:
+        return math.inf
+    usable = float(np.min(acceleration / np.maximum(np.abs(slope), 1e-12 * length)))
+    deceleration = BRAKING_SHARE * length * length * usable
+    rate = min(APPROACH_RATE, 0.5 / dt)
+    return length * CROSSING_SPEED + min(rate * smallest, math.sqrt(2.0 * deceleration * smallest))
