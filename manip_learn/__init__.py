@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from manip_learn.control.command import Command, Controller
     from manip_learn.control.compiled_controller import CompiledController
     from manip_learn.control.controller import ResolvedRateController
-    from manip_learn.control.paths.optimise_path import optimise_path
     from manip_learn.control.limits import Limits
+    from manip_learn.control.paths.optimise_path import optimise_path
     from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
     from manip_learn.control.rollout import Rollout, simulate
     from manip_learn.control.servo_loop import ServoLoop

@@ -71,8 +71,8 @@ def bounded_velocity(
     constraints: saturation in the null space", 2015) as a quadratic program: null-space motion makes room for the task
     before the task slows down. The program is strictly convex, so that its solution is continuous in all data.
 
-    Where no s is possible (the arm cannot brake fast enough along the task's direction), the direction is kept as well as
-    possible: with u* = v + w, and P the projector across b,
+    Where no s is possible (the arm cannot brake fast enough along the task's direction), the direction is kept as well
+    as possible: with u* = v + w, and P the projector across b,
 
         min (DEVIATION_WEIGHT / sigma_1)^2 |P A (u - u*)|^2 + |u - u*|^2    subject to    low <= u <= high
 

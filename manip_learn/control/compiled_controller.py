@@ -20,7 +20,6 @@ from manip_learn.errors import ConstraintError, MissingExtraError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Robot
 
-
 LARGEST_ACCELERATION = 1e12  # [rad/s2] stands for none in the kernel, which must stay finite
 
 

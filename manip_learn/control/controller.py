@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
-from manip_learn.constraint.manipulability import SINGULAR_RATIO
+from manip_learn.constraint.manipulability import SINGULAR_RATIO, manipulability_of
 from manip_learn.control.bounded_velocity import BoundedVelocity, Desired, bounded_velocity
 from manip_learn.control.command import Command
 from manip_learn.control.limits import ACCELERATION, POSITION, VELOCITY, Bounds, Limits
@@ -32,7 +32,6 @@ from manip_learn.control.tasks import Hold, Task
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 from manip_learn.linalg import Inverse, inverse_singular_values, matlab_tolerance, row_inverse, svd
 from manip_learn.robot.robot import Robot
-
 
 # width of the escape from a singularity, as a share of the singular value at which damping sets in
 ESCAPE_WIDTH = 0.6
@@ -65,6 +64,7 @@ class _Law(NamedTuple):
     singular: bool
     decomposition: Decomposition | None
     vjp: Vjp | None
+    barred: bool = True  # whether the approach to the rows' singularities is bounded
 
 
 @final
@@ -96,8 +96,7 @@ class ResolvedRateController:
             joint limits and scales nothing (the paper's law as printed).
         dt: Time for which a command is held [s], unless the call says otherwise.
         robot: Whose limits count; the features' own robot by default.
-        solver: `"active-set"` finds the bounded command by the library's own method; `"qp"` by the library DAQP (the extra
-            `qp`).
+        solver: `"active-set"` finds the bounded command by the library's own method; `"qp"` by DAQP (the extra `qp`).
 
     Raises:
         ConstraintError: The null policy belongs to another number of joints, or settings that are not positive.
@@ -123,9 +122,9 @@ class ResolvedRateController:
         for name, value in (("threshold", threshold), ("damping", damping), ("dt", dt)):
             if not (np.isfinite(value) and value > 0.0):
                 raise ConstraintError(f"{name} must be a positive number, got {value!r}")
-        self.learnt = constraint
-        self.constraint = constraint = constraint if task is None else task.rows(constraint)
         self.task: Task = task or Hold()
+        self.learnt = constraint
+        self.constraint = constraint = self.task.rows(constraint)
         self.null_policy: NullSpacePolicy = null_policy or ZeroPolicy(constraint.nv)
         self.inverse: Inverse = inverse
         self.threshold = float(threshold)
@@ -192,6 +191,9 @@ class ResolvedRateController:
         else:  # one Hessian and one inverse serve the task and the policy
             A, vjp = self.constraint.value_and_vjp(q)
         b = self._checked(self.task.velocity(self.constraint, q, t), A.shape[0], "the task's velocity b")
+        E = self.task.error_jacobian(self.constraint, q, t)
+        if E is not None:  # orientation targets: the rows whose velocity b is are those of the error
+            return self._near_singularity(q, t, dt, E, b, None)._replace(mu=manipulability_of(A), barred=False)
         inverse = row_inverse(A)
         if inverse is None or (self.inverse == "damped" and inverse[2] < self.threshold):
             return self._near_singularity(q, t, dt, A, b, vjp)
@@ -228,7 +230,7 @@ class ResolvedRateController:
     def _barrier(self, q: np.ndarray, dt: float, law: _Law, u: np.ndarray) -> tuple[np.ndarray, float] | None:
         """(g, least): the approach to a singularity, g u >= least, where u could exceed it; None elsewhere."""
         A, smallest, limits = law.A, law.smallest, self.limits
-        if not self._brakes or limits is None or law.singular or A.shape[0] > A.shape[1]:
+        if not (self._brakes and law.barred) or limits is None or law.singular or A.shape[0] > A.shape[1]:
             return None
         # |grad sigma| is about as large as A itself: no closer look where that is slow enough
         size = float(np.vdot(A, A))

@@ -64,8 +64,8 @@ def project_by_active_set(
 ) -> Float[np.ndarray, " k"] | None:
     """argmin |y - x|^2 subject to low <= C y <= high, by the dual active-set method of Goldfarb and Idnani (1983).
 
-    Starts from x itself, and brings the row that is exceeded most to its bound, one after another; rows whose multiplier
-    would change its sign are let go. The answer depends continuously on all arguments, and is exact up to rounding.
+    Starts from x itself, and brings the row that is exceeded most to its bound, one after another; rows whose
+    multiplier would change its sign are let go. The answer depends continuously on all arguments.
 
     Args:
         x: The point.

@@ -102,8 +102,8 @@ class ServoLoop:
             ConfigurationError: q has the wrong size or is not finite.
         """
         nv = self.robot.nv
-        self._reference = None if q is None else np.array(self.robot.checked_posture(q))  # where the controller is
-        self._output = self._reference  # where the arm is sent
+        # where the controller is, and where the arm is sent: the same but for the filter
+        self._reference = self._output = None if q is None else np.array(self.robot.checked_posture(q))
         self._velocity, self._sent = np.zeros(nv), np.zeros(nv)
         self._filter[:] = 0.0
         self._row = 0
@@ -157,6 +157,7 @@ class ServoLoop:
         if self._reference is None:
             self._reference = self._output = measured
         self._measure(measured)
+        q = self._reference
         if self._tripped:
             return self._braked(Status.FOLLOWING_ERROR)
         if held is None or self._waited > self.stale_after:
@@ -165,7 +166,7 @@ class ServoLoop:
             return self._braked(Status.STOPPED)
         if self._waited > 0.0 and self._last is not None:  # nothing new: hold the last command
             return self._sent_on(self._last._replace(velocity=self._velocity, following_error=self._error))
-        return self._sent_on(self._command(time, held)._replace(following_error=self._error))
+        return self._sent_on(self._command(q, time, held)._replace(following_error=self._error))
 
     def _posture(self, q: Any) -> Float[np.ndarray, " n"] | None:
         """The posture as an array of its own; None if it is none."""
@@ -201,6 +202,8 @@ class ServoLoop:
 
     def _measure(self, measured: np.ndarray) -> None:
         """Compare the measured posture with the commanded one."""
+        if self._output is None:
+            return
         away = np.abs(self.robot.difference(self._output, measured))
         lag = self._latency * (np.abs(self._sent) + self._latency * self.limits.acceleration)
         excess = np.maximum(away - lag, 0.0)
@@ -208,9 +211,8 @@ class ServoLoop:
         if self._error > 0.0 and np.any(excess > self._largest_error):
             self._tripped = True
 
-    def _command(self, time: float, held: float) -> Command:
+    def _command(self, q: np.ndarray, time: float, held: float) -> Command:
         """The controller's command, within the limits."""
-        q = self._reference
         if self._keeps_limits:
             command = self.controller(q, time, held, self._velocity, self._slide)  # type: ignore[call-arg]
             self._slide = next_slide(self._slide, command, held)
@@ -260,19 +262,17 @@ class ServoLoop:
             self._row = (self._row + 1) % len(self._filter)
             u = self._filter.mean(axis=0)
         self._sent = u
-        if self._reference is not None:
-            self._advance(self.dt)
+        self._advance(self.dt)
         return command if u is command.velocity else command._replace(velocity=u.copy())
 
     def _advance(self, time: float) -> None:
+        """Move the commanded posture on by a time [s]."""
+        if self._reference is None or self._output is None:
+            return
         self._advanced += time
-        one = self._output is self._reference
+        together = self._output is self._reference and self._sent is self._velocity
         self._reference = self.robot.integrate(self._reference, time * self._velocity)
-        self._output = (
-            self._reference
-            if one and self._sent is self._velocity
-            else self.robot.integrate(self._output, time * self._sent)
-        )
+        self._output = self._reference if together else self.robot.integrate(self._output, time * self._sent)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]; NaN if the controller knows none."""

@@ -16,7 +16,6 @@ from manip_learn.control.policies.policy import NullSpacePolicy
 from manip_learn.errors import ConstraintError
 from manip_learn.linalg import row_inverse, svd
 
-
 # an explicit step of dt can follow a velocity field whose slope is at most this over dt
 STABLE_SLOPE = 0.25
 
@@ -28,20 +27,20 @@ class ManipulabilityAscent(NullSpacePolicy):
         d mu / d q_k = mu tr((A A^T)^-1 A (dA / dq_k)^T) = mu A^{+T} : dA / dq_k,    grad log mu = grad mu / mu
 
     grad log mu points the same way and does not depend on the units of the constraint, nor on how small mu has become:
-    raw grad mu all but vanishes in SI units where it matters most. It grows as 1 / sigma towards a singularity, where an
-    explicit step would jump from one side to the other; its length is therefore bounded by
+    raw grad mu all but vanishes in SI units where it matters most. It grows as 1 / sigma towards a singularity, where
+    an explicit step would jump from one side to the other; its length is therefore bounded by
 
         max_speed sigma / sqrt(sigma^2 + r^2),    r = dt max_speed |grad log mu| sigma / STABLE_SLOPE,
 
-    sigma the smallest singular value of A: continuous, with a slope that a step of dt can follow, and 0 at the singularity itself. The
-    controller adds the motion that leaves it.
+    sigma the smallest singular value of A: continuous, with a slope that a step of dt can follow, and 0 at the
+    singularity itself. The controller adds the motion that leaves it.
 
     Args:
         constraint: Whose manipulability is climbed; true or learnt.
         gain: Rate; for grad log mu [rad^2/s].
         logarithmic: False for the paper's raw gradient, which is not bounded.
-        max_speed: Largest norm of pi [rad/s]; None for no bound. At a singularity the unbounded gradient has the direction of
-            steepest ascent, also where several directions are lost at once.
+        max_speed: Largest norm of pi [rad/s]; None for no bound. At a singularity the unbounded gradient has the
+            direction of steepest ascent, also where several directions are lost at once.
 
     Raises:
         ConstraintError: `max_speed` is not positive.
@@ -53,7 +52,7 @@ class ManipulabilityAscent(NullSpacePolicy):
         gain: float = 1.0,
         *,
         logarithmic: bool = True,
-        max_speed: float | None = 1.0,
+        max_speed: float | None = 4.0,
     ):
         if max_speed is not None and not max_speed > 0.0:
             raise ConstraintError(f"max_speed must be positive [rad/s], or None for no bound, got {max_speed!r}")
