@@ -14,7 +14,7 @@ from manip_learn.constraint.features import FrameJacobian
 from manip_learn.control.compiled_controller import CompiledController
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import ManipulabilityAscent
-from manip_learn.control.rollout import simulate
+from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import PointAttractor
 from manip_learn.robot import load_robot
 

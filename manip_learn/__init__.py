@@ -32,8 +32,9 @@ if TYPE_CHECKING:
     from manip_learn.control.limits import Limits
     from manip_learn.control.paths.optimise_path import optimise_path
     from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
-    from manip_learn.control.rollout import Rollout, simulate
+    from manip_learn.control.rollout import Rollout
     from manip_learn.control.servo_loop import ServoLoop
+    from manip_learn.control.simulation import simulate
     from manip_learn.control.status import Status
     from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, Track
     from manip_learn.errors import ManipLearnError
@@ -104,7 +105,7 @@ _HOMES = {
     "optimise_path": "control.paths.optimise_path",
     "replay": "playback",
     "resample": "recordings.preprocessing",
-    "simulate": "control.rollout",
+    "simulate": "control.simulation",
     "subsample": "recordings.preprocessing",
     "trim_standstill": "recordings.preprocessing",
 }

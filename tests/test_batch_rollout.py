@@ -11,11 +11,12 @@ from conftest import tip_of
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
-from manip_learn.control import rollout as rollout_module
+from manip_learn.control import simulation as simulation_module
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.integration import Method
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
-from manip_learn.control.rollout import Rollout, simulate
+from manip_learn.control.rollout import Rollout
+from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import Hold, PointAttractor, Track
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
@@ -40,7 +41,7 @@ def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> N
     """What computes a table of starts: the kernel wherever the controller can be compiled, or the law."""
     if request.param == "compiled":
         pytest.importorskip("numba", reason="the extra 'fast' is not installed")
-    monkeypatch.setattr(rollout_module, "COMPILED_FROM", 0 if request.param == "compiled" else math.inf)
+    monkeypatch.setattr(simulation_module, "COMPILED_FROM", 0 if request.param == "compiled" else math.inf)
 
 
 @pytest.mark.parametrize("method", ["euler", "rk4"])
@@ -105,16 +106,16 @@ def test_systems_that_cannot_be_compiled(robot_of: RobotOf, rng: np.random.Gener
 def test_large_tables_are_compiled(robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel is used from `COMPILED_FROM` commands on, four per step of Runge-Kutta, and only where numba is."""
     pytest.importorskip("numba", reason="the extra 'fast' is not installed")
-    robot, used, compiled_rollout = robot_of("sawyer"), [], rollout_module._compiled_rollout
+    robot, used, compiled_rollout = robot_of("sawyer"), [], simulation_module._compiled_rollout
     controller = ResolvedRateController(Constraint(np.eye(3), FrameJacobian(robot, "right_hand")))
-    monkeypatch.setattr(rollout_module, "COMPILED_FROM", 3 * 11 * 4)
-    monkeypatch.setattr(rollout_module, "_compiled_rollout", lambda *a: used.append(a[-1]) or compiled_rollout(*a))
+    monkeypatch.setattr(simulation_module, "COMPILED_FROM", 3 * 11 * 4)
+    monkeypatch.setattr(simulation_module, "_compiled_rollout", lambda *a: used.append(a[-1]) or compiled_rollout(*a))
     starts = np.tile(np.linspace(-0.5, 0.7, 7), (3, 1))
     simulate(robot, controller, starts, 0.1, 0.01, "euler")
     assert not used
     simulate(robot, controller, starts, 0.1, 0.01, "rk4")
     assert used == ["rk4"] * 3
-    monkeypatch.setattr(rollout_module, "find_spec", lambda name: None)
+    monkeypatch.setattr(simulation_module, "find_spec", lambda name: None)
     simulate(robot, controller, starts, 0.1, 0.01, "rk4")
     assert len(used) == 3
 

@@ -19,7 +19,7 @@ from manip_learn.control.compiled_controller import CompiledController, why_not
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.integration import Method
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
-from manip_learn.control.rollout import simulate
+from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import Hold, PointAttractor, Track
 from manip_learn.errors import ConfigurationError, ConstraintError, MissingExtraError
 from manip_learn.linalg import row_inverse

@@ -10,7 +10,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
-from manip_learn.control.rollout import simulate
+from manip_learn.control.simulation import simulate
 from manip_learn.control.status import Status
 from manip_learn.control.tasks import PointAttractor, Track
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError

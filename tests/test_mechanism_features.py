@@ -14,7 +14,7 @@ from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.compiled_controller import CompiledController
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies.manipulability_ascent import ManipulabilityAscent
-from manip_learn.control.rollout import simulate
+from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.task import Hold
 from manip_learn.errors import ConstraintError, ConstraintMismatchError, FeatureError
 

@@ -20,7 +20,8 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import ZeroPolicy
-from manip_learn.control.rollout import Rollout, simulate
+from manip_learn.control.rollout import Rollout
+from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import Hold
 from manip_learn.errors import ConfigurationError, OutputError, RecordingError, RobotError, UnknownNameError
 from manip_learn.playback import replay

@@ -13,7 +13,8 @@ from manip_learn.commands.robot_loading import robot_of_constraint
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
-from manip_learn.control.rollout import Rollout, simulate
+from manip_learn.control.rollout import Rollout
+from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import Hold, PointAttractor, Task
 from manip_learn.errors import ManipLearnError, TargetError
 from manip_learn.recordings.trajectory_source import Progress

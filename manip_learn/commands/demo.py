@@ -13,7 +13,7 @@ from manip_learn.commands.control import Controlled
 from manip_learn.commands.learn import Learnt, learn
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
-from manip_learn.control.rollout import simulate
+from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import PointAttractor
 from manip_learn.errors import UnknownNameError
 from manip_learn.playback import ReplayResult, replay

@@ -170,8 +170,12 @@ def _along(
         row[0, at] = 1.0 / (TASK_WEIGHT * length)
         rows.append(row)
         lows.append(np.zeros(1))
-        highs.append(np.array([np.inf]))
-    y = project(np.concatenate(x), np.vstack(rows), np.concatenate(lows), np.concatenate(highs))
+        highs.append(np.ones(1))
+    start, C, least = np.concatenate(x), np.vstack(rows), np.concatenate(lows)
+    y = project(start, C, least, np.concatenate(highs))
+    if y is None and length > NEGLIGIBLE:  # too fast to brake: farther along b is better than beside it
+        highs[-1] = np.array([np.inf])
+        y = project(start, C, least, np.concatenate(highs))
     if y is None:
         return None
     return basis @ y, float(y[at] / (TASK_WEIGHT * length)) if length > NEGLIGIBLE else 1.0

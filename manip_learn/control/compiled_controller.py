@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.control.command import Command
-from manip_learn.control.controller import ResolvedRateController, next_slide
+from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.integration import Method, next_posture
+from manip_learn.control.outcome import next_slide
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.status import STATUSES, Status
 from manip_learn.control.tasks import Hold, PointAttractor

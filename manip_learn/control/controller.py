@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from math import isfinite
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, manipulability_of
-from manip_learn.control.bounded_velocity import BoundedVelocity, Desired, bounded_velocity
+from manip_learn.control.bounded_velocity import Desired, bounded_velocity
 from manip_learn.control.command import Command
-from manip_learn.control.limits import ACCELERATION, POSITION, VELOCITY, Bounds, Limits
+from manip_learn.control.limits import Limits
+from manip_learn.control.outcome import Law, bounded_command, plain_command
 from manip_learn.control.policies import ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.control.polytope_projection import Solver, projection_by
 from manip_learn.control.singularity import (
@@ -27,7 +28,6 @@ from manip_learn.control.singularity import (
     escape_velocity,
     smallest_gradient,
 )
-from manip_learn.control.status import Status
 from manip_learn.control.tasks import Hold, Task
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 from manip_learn.linalg import Inverse, inverse_singular_values, matlab_tolerance, row_inverse, svd
@@ -35,36 +35,6 @@ from manip_learn.robot.robot import Robot
 
 # width of the escape from a singularity, as a share of the singular value at which damping sets in
 ESCAPE_WIDTH = 0.6
-# a task stalls where less than this share of the velocity asked for is left
-STALLED_BELOW = 0.01
-# [s] for which a task stalls until the arm slides along what blocks it, and goes on until its direction is kept again
-SLIDING_AFTER, KEEPING_AFTER = 0.5, 1.0
-# share of the velocity asked for from which a task goes on
-GOING_ON = 0.5
-# [m/s or rad/s] a task that asks for less than this has reached its goal
-AT_GOAL = 1e-6
-# a task is slowed down where less than this share of its velocity is commanded
-SCALED_BELOW = 0.999
-SLOWED = {
-    POSITION: Status.POSITION_LIMITED,
-    VELOCITY: Status.VELOCITY_LIMITED,
-    ACCELERATION: Status.ACCELERATION_LIMITED,
-}
-
-
-@final
-class _Law(NamedTuple):
-    """Equation (2) at one posture, before limits."""
-
-    A: Float[np.ndarray, "s nv"]
-    b: Float[np.ndarray, " s"]
-    desired: Desired
-    mu: float
-    smallest: float
-    singular: bool
-    decomposition: Decomposition | None
-    vjp: Vjp | None
-    barred: bool = True  # whether the approach to the rows' singularities is bounded
 
 
 @final
@@ -183,7 +153,7 @@ class ResolvedRateController:
         other._brakes = other.inverse == "damped"
         return other
 
-    def _law(self, q: np.ndarray, t: float, dt: float) -> _Law:
+    def _law(self, q: np.ndarray, t: float, dt: float) -> Law:
         """The parts of equation (2), before limits."""
         ascent, vjp = self._ascent, None
         if ascent is None:
@@ -201,11 +171,11 @@ class ResolvedRateController:
         X, mu, smallest = inverse
         pi = self._policy(q, t) if ascent is None or vjp is None else ascent.from_inverse(X, mu, smallest, vjp, dt)
         desired = Desired(b.dot(X), pi - A.dot(pi).dot(X), None)
-        return _Law(A, b, desired, mu, smallest, False, None, vjp)
+        return Law(A, b, desired, mu, smallest, False, None, vjp)
 
     def _near_singularity(
         self, q: np.ndarray, t: float, dt: float, A: np.ndarray, b: np.ndarray, vjp: Vjp | None
-    ) -> _Law:
+    ) -> Law:
         """The law by the singular value decomposition, see the class."""
         ascent, escape = self._ascent, None
         U, sigma, Vt = decomposition = Decomposition(*svd(A))
@@ -225,9 +195,9 @@ class ResolvedRateController:
                 # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
                 escape = self.limits.freer_sense(q, escape)
         desired = Desired(task_part, Z.dot(pi).dot(Z), escape)
-        return _Law(A, b, desired, mu, smallest, singular, decomposition, vjp)
+        return Law(A, b, desired, mu, smallest, singular, decomposition, vjp)
 
-    def _barrier(self, q: np.ndarray, dt: float, law: _Law, u: np.ndarray) -> tuple[np.ndarray, float] | None:
+    def _barrier(self, q: np.ndarray, dt: float, law: Law, u: np.ndarray) -> tuple[np.ndarray, float] | None:
         """(g, least): the approach to a singularity, g u >= least, where u could exceed it; None elsewhere."""
         A, smallest, limits = law.A, law.smallest, self.limits
         if not (self._brakes and law.barred) or limits is None or law.singular or A.shape[0] > A.shape[1]:
@@ -269,7 +239,7 @@ class ResolvedRateController:
             raise TargetError(f"{what} must be {size} finite numbers, got {array.tolist()}")
         return array
 
-    def _limited(self, q: np.ndarray, dt: float, law: _Law, previous: np.ndarray | None, slide: float) -> Command:
+    def _limited(self, q: np.ndarray, dt: float, law: Law, previous: np.ndarray | None, slide: float) -> Command:
         """The parts of the law brought within the limits, and added."""
         task, null, escape = law.desired
         velocity = task + null if escape is None else task + null + escape
@@ -278,80 +248,22 @@ class ResolvedRateController:
                 f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {law.smallest:.1e}): "
                 "use inverse='damped'"
             )
-        limits = self.limits
+        limits, damped = self.limits, self.inverse == "damped" and law.smallest < self.threshold
         if limits is None:
-            return self._plain(law, velocity, 0.0)
+            return plain_command(law, velocity, damped)
         bounds = limits.bounds(q, dt, previous)
         barrier = self._barrier(q, dt, law, velocity)
         slow = barrier is None or float(barrier[0].dot(velocity)) >= barrier[1]
         if slow and bounds.admit(velocity):
-            return self._plain(law, velocity, bounds.outside)
+            return plain_command(law, velocity, damped, bounds.outside)
         low, high = np.array(bounds.low), np.array(bounds.high)
         # an explicit step of dt follows sliding that is damped that much
-        damping = max(self.damping, math.sqrt(2.0 * dt * math.sqrt(law.b.dot(law.b))))
-        found = bounded_velocity(law.A, law.desired, low, high, limits.velocity, barrier, self._project, slide, damping)
-        return self._bounded(law, found, bounds, low, high)
-
-    def _plain(self, law: _Law, velocity: np.ndarray, outside: float) -> Command:
-        """The command where no limit changes the law."""
-        task, null, escape = law.desired
-        progress, status = 1.0, Status.OK
-        if self.inverse == "damped" and law.smallest < self.threshold:
-            progress, status = _progress(law, velocity), Status.DAMPED
-            if progress < STALLED_BELOW:
-                status = Status.STALLED
-        if law.singular:
-            status = Status.SINGULAR
-        if outside > 0.0:
-            status = Status.OUTSIDE_LIMITS
-        return Command(
-            *(velocity, status, law.mu, law.b, task, null, 1.0, 1.0, law.smallest, escape, progress, outside)
-        )
-
-    def _bounded(self, law: _Law, found: BoundedVelocity, bounds: Bounds, low: np.ndarray, high: np.ndarray) -> Command:
-        """The command where limits change the law."""
-        task, null, escape = law.desired
-        velocity, task_scale, null_part = found
-        task_part = velocity - null_part
-        if escape is not None:
-            escape = escape * min(1.0, max(0.0, float(velocity.dot(escape)) / max(float(escape.dot(escape)), 1e-300)))
-            task_part = task_part - escape
-        square = float(null.dot(null))
-        null_scale = min(1.0, max(0.0, float(null.dot(null_part)) / square)) if square > 0.0 else 1.0
-        progress = _progress(law, velocity)
-        joint, cause = bounds.binding(velocity, task + null)
-        if bounds.outside > 0.0:
-            status = Status.OUTSIDE_LIMITS
-        elif law.singular:
-            status = Status.SINGULAR
-        elif progress < STALLED_BELOW and cause != ACCELERATION:
-            status = Status.STALLED
-        elif task_scale < SCALED_BELOW:
-            status = Status.DAMPED if joint < 0 else SLOWED[cause]
-        elif self.inverse == "damped" and law.smallest < self.threshold:
-            status = Status.DAMPED
-        else:
-            status = Status.NULL_SCALED if bounds.admit(task) else Status.REROUTED
-        return Command(
-            *(velocity, status, law.mu, law.b, task_part, null_part, min(task_scale, 1.0), null_scale, law.smallest),
-            *(escape, progress, bounds.outside, joint),
-        )
+        blur = max(self.damping, math.sqrt(2.0 * dt * math.sqrt(law.b.dot(law.b))))
+        found = bounded_velocity(law.A, law.desired, low, high, limits.velocity, barrier, self._project, slide, blur)
+        return bounded_command(law, found, bounds, damped)
 
     def __repr__(self) -> str:
         return (
             f"ResolvedRateController({self.constraint!r}, task={self.task!r}, null_policy={self.null_policy!r}, "
             f"inverse={self.inverse!r})"
         )
-
-
-def next_slide(slide: float, command: Command, dt: float) -> float:
-    """`slide` after a command that was held for dt: it grows while the task stalls, and falls when it goes on."""
-    if command.status is Status.STALLED:
-        return min(1.0, slide + dt / SLIDING_AFTER)
-    return max(0.0, slide - dt / KEEPING_AFTER) if command.progress > GOING_ON else slide
-
-
-def _progress(law: _Law, velocity: np.ndarray) -> float:
-    """Velocity along b over the velocity asked for, b^T A u / |b|^2; 1 where nothing is asked for."""
-    square = float(law.b.dot(law.b))
-    return float(law.b.dot(law.A.dot(velocity))) / square if square > AT_GOAL * AT_GOAL else 1.0

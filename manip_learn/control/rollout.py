@@ -1,35 +1,23 @@
-"""Rollouts: a controller run in time, from one start or many."""
+"""What a controlled robot did: a rollout, and its file."""
 
 from __future__ import annotations
 
 import io
 import zipfile
 import zlib
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TypeGuard, final, overload
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.manipulability import manipulability
-from manip_learn.control.command import Command, Controller, TaskController
-from manip_learn.control.compiled_controller import CompiledController, why_not
-from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.integration import Method, next_posture
-from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.status import Status
-from manip_learn.errors import ConfigurationError, RecordingError
+from manip_learn.errors import RecordingError
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.trajectory_source import Progress
-from manip_learn.robot.batch.postures import checked_postures, positions_of
-from manip_learn.robot.robot import Robot
 
 FORMAT = "manip_learn.rollout"
 # what NumPy and zipfile raise for files that are broken, cut short, or of another kind
@@ -37,7 +25,6 @@ DAMAGE = (
     *(OSError, ValueError, KeyError, AttributeError, TypeError, EOFError, NotImplementedError, RuntimeError),
     *(MemoryError, zipfile.BadZipFile, zlib.error),
 )
-COMPILED_FROM = 5_000  # commands of a table of starts: fewer take less time one by one than loading numba does
 
 
 @final
@@ -139,169 +126,3 @@ class Rollout:
             raise RecordingError(f"rollout file {path} does not exist", code="missing") from error
         except DAMAGE as error:
             raise RecordingError(f"{path} is no rollout file: {error}", code="not-a-rollout") from error
-
-
-@overload
-def simulate(
-    robot: Robot | None,
-    controller: Controller,
-    q0: Sequence[float] | Float[np.ndarray, " n"],
-    duration: float = ...,
-    dt: float = ...,
-    method: Method = ...,
-    *,
-    progress: Progress | None = ...,
-) -> Rollout: ...
-
-
-@overload
-def simulate(
-    robot: Robot | None,
-    controller: Controller,
-    q0: Sequence[Sequence[float]],
-    duration: float = ...,
-    dt: float = ...,
-    method: Method = ...,
-    *,
-    progress: Progress | None = ...,
-) -> tuple[Rollout, ...]: ...
-
-
-def simulate(
-    robot: Robot | None,
-    controller: Controller,
-    q0: ArrayLike,
-    duration: float = 5.0,
-    dt: float = 0.01,
-    method: Method = "euler",
-    *,
-    progress: Progress | None = None,
-) -> Rollout | tuple[Rollout, ...]:
-    """Integrate the controller on the configuration manifold.
-
-    Args:
-        robot: The robot; None for a system whose state is a plain vector.
-        controller: A `ResolvedRateController`, a `CompiledController`, or any `(q, t, dt) -> Command`.
-        q0: Start posture; the rollout's postures are the same kind of vector. Or a table of starts, one per row.
-        duration: [s].
-        dt: Step [s].
-        method: `"euler"` holds each command for a step, as a real arm's interface does; `"rk4"` approximates the
-            continuous system.
-        progress: Called with a title and the completed fraction, 0 to 1.
-
-    Returns:
-        A `Rollout` of round(duration / dt) + 1 samples, the start included; for a table of starts a tuple of them, one
-        per start. A large table is computed by compiled code where numba is installed and the controller can be
-        compiled (see `CompiledController`), and start by start otherwise.
-
-    Raises:
-        ConfigurationError: The start has the wrong size or is not finite; a step or duration that is not positive.
-    """
-    if not (np.isfinite(dt) and dt > 0.0 and np.isfinite(duration) and duration >= 0.0):
-        raise ConfigurationError(f"duration and dt must be positive numbers of seconds, got {duration!r} and {dt!r}")
-    if method not in ("euler", "rk4"):
-        raise ConfigurationError(f"method must be 'euler' or 'rk4', not {method!r}")
-    steps = round(duration / dt)
-    report = progress or _silent
-    if np.ndim(q0) == 2:
-        return _simulate_table(robot, controller, np.asarray(q0), steps, dt, method, report)
-    if isinstance(controller, CompiledController) and controller.robot is robot:
-        rollout = _compiled_rollout(controller, np.asarray(controller.robot.checked_posture(q0)), steps, dt, method)
-        report("simulating", 1.0)
-        return rollout
-    q = np.array(q0, dtype=np.float64) if robot is None else np.array(robot.checked_posture(q0))
-    return _integrated(robot, controller, q, steps, dt, method, report)
-
-
-def _integrated(
-    robot: Robot | None,
-    controller: Controller,
-    q: np.ndarray,
-    steps: int,
-    dt: float,
-    method: Method,
-    report: Progress,
-) -> Rollout:
-    task_error = controller.task_error if isinstance(controller, TaskController) else None
-    command_at = _loop_of(controller, dt, method)
-    postures, errors = np.empty((steps + 1, q.shape[0])), np.full(steps + 1, np.nan)
-    commands: list[Command] = []
-    for i in range(steps + 1):
-        t = i * dt
-        command = command_at(q, t)
-        postures[i] = q
-        commands.append(command)
-        if task_error is not None:
-            errors[i] = task_error(q, t)
-        if i < steps:
-            q = next_posture(robot, controller, q, t, dt, method, command.velocity)
-        report("simulating", (i + 1) / (steps + 1))
-    u = np.array([c.velocity for c in commands])
-    return Rollout(
-        np.arange(steps + 1) * dt,
-        postures,
-        u,
-        np.array([c.manipulability for c in commands]),
-        tuple(c.status for c in commands),
-        robot.joint_names if robot is not None else tuple(f"q{i}" for i in range(u.shape[1])),
-        errors,
-        _frame_of(controller),
-    )
-
-
-def _loop_of(controller: Controller | ServoLoop, dt: float, method: Method) -> Callable[[np.ndarray, float], Command]:
-    """The rule of one step: a servo loop, the library's controllers in one of their own, others as they are."""
-    if isinstance(controller, ServoLoop):
-        return controller.update
-    law = controller.controller if isinstance(controller, CompiledController) else controller
-    if method == "euler" and isinstance(law, ResolvedRateController) and law.limits is not None:
-        return ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt)).step
-    return lambda q, t: controller(q, t, dt)
-
-
-def _simulate_table(
-    robot: Robot | None,
-    controller: Controller,
-    starts: np.ndarray,
-    steps: int,
-    dt: float,
-    method: Method,
-    report: Progress,
-) -> tuple[Rollout, ...]:
-    if robot is not None:
-        starts = checked_postures(robot, starts)  # names the row before any work is done
-    commands = len(starts) * (steps + 1) * (4 if method == "rk4" else 1)
-    if commands >= COMPILED_FROM and _compiles(controller, robot):
-        controller = CompiledController(controller)
-    rollouts = []
-    for i, start in enumerate(starts):
-        rollouts.append(simulate(robot, controller, start, steps * dt, dt, method))
-        report("simulating", (i + 1) / len(starts))
-    return tuple(rollouts)
-
-
-def _compiles(controller: Controller, robot: Robot | None) -> TypeGuard[ResolvedRateController]:
-    if not isinstance(controller, ResolvedRateController) or controller.robot is not robot:
-        return False
-    return find_spec("numba") is not None and why_not(controller) is None
-
-
-def _compiled_rollout(
-    controller: CompiledController, start: np.ndarray, steps: int, dt: float, method: Method
-) -> Rollout:
-    robot = controller.robot
-    run = controller.rollout(positions_of(robot, start[None])[0], steps, dt, method)
-    q = run.q if start.shape[0] == robot.nv else np.array([robot.configuration(x) for x in run.q])
-    time, frame = np.arange(steps + 1) * dt, _frame_of(controller)
-    return Rollout(time, q, run.u, run.mu, run.status, robot.joint_names, run.error, frame)
-
-
-def _frame_of(controller: Controller) -> str:
-    """Name of the frame whose rows are constrained; empty if the controller has no such frame."""
-    law = controller.controller if isinstance(controller, CompiledController) else controller
-    features = law.constraint.features if isinstance(law, ResolvedRateController) else None
-    return features.frame.name if isinstance(features, FrameJacobian) else ""
-
-
-def _silent(_title: str, _fraction: float) -> None:
-    pass

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from manip_learn.control.command import Command, Controller
 from manip_learn.control.compiled_controller import CompiledController
-from manip_learn.control.controller import ResolvedRateController, next_slide
+from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.limits import Limits
+from manip_learn.control.outcome import next_slide
 from manip_learn.control.status import Status
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot

@@ -13,7 +13,8 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies.joint_attractor import JointAttractor
 from manip_learn.control.policies.manipulability_ascent import ManipulabilityAscent
 from manip_learn.control.policies.policy import NullSpacePolicy, ZeroPolicy
-from manip_learn.control.rollout import Rollout, simulate
+from manip_learn.control.rollout import Rollout
+from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.point_attractor import PointAttractor
 from manip_learn.experiments import charts
 from manip_learn.experiments.experiment_result import ExperimentResult, markdown_table, number

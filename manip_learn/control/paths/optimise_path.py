@@ -17,7 +17,8 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.paths.path_policy import PathPolicy
 from manip_learn.control.paths.path_problem import JointBounds, PathProblem
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy
-from manip_learn.control.rollout import Rollout, simulate
+from manip_learn.control.rollout import Rollout
+from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import Task
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError
 

@@ -1,0 +1,104 @@
+"""What was done to a command: the law before limits, and the command with its status after them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.constraint.features.feature_map import Vjp
+from manip_learn.control.bounded_velocity import BoundedVelocity, Desired
+from manip_learn.control.command import Command
+from manip_learn.control.limits import ACCELERATION, POSITION, VELOCITY, Bounds
+from manip_learn.control.singularity import Decomposition
+from manip_learn.control.status import Status
+
+# a task stalls where less than this share of the velocity asked for is left
+STALLED_BELOW = 0.01
+# [s] for which a task stalls until the arm slides along what blocks it, and goes on until its direction is kept again
+SLIDING_AFTER, KEEPING_AFTER = 0.5, 1.0
+# share of the velocity asked for from which a task goes on
+GOING_ON = 0.5
+# [m/s or rad/s] a task that asks for less than this has reached its goal
+AT_GOAL = 1e-6
+# a task is slowed down where less than this share of its velocity is commanded
+SCALED_BELOW = 0.999
+SLOWED = {
+    POSITION: Status.POSITION_LIMITED,
+    VELOCITY: Status.VELOCITY_LIMITED,
+    ACCELERATION: Status.ACCELERATION_LIMITED,
+}
+
+
+@final
+class Law(NamedTuple):
+    """Equation (2) at one posture, before limits."""
+
+    A: Float[np.ndarray, "s nv"]
+    b: Float[np.ndarray, " s"]
+    desired: Desired
+    mu: float
+    smallest: float
+    singular: bool
+    decomposition: Decomposition | None
+    vjp: Vjp | None
+    barred: bool = True  # whether the approach to the rows' singularities is bounded
+
+
+def plain_command(law: Law, velocity: Float[np.ndarray, " nv"], damped: bool, outside: float = 0.0) -> Command:
+    """The command where no limit changes the law."""
+    task, null, escape = law.desired
+    progress, status = 1.0, Status.OK
+    if damped:
+        progress, status = _progress(law, velocity), Status.DAMPED
+        if progress < STALLED_BELOW:
+            status = Status.STALLED
+    if law.singular:
+        status = Status.SINGULAR
+    if outside > 0.0:
+        status = Status.OUTSIDE_LIMITS
+    return Command(*(velocity, status, law.mu, law.b, task, null, 1.0, 1.0, law.smallest, escape, progress, outside))
+
+
+def bounded_command(law: Law, found: BoundedVelocity, bounds: Bounds, damped: bool) -> Command:
+    """The command where limits change the law."""
+    task, null, escape = law.desired
+    velocity, task_scale, null_part = found
+    task_part = velocity - null_part
+    if escape is not None:
+        escape = escape * min(1.0, max(0.0, float(velocity.dot(escape)) / max(float(escape.dot(escape)), 1e-300)))
+        task_part = task_part - escape
+    square = float(null.dot(null))
+    null_scale = min(1.0, max(0.0, float(null.dot(null_part)) / square)) if square > 0.0 else 1.0
+    progress = _progress(law, velocity)
+    joint, cause = bounds.binding(velocity, task + null)
+    if bounds.outside > 0.0:
+        status = Status.OUTSIDE_LIMITS
+    elif law.singular:
+        status = Status.SINGULAR
+    elif progress < STALLED_BELOW and cause != ACCELERATION:
+        status = Status.STALLED
+    elif task_scale < SCALED_BELOW:
+        status = Status.DAMPED if joint < 0 else SLOWED[cause]
+    elif damped:
+        status = Status.DAMPED
+    else:
+        status = Status.NULL_SCALED if bounds.admit(task) else Status.REROUTED
+    return Command(
+        *(velocity, status, law.mu, law.b, task_part, null_part, min(task_scale, 1.0), null_scale, law.smallest),
+        *(escape, progress, bounds.outside, joint),
+    )
+
+
+def next_slide(slide: float, command: Command, dt: float) -> float:
+    """`slide` after a command that was held for dt: it grows while the task stalls, and falls when it goes on."""
+    if command.status is Status.STALLED:
+        return min(1.0, slide + dt / SLIDING_AFTER)
+    return max(0.0, slide - dt / KEEPING_AFTER) if command.progress > GOING_ON else slide
+
+
+def _progress(law: Law, velocity: np.ndarray) -> float:
+    """Velocity along b over the velocity asked for, b^T A u / |b|^2; 1 where nothing is asked for."""
+    square = float(law.b.dot(law.b))
+    return float(law.b.dot(law.A.dot(velocity))) / square if square > AT_GOAL * AT_GOAL else 1.0
