@@ -15,7 +15,6 @@ from manip_learn.control.command import Command
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.tasks import PointAttractor, Task
-from manip_learn.control.velocity_limits import VelocityLimits
 from manip_learn.errors import ConfigurationError, TargetError
 from manip_learn.linalg import LEAST_SINGULAR_RATIO, row_inverse
 from manip_learn.robot.robot import Robot
@@ -155,41 +154,3 @@ def test_a_task_that_is_not_finite_is_named(limits: bool, robot_of: RobotOf) -> 
                     controller(q)
         task.b = np.array([1, 0, 0])
         assert controller(np.linspace(-0.5, 0.7, 7)).task_velocity.dtype == np.float64
-
-
-def brute_share(v: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
-    bounds = np.where(v > 0, upper, lower)
-    return float(min([1.0, *(max(b / x, 0.0) for b, x in zip(bounds, v, strict=True) if x != 0.0)]))
-
-
-def test_rounding_does_not_stop_the_arm(robot_of: RobotOf) -> None:
-    """A joint at its limit that is asked for 1e-15 rad/s beyond it costs the task nothing."""
-    robot = robot_of("sawyer")
-    q = np.array(robot.positions(robot.neutral()))
-    q[3] = robot.position_upper[3]
-    task, null = np.full(7, 0.01), np.full(7, 0.01)
-    task[3] = null[3] = 1e-15
-    assert VelocityLimits(robot).scale_factors(q, 0.01, task, null) == (1.0, 1.0, False)
-    task[3] = 1e-9
-    assert VelocityLimits(robot).scale_factors(q, 0.01, task, null) == (0.0, 1.0, True)
-
-
-def test_scale_factors_against_their_definition(robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """The largest factors that fit, at postures within, at and outside the limits; both parts end up within bounds."""
-    robot = robot_of("sawyer")
-    limits, dt, seen = VelocityLimits(robot), 0.01, set()
-    for _ in range(300):
-        q = rng.uniform(1.02 * robot.position_lower, 1.02 * robot.position_upper)
-        if rng.random() < 0.3:
-            q[rng.integers(7)] = robot.position_upper[0]
-        task, null = rng.normal(size=7) * 10.0 ** rng.uniform(-2, 1), rng.normal(size=7) * 10.0 ** rng.uniform(-2, 1)
-        got = limits.scale_factors(q, dt, task, null)
-        lower = np.maximum(-robot.velocity_limit, np.minimum((robot.position_lower - q) / dt, 0.0))
-        upper = np.minimum(robot.velocity_limit, np.maximum((robot.position_upper - q) / dt, 0.0))
-        assert got.task == pytest.approx(brute_share(task, lower, upper), rel=1e-13)
-        used = got.task * task
-        assert got.null == pytest.approx(brute_share(null, lower - used, upper - used), rel=1e-11, abs=1e-12)
-        velocity = used + got.null * null
-        assert np.all(velocity <= upper + 1e-12) and np.all(velocity >= lower - 1e-12)
-        seen.add((got.task < 1.0, got.position_bound, got.null < 1.0))
-    assert len(seen) >= 5

@@ -19,7 +19,8 @@ from manip_learn.constraint.features import (
 )
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import ManipulabilityAscent
-from manip_learn.control.rollout import Rollout, simulate
+from manip_learn.control.rollout import Rollout
+from manip_learn.control.simulation import simulate
 from manip_learn.control.status import Status
 from manip_learn.control.tasks import FreeDirection, Hold
 from manip_learn.control.tasks.motion_profile import MotionProfile

@@ -53,13 +53,15 @@ def test_every_kind_of_robot(robot_of, rng, name: str, method: str):
 
 
 def test_one_step_of_euler_is_the_command(robot_of, rng):
-    """q_1 = q_0 + dt u(q_0), time runs evenly, and the first sample is the start."""
+    """q_1 = q_0 + dt u(q_0), from rest; time runs evenly, and the first sample is the start."""
     robot = robot_of("sawyer")
     controller = reaching(robot, "right_hand", "xyz", [0.5, 0.2, 0.4])
     q0 = robot.random_configuration(rng)
     rollout = simulate(robot, controller, q0, 0.05, 0.01)
     np.testing.assert_array_equal(rollout.q[0], q0)
-    np.testing.assert_allclose(rollout.q[1], q0 + 0.01 * controller(q0, 0.0, 0.01).velocity, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        rollout.q[1], q0 + 0.01 * controller(q0, 0.0, 0.01, np.zeros(7)).velocity, rtol=0, atol=1e-15
+    )
     np.testing.assert_allclose(rollout.time, 0.01 * np.arange(6))
     assert len(rollout) == 6 == len(rollout.status)
 
@@ -166,9 +168,9 @@ def test_bad_arguments(robot_of):
 
 
 def test_a_controller_of_your_own(robot_of):
-    """Any (q, t, dt) -> Command is simulated; without `task_error` that column is NaN, everything else is the same."""
+    """Any (q, t, dt) -> Command is simulated as it is; `task_error` is NaN where it has none, the rest is the same."""
     robot = robot_of("sawyer")
-    controller = reaching(robot, "right_hand", "xyz", [0.5, 0.2, 0.4])
+    controller = reaching(robot, "right_hand", "xyz", [0.5, 0.2, 0.4], limits=False)
     q0 = np.linspace(-0.5, 0.7, 7)
 
     class Mine:

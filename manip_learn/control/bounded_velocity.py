@@ -92,7 +92,7 @@ def bounded_velocity(
     for bound in (barrier, None) if barrier is not None else (None,):
         found = _bounded(A, desired, low, high, fastest, bound, project, slide, damping)
         if found is not None and _within(found.velocity, low, high):
-            return found
+            return found._replace(velocity=np.clip(found.velocity, low, high))  # rounding
     # a box always holds a point; this is for a solver that gave up
     u = np.clip(desired.task + desired.null, low, high)
     return BoundedVelocity(u, 0.0, np.zeros_like(u))

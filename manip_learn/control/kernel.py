@@ -11,9 +11,9 @@ import math
 
 from manip_learn.control.kernel_linalg import row_inverse
 from manip_learn.control.limits import APPROACH_RATE
-from manip_learn.control.policies.manipulability_ascent import STABLE_SLOPE
+from manip_learn.control.limits import BRAKING_SHARE as LIMIT_BRAKING_SHARE
 from manip_learn.control.singularity import APPROACH_RATE as SINGULAR_RATE
-from manip_learn.control.singularity import BRAKING_SHARE
+from manip_learn.control.singularity import BRAKING_SHARE, STABLE_SLOPE
 from manip_learn.control.status import STATUSES, Status
 from manip_learn.robot.batch.compiled_kinematics import (
     JOINTS,
@@ -89,7 +89,7 @@ def six(table, k, at):
 
 @compiled
 def allowed_speed(distance, velocity, acceleration, dt):
-    """Fastest approach to a position limit, as `limits.Limits`."""
+    """Fastest approach to a position limit with a deceleration, as `limits.Limits`."""
     rate = min(APPROACH_RATE, 0.5 / dt)
     half = 0.5 * acceleration * dt
     joined = acceleration / rate - half
@@ -110,7 +110,7 @@ def admitted(constants, dofs, nv, q, dt, u, previous):
         if above < 0.0 or below < 0.0:
             return False
         distance = above if u[j] > 0.0 else below
-        if abs(u[j]) > allowed_speed(distance, v, a, dt) or abs(u[j] - previous[j]) > a * dt:
+        if abs(u[j]) > allowed_speed(distance, v, LIMIT_BRAKING_SHARE * a, dt) or abs(u[j] - previous[j]) > a * dt:
             return False
     return True
 

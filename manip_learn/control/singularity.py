@@ -72,7 +72,7 @@ def escape_velocity(decomposition: Decomposition, vjp: Vjp, dt: float, width: fl
     seed = SEED_SPEED * max(0.0, 1.0 - smallest / (SEED_SHARE * width))
     lost = sigma <= SINGULAR_RATIO * sigma[0]
     if lost[-1]:
-        return seed * _steepest(decomposition, vjp, int(np.count_nonzero(~lost)))
+        return seed * steepest_ascent(decomposition, vjp)
     share = np.clip(1.0 - (sigma / width) ** 2, 0.0, None) ** 2
     ascent = vjp((U / sigma).dot(Vt[:s]))
     d = (share * Vt[:s].dot(ascent)).dot(Vt[:s])
@@ -85,13 +85,14 @@ def escape_velocity(decomposition: Decomposition, vjp: Vjp, dt: float, width: fl
     return (max(speed, seed) / length) * d
 
 
-def _steepest(decomposition: Decomposition, vjp: Vjp, rank: int) -> Float[np.ndarray, " nv"]:
+def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarray, " nv"]:
     """Unit vector along which the lost singular values grow fastest, in the null space of A if they grow there.
 
     With U_0, V_0 spanning what A has lost, U_0^T A(q + step) V_0 is linear in the step, with matrix M; mu is a cone
     there, and the leading right singular vector of M its steepest ascent.
     """
-    U, _, Vt = decomposition
+    U, sigma, Vt = decomposition
+    rank = int(np.count_nonzero(sigma > SINGULAR_RATIO * sigma[0]))
     Z = Vt[rank:]
     M = np.stack([vjp(np.outer(u, z)) for u in U[:, rank:].T for z in Z])
     _, all_rates, _ = np.linalg.svd(M, full_matrices=False)

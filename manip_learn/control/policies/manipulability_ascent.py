@@ -13,11 +13,9 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, escape_direction, gradient_from
 from manip_learn.control.policies.policy import NullSpacePolicy
+from manip_learn.control.singularity import SEED_SPEED, STABLE_SLOPE, Decomposition, steepest_ascent
 from manip_learn.errors import ConstraintError
 from manip_learn.linalg import row_inverse, svd
-
-# an explicit step of dt can follow a velocity field whose slope is at most this over dt
-STABLE_SLOPE = 0.25
 
 
 @final
@@ -32,8 +30,9 @@ class ManipulabilityAscent(NullSpacePolicy):
 
         max_speed sigma / sqrt(sigma^2 + r^2),    r = dt max_speed |grad log mu| sigma / STABLE_SLOPE,
 
-    sigma the smallest singular value of A: continuous, with a slope that a step of dt can follow, and 0 at the
-    singularity itself. The controller adds the motion that leaves it.
+    sigma the smallest singular value of A: continuous, with a slope that a step of dt can follow. It vanishes towards
+    the singularity; at it, `SEED_SPEED` along the steepest ascent of mu is left, and the controller adds the motion
+    that leaves it (see `singularity`).
 
     Args:
         constraint: Whose manipulability is climbed; true or learnt.
@@ -95,8 +94,10 @@ class ManipulabilityAscent(NullSpacePolicy):
             return gradient * self.gain
         sigma = decomposition[1]
         smallest = float(sigma[-1])
-        if self.max_speed is not None and (shape[0] > shape[1] or smallest <= SINGULAR_RATIO * sigma[0]):
+        if shape[0] > shape[1]:
             return np.zeros(shape[1])
+        if self.max_speed is not None and smallest <= SINGULAR_RATIO * sigma[0]:
+            return min(self.max_speed, SEED_SPEED) * steepest_ascent(Decomposition(*decomposition), vjp)
         if 1 < shape[0] <= shape[1] and sigma[-2] <= SINGULAR_RATIO * sigma[0]:
             return escape_direction(decomposition, vjp) * (self.gain / SINGULAR_RATIO)
         return self._bounded(gradient / max(mu, floor, 1e-300), smallest, dt)

@@ -33,7 +33,6 @@ CONSTANT_FILES = (
     "control/status.py",
     "control/limits.py",
     "control/singularity.py",
-    "control/policies/manipulability_ascent.py",
 )
 
 _lock = threading.Lock()

@@ -1,0 +1,95 @@
+"""Limits: bounds on the next velocity that can always be kept in the step that follows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import manip_learn as ml
+from manip_learn.control.limits import ACCELERATION_RATE, Limits
+from manip_learn.errors import ConfigurationError
+from manip_learn.robot.robot import Robot
+
+RobotOf = Callable[[str], Robot]
+
+
+@pytest.mark.parametrize("dt", [1e-4, 1e-3, 0.01, 0.05])
+@pytest.mark.parametrize("name", ["sawyer", "gantry", "kinova"])
+def test_greedy_motion_keeps_every_limit(name: str, dt: float, robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """A joint that always takes an extreme of its bounds meets no limit of position, velocity or acceleration."""
+    robot = robot_of(name)
+    limits = Limits(robot)
+    low = np.where(np.isfinite(robot.position_lower), robot.position_lower, -3.0)
+    high = np.where(np.isfinite(robot.position_upper), robot.position_upper, 3.0)
+    q, u = rng.uniform(low, high), np.zeros(robot.nv)
+    sense = rng.choice([-1.0, 1.0], robot.nv)
+    for step in range(600):
+        if step % 100 == 99:
+            sense = rng.choice([-1.0, 1.0], robot.nv)
+        bounds = limits.bounds(q, dt, u)
+        lowest, highest = np.array(bounds.low), np.array(bounds.high)
+        assert np.all(lowest <= highest)
+        following = np.where(sense > 0.0, highest, lowest)
+        assert np.all(np.abs(following - u) <= limits.acceleration * dt * (1.0 + 1e-12))
+        assert np.all(np.abs(following) <= limits.velocity * (1.0 + 1e-12))
+        q, u = q + dt * following, following
+        assert np.all(q <= robot.position_upper + 1e-12) and np.all(q >= robot.position_lower - 1e-12)
+
+
+def test_a_joint_reaches_its_limit_and_rests(robot_of: RobotOf) -> None:
+    """Braking ends at the limit, not before it, and without a jump of the velocity."""
+    robot = robot_of("sawyer")
+    limits, dt = Limits(robot), 0.001
+    q, u, fastest = np.zeros(7), np.zeros(7), 0.0
+    for _ in range(6000):
+        following = np.array(limits.bounds(q, dt, u).high)
+        fastest = max(fastest, float(np.max(np.abs(following - u) / dt / limits.acceleration)))
+        q, u = q + dt * following, following
+    np.testing.assert_allclose(q, robot.position_upper, rtol=0, atol=1e-6)
+    assert np.max(np.abs(u)) < 1e-6 and fastest <= 1.0 + 1e-12
+
+
+def test_a_joint_outside_returns(robot_of: RobotOf) -> None:
+    """From outside, at rest or still moving out, the joint brakes at its acceleration limit and comes back."""
+    robot = robot_of("sawyer")
+    limits, dt = Limits(robot), 0.001
+    for speed in (0.0, 1.0):
+        q, u = robot.position_upper + 0.1, np.full(7, speed)
+        assert limits.bounds(q, dt, u).outside == pytest.approx(0.1)
+        for _ in range(4000):
+            bounds = limits.bounds(q, dt, u)
+            following = np.clip(np.full(7, 9.0), bounds.low, bounds.high)
+            assert np.all(np.abs(following - u) <= limits.acceleration * dt * (1.0 + 1e-12))
+            q, u = q + dt * following, following
+        np.testing.assert_allclose(q, robot.position_upper, rtol=0, atol=1e-6)
+
+
+def test_defaults_and_settings(robot_of: RobotOf) -> None:
+    """The default acceleration is documented; every limit can be given, as one number or one per joint."""
+    robot = robot_of("sawyer")
+    np.testing.assert_array_equal(Limits(robot).acceleration, ACCELERATION_RATE * robot.velocity_limit)
+    own = Limits(robot, velocity=0.5, acceleration=np.arange(1.0, 8.0), jerk=100.0, margin=0.05)
+    np.testing.assert_array_equal(own.velocity, np.full(7, 0.5))
+    np.testing.assert_array_equal(own.upper, robot.position_upper - 0.05)
+    assert own.jerk is not None and own.jerk[0] == 100.0
+    free = Limits(robot, position=False)
+    assert np.all(np.isinf(free.upper)) and free.bounds(robot.position_upper + 1.0, 0.01, None).outside == 0.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"velocity": 0.0}, "velocity limit of joint 'right_j0' must be positive, got 0"),
+        ({"acceleration": [1.0, 1.0]}, "7 numbers"),
+        ({"acceleration": [1, 1, -1, 1, 1, 1, 1]}, "'right_j2' must be positive, got -1"),
+        ({"jerk": np.nan}, "must be positive, got nan"),
+        ({"margin": 4.0}, "no room to joint 'right_j0'"),
+        ({"margin": -0.1}, "margin"),
+    ],
+)
+def test_wrong_limits_are_refused(settings: dict, words: str, robot_of: RobotOf) -> None:
+    """The joint and the value seen are named."""
+    with pytest.raises(ConfigurationError, match=words):
+        ml.Limits(robot_of("sawyer"), **settings)
