@@ -155,7 +155,7 @@ def control(
     target: shared.Target = None,
     policy: Annotated[str, typer.Option(help="manipulability, zero or attractor.")] = "manipulability",
     rest: Annotated[str | None, typer.Option(help="Rest posture of the attractor [rad].")] = None,
-    gain: Annotated[float, typer.Option(help="Gain of the policy.")] = 1.0,
+    gain: Annotated[float, typer.Option(help="Gain of the policy.")] = 3.0,
     task_gain: Annotated[float, typer.Option(help="Gain of the task [1/s].")] = 1.0,
     duration: Annotated[float, typer.Option(help="Duration [s].")] = 5.0,
     dt: Annotated[float, typer.Option(help="Time step [s].")] = 0.01,
@@ -185,6 +185,7 @@ def control(
             tolerance=tolerance,
             out=out,
             package_dirs=package_dir,
+            objects=objects,
             progress=report,
         )
     answer(as_json, result.to_dict(), "print_controlled", result)

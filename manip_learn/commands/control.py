@@ -13,10 +13,14 @@ from manip_learn.commands.robot_loading import robot_of_constraint
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
+from manip_learn.control.policies.manipulability_ascent import ASCENT_GAIN
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
+from manip_learn.control.status import Status
 from manip_learn.control.tasks import Hold, PointAttractor, Task
+from manip_learn.control.tasks.straight_motion import in_words
 from manip_learn.errors import ManipLearnError, TargetError
+from manip_learn.linalg import complement_rows
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import Robot
 
@@ -25,12 +29,35 @@ POLICIES = ("manipulability", "zero", "attractor")
 
 @final
 @dataclass(frozen=True)
+class Aim:
+    """How a typed target and the end of a motion compare.
+
+    Attributes:
+        distance: Full distance from the tip to the target, over the directions that the constraint ignores too [m];
+            None if the target has no position.
+        ignored: Directions of the target that the constraint leaves free, in words; reaching does not count them.
+    """
+
+    distance: float | None
+    ignored: tuple[str, ...]
+
+
+@final
+@dataclass(frozen=True)
 class Controlled:
-    """A rollout and whether it arrived."""
+    """A rollout and whether it arrived.
+
+    Attributes:
+        rollout: The motion.
+        out: File that it was written to.
+        tolerance: Final error that counts as reached [m or rad].
+        aim: What became of the typed target; None without one.
+    """
 
     rollout: Rollout
     out: Path | None
     tolerance: float
+    aim: Aim | None = None
 
     @property
     def final_error(self) -> float:
@@ -39,14 +66,23 @@ class Controlled:
 
     @property
     def reached(self) -> bool:
-        """Whether the final error is within the tolerance."""
+        """Whether the final error along the constrained rows is within the tolerance."""
         return self.final_error <= self.tolerance
+
+    @property
+    def stalled(self) -> bool:
+        """Whether the arm ended at rest, or nearly, short of the target."""
+        last = self.rollout.status[-max(1, len(self.rollout) // 20) :]
+        return not self.reached and last.count(Status.STALLED) + last.count(Status.SINGULAR) > 0.5 * len(last)
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer."""
         r = self.rollout
         return {
             "reached": self.reached,
+            "stalled": self.stalled,
+            "tip_to_target": None if self.aim is None else self.aim.distance,
+            "ignored_target_axes": [] if self.aim is None else list(self.aim.ignored),
             "final_error": self.final_error,
             "tolerance": self.tolerance,
             "min_manipulability": float(r.manipulability.min()),
@@ -67,7 +103,7 @@ def control(
     target: list[float] | None = None,
     policy: str = "manipulability",
     rest: list[float] | None = None,
-    gain: float = 1.0,
+    gain: float = ASCENT_GAIN,
     task_gain: float = 1.0,
     duration: float = 5.0,
     dt: float = 0.01,
@@ -99,7 +135,25 @@ def control(
     )
     rollout = simulate(robot, controller, q0, duration, dt, progress=progress)
     written = rollout.save(out) if out is not None else None
-    return Controlled(rollout, written, tolerance)
+    aim = aim_of(constraint, task, rollout.q[-1]) if isinstance(task, PointAttractor) else None
+    return Controlled(rollout, written, tolerance, aim)
+
+
+def aim_of(constraint: Constraint, task: PointAttractor, q: np.ndarray) -> Aim:
+    """What became of a target at posture q."""
+    features = constraint.features
+    if task.target.shape != (features.n_rows,):  # given along the constrained rows: nothing of it is ignored
+        return Aim(task.error(constraint, q, 0.0), ())
+    error = features.error_to(task.target, q)
+    linear = [i for i, name in enumerate(features.row_names) if name in ("x", "y", "z")]
+    free = complement_rows(constraint.selection)
+    weights = np.linalg.norm(free, axis=0)
+    whole = weights > 1.0 - 1e-6
+    if np.count_nonzero(whole) == len(free):  # the free directions are axes of the target
+        ignored = tuple(name for name, counts in zip(features.row_names, whole, strict=True) if counts)
+    else:
+        ignored = tuple(in_words(row, features.row_names) for row in free)
+    return Aim(float(np.linalg.norm(error[linear])) if linear else None, ignored)
 
 
 def null_policy(

@@ -144,10 +144,25 @@ def print_controlled(console: Console, controlled: Controlled) -> None:
     console.print(rollout_table({"rollout": controlled}))
     counts = ", ".join(f"{status} {n}" for status, n in controlled.rollout.status_counts.items())
     console.print(f"steps: {counts}", highlight=False)
-    if not controlled.reached:
+    aim = controlled.aim
+    if aim is not None and aim.distance is not None:
+        console.print(f"from the tip to the target: {aim.distance:.4g} m", highlight=False)
+    if aim is not None and aim.ignored:
+        console.print(
+            f"[yellow]the constraint leaves {escape(', '.join(aim.ignored))} of the target free: only the distance "
+            "along its rows counts as the error[/yellow]",
+            highlight=False,
+        )
+    if controlled.stalled:
+        console.print(
+            f"[yellow]stalled: {controlled.final_error:.3g} left, and limits or a singularity block the rest; "
+            "the target may be out of reach, or try another --start[/yellow]",
+            highlight=False,
+        )
+    elif not controlled.reached:
         console.print(
             f"[yellow]the target was not reached: {controlled.final_error:.3g} left after "
-            f"{controlled.rollout.time[-1]:g} s; try a longer --duration, or another start[/yellow]",
+            f"{controlled.rollout.time[-1]:g} s, still moving; try a longer --duration[/yellow]",
             highlight=False,
         )
     if controlled.out is not None:

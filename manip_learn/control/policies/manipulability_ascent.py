@@ -17,6 +17,9 @@ from manip_learn.control.singularity import SEED_SPEED, STABLE_SLOPE, Decomposit
 from manip_learn.errors import ConstraintError
 from manip_learn.linalg import row_inverse, svd
 
+# [rad^2/s] default gain: the highest manipulability of the gains that were compared (docs/figures_control.md)
+ASCENT_GAIN = 3.0
+
 
 @final
 class ManipulabilityAscent(NullSpacePolicy):
@@ -48,7 +51,7 @@ class ManipulabilityAscent(NullSpacePolicy):
     def __init__(
         self,
         constraint: Constraint,
-        gain: float = 1.0,
+        gain: float = ASCENT_GAIN,
         *,
         logarithmic: bool = True,
         max_speed: float | None = 4.0,
