@@ -65,11 +65,12 @@ def bounded_velocity(
 
     With the null basis Z of A, v = A^+ b slowed down to the velocity limits and w = N pi, in the unknowns y and s
 
-        min |Z y - w|^2 + TASK_WEIGHT^2 |v|^2 (1 - s)^2    subject to    low <= s v + Z y <= high,    s >= 0
+        min |Z y - w|^2 + TASK_WEIGHT^2 |v|^2 (s* - s)^2    subject to    low <= s v + Z y <= high,    0 <= s <= 1
 
     This is saturation in the null space (Flacco, De Luca and Khatib, "Control of redundant robots under hard joint
     constraints: saturation in the null space", 2015) as a quadratic program: null-space motion makes room for the task
-    before the task slows down. The program is strictly convex, so that its solution is continuous in all data.
+    before the task slows down. The program is strictly convex, so that its solution is continuous in all data. s* is 1,
+    and less where v + w would approach a singularity too fast: null-space motion makes no room for that.
 
     Where no s is possible (the arm cannot brake fast enough along the task's direction), the direction is kept as well
     as possible: with u* = v + w, and P the projector across b,
@@ -119,9 +120,10 @@ def _bounded(
     Z = Vt[int(np.count_nonzero(sigma > matlab_tolerance(sigma, A.shape))) :].T
     too_fast = float(np.max(np.abs(v) / fastest, initial=1.0))
     v = v / too_fast  # slowed down to the velocity limits, before null-space motion makes room for it
-    wish = v + w if e is None else v + w + e
+    scale = approach_scale(v, w if e is None else w + e, barrier)
+    wish = scale * v + w if e is None else scale * v + w + e
     bounds = (low, high, barrier, project)
-    along = _along(v, w, e, Z, *bounds)
+    along = _along(v, scale, w, e, Z, *bounds)
     if along is not None:
         u, s = along
     else:
@@ -139,8 +141,18 @@ def _bounded(
     return BoundedVelocity(u, s / too_fast, Z @ (Z.T @ u))
 
 
+def approach_scale(v: np.ndarray, rest: np.ndarray, barrier: tuple[np.ndarray, float] | None) -> float:
+    """Largest factor on v, 0 to 1, with which `v + rest` approaches a singularity no faster than the barrier allows."""
+    if barrier is None:
+        return 1.0
+    approach = -float(barrier[0].dot(v))
+    room = float(barrier[0].dot(rest)) - barrier[1]
+    return min(1.0, max(0.0, room / approach)) if approach > 0.0 else 1.0
+
+
 def _along(
     v: np.ndarray,
+    scale: float,
     w: np.ndarray,
     e: np.ndarray | None,
     Z: np.ndarray,
@@ -154,7 +166,7 @@ def _along(
     length, speed = math.sqrt(v.dot(v)), 0.0 if e is None else math.sqrt(e.dot(e))
     if length > NEGLIGIBLE:
         columns.append(v[:, None] / (TASK_WEIGHT * length))
-        x.append(np.array([TASK_WEIGHT * length]))
+        x.append(np.array([TASK_WEIGHT * length * scale]))
     if e is not None and speed > NEGLIGIBLE:
         columns.append(e[:, None] / speed)
         x.append(np.array([speed]))

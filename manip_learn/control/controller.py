@@ -23,6 +23,7 @@ from manip_learn.control.polytope_projection import Solver, projection_by
 from manip_learn.control.singularity import (
     APPROACH_RATE,
     BRAKING_SHARE,
+    STABLE_SLOPE,
     Decomposition,
     approach_bound,
     escape_velocity,
@@ -61,7 +62,8 @@ class ResolvedRateController:
         null_policy: pi(q, t); None is zero.
         inverse: `"damped"` for a real arm; `"exact"` or `"truncated"` (Matlab's tolerance) as in the paper.
         threshold: Singular value of A at which damping sets in, in the constraint's units (m or 1).
-        damping: Damping factor at a singular value of 0.
+        damping: Least damping factor at a singular value of 0. Within limits it grows to sqrt(2 dt |beta| sigma_1), beta
+            the part of b in the direction that is nearly lost, so that an explicit step of dt can follow.
         limits: `True` for the robot's own (see `Limits` for the accelerations); a `Limits`; `False` ignores the
             joint limits and scales nothing (the paper's law as printed).
         dt: Time for which a command is held [s], unless the call says otherwise.
@@ -183,8 +185,14 @@ class ResolvedRateController:
             pi = self._policy(q, t)
         else:
             pi = ascent.from_decomposition(A.shape, decomposition, vjp, dt)
-        gains = inverse_singular_values(sigma, A.shape, self.inverse, self.threshold, self.damping)
         k = sigma.shape[0]
+        damping = self.damping
+        if (
+            self._brakes
+        ):  # an explicit step of dt can follow what is damped that much, also towards targets out of reach
+            lost = float(np.max(np.abs(b.dot(U[:, :k][:, sigma < self.threshold])), initial=0.0))
+            damping = max(damping, math.sqrt(lost * float(sigma[0]) * dt / (2.0 * STABLE_SLOPE)))
+        gains = inverse_singular_values(sigma, A.shape, self.inverse, self.threshold, damping)
         task_part = (gains * b.dot(U[:, :k])).dot(Vt[:k])
         Z = Vt[np.count_nonzero(sigma > matlab_tolerance(sigma, A.shape)) :]
         smallest, singular = float(sigma[-1]), bool(sigma[-1] <= SINGULAR_RATIO * sigma[0])

@@ -54,7 +54,7 @@ class ManipulabilityAscent(NullSpacePolicy):
         gain: float = ASCENT_GAIN,
         *,
         logarithmic: bool = True,
-        max_speed: float | None = 4.0,
+        max_speed: float | None = 10.0,
     ):
         if max_speed is not None and not max_speed > 0.0:
             raise ConstraintError(f"max_speed must be positive [rad/s], or None for no bound, got {max_speed!r}")
