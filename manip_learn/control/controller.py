@@ -62,13 +62,13 @@ class ResolvedRateController:
         null_policy: pi(q, t); None is zero.
         inverse: `"damped"` for a real arm; `"exact"` or `"truncated"` (Matlab's tolerance) as in the paper.
         threshold: Singular value of A at which damping sets in, in the constraint's units (m or 1).
-        damping: Least damping factor at a singular value of 0. Within limits it grows to sqrt(2 dt |beta| sigma_1), beta
-            the part of b in the direction that is nearly lost, so that an explicit step of dt can follow.
+        damping: Least damping factor at a singular value of 0; within limits sqrt(2 dt |beta| sigma_1) or more, beta
+            the part of b in the direction that is nearly lost: an explicit step of dt can follow.
         limits: `True` for the robot's own (see `Limits` for the accelerations); a `Limits`; `False` ignores the
             joint limits and scales nothing (the paper's law as printed).
         dt: Time for which a command is held [s], unless the call says otherwise.
         robot: Whose limits count; the features' own robot by default.
-        solver: `"active-set"` finds the bounded command by the library's own method; `"qp"` by DAQP (the extra `qp`).
+        solver: `"active-set"` finds the bounded command by a method of the library; `"qp"` by DAQP (the extra `qp`).
 
     Raises:
         ConstraintError: The null policy belongs to another number of joints, or settings that are not positive.

@@ -12,15 +12,12 @@ from numpy.typing import ArrayLike
 from manip_learn.control.command import Command, Controller
 from manip_learn.control.compiled_controller import CompiledController
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.limits import Limits
 from manip_learn.control.outcome import next_slide
+from manip_learn.control.servo_settings import filter_length, following_errors, limits_of, robot_of, with_limits
 from manip_learn.control.status import Status
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
-# [rad] and [m] default largest distance between the commanded and the measured position of a joint
-FOLLOWING_ERROR = 0.1
-PRISMATIC_FOLLOWING_ERROR = 0.02
 # [s] time by which a measurement may lag behind the command that it is compared with
 LATENCY = 0.01
 
@@ -82,15 +79,15 @@ class ServoLoop:
                 raise ConfigurationError(f"{name} must be a positive number of seconds, got {value!r}")
         if not 0.0 <= latency < math.inf:
             raise ConfigurationError(f"latency must be a number of seconds, got {latency!r}")
-        self.robot = _robot_of(controller, robot)
+        self.robot = robot_of(controller, robot)
         self.dt, self.stale_after = float(dt), float(stale_after)
-        self.limits = _limits_of(controller, self.robot, acceleration_limit, jerk_limit)
-        self.controller = _with_limits(controller, self.limits)
+        self.limits = limits_of(controller, self.robot, acceleration_limit, jerk_limit)
+        self.controller = with_limits(controller, self.limits)
         self.acceleration_limit, self.jerk_limit = self.limits.acceleration, self.limits.jerk
         self._keeps_limits = isinstance(self.controller, ResolvedRateController | CompiledController)
-        self._largest_error = _following_error_limit(self.robot, following_error_limit)
+        self._largest_error = following_errors(self.robot, following_error_limit)
         self._latency = float(latency)
-        self._filter = np.zeros((_filter_length(self.limits, dt), self.robot.nv))
+        self._filter = np.zeros((filter_length(self.limits, dt), self.robot.nv))
         self.reset()
 
     def reset(self, q: ArrayLike | None = None) -> None:
@@ -282,45 +279,3 @@ class ServoLoop:
 
     def __repr__(self) -> str:
         return f"ServoLoop({self.controller!r}, dt={self.dt:g})"
-
-
-def _robot_of(controller: Controller, robot: Robot | None) -> Robot:
-    own = robot or getattr(controller, "robot", None)
-    if not isinstance(own, Robot):
-        raise ConfigurationError("the controller has no robot whose limits count: ServoLoop(..., robot=robot)")
-    return own
-
-
-def _limits_of(controller: Controller, robot: Robot, acceleration: ArrayLike | None, jerk: ArrayLike | None) -> Limits:
-    """The controller's limits, with other accelerations and jerks if they are given."""
-    law = controller.controller if isinstance(controller, CompiledController) else controller
-    own = law.limits if isinstance(law, ResolvedRateController) else None
-    if own is None:
-        return Limits(robot, acceleration=acceleration, jerk=jerk)
-    return own.with_rates(acceleration, jerk)
-
-
-def _with_limits(controller: Controller, limits: Limits) -> Controller:
-    """A controller of the loop's own, with its limits."""
-    if isinstance(controller, CompiledController):
-        return CompiledController(controller.controller.with_limits(limits))
-    return controller.with_limits(limits) if isinstance(controller, ResolvedRateController) else controller
-
-
-def _following_error_limit(robot: Robot, limit: ArrayLike | None) -> Float[np.ndarray, " nv"]:
-    if limit is None:
-        limit = np.full(robot.nv, FOLLOWING_ERROR)
-        for block in robot.blocks:
-            if block.kind == "prismatic":
-                limit[block.v] = PRISMATIC_FOLLOWING_ERROR
-    array = np.array(np.broadcast_to(np.asarray(limit, dtype=np.float64), (robot.nv,)))
-    if not np.all(array > 0.0):
-        raise ConfigurationError(f"following_error_limit must be positive, got {array.tolist()}")
-    return array
-
-
-def _filter_length(limits: Limits, dt: float) -> int:
-    """Periods over which commands are averaged: a change of 2 a within them makes a jerk of 2 a / length."""
-    if limits.jerk is None:
-        return 1
-    return max(1, math.ceil(float(np.max(2.0 * limits.acceleration / limits.jerk)) / dt))

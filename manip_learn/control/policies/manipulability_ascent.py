@@ -17,7 +17,7 @@ from manip_learn.control.singularity import SEED_SPEED, STABLE_SLOPE, Decomposit
 from manip_learn.errors import ConstraintError
 from manip_learn.linalg import row_inverse, svd
 
-# [rad^2/s] default gain: the highest manipulability of the gains that were compared (docs/figures_control.md)
+# [rad^2/s] default gain: the highest manipulability of the gains that were compared (docs/control.md)
 ASCENT_GAIN = 3.0
 
 
