@@ -13,6 +13,8 @@ from manip_learn.linalg import matlab_tolerance, svd
 
 # weight of the task's scale against the null-space policy, in multiples of the task part
 TASK_WEIGHT = 100.0
+# how much faster than the task a policy may be to count in that weight
+LARGEST_RATIO = 1e3
 # weight of the task's velocity against joint velocities, where its direction cannot be kept
 DEVIATION_WEIGHT = 1e2
 NEGLIGIBLE = 1e-12
@@ -65,7 +67,7 @@ def bounded_velocity(
 
     With the null basis Z of A, v = A^+ b slowed down to the velocity limits and w = N pi, in the unknowns y and s
 
-        min |Z y - w|^2 + TASK_WEIGHT^2 |v|^2 (s* - s)^2    subject to    low <= s v + Z y <= high,    0 <= s <= 1
+        min |Z y - w|^2 + TASK_WEIGHT^2 max(|v|, |w|)^2 (s* - s)^2  subject to  low <= s v + Z y <= high,  0 <= s <= 1
 
     This is saturation in the null space (Flacco, De Luca and Khatib, "Control of redundant robots under hard joint
     constraints: saturation in the null space", 2015) as a quadratic program: null-space motion makes room for the task
@@ -164,9 +166,11 @@ def _along(
     """The first program: (u, s), or None if the bounds allow no s >= 0."""
     columns, x = [Z], [Z.T @ w]
     length, speed = math.sqrt(v.dot(v)), 0.0 if e is None else math.sqrt(e.dot(e))
+    # a slow task comes first beside a fast policy, too
+    weight = TASK_WEIGHT * max(length, min(math.sqrt(w.dot(w)), LARGEST_RATIO * length))
     if length > NEGLIGIBLE:
-        columns.append(v[:, None] / (TASK_WEIGHT * length))
-        x.append(np.array([TASK_WEIGHT * length * scale]))
+        columns.append(v[:, None] / weight)
+        x.append(np.array([weight * scale]))
     if e is not None and speed > NEGLIGIBLE:
         columns.append(e[:, None] / speed)
         x.append(np.array([speed]))
@@ -179,7 +183,7 @@ def _along(
     at = Z.shape[1]
     if length > NEGLIGIBLE:
         row = np.zeros((1, basis.shape[1]))
-        row[0, at] = 1.0 / (TASK_WEIGHT * length)
+        row[0, at] = 1.0 / weight
         rows.append(row)
         lows.append(np.zeros(1))
         highs.append(np.ones(1))
@@ -190,7 +194,7 @@ def _along(
         y = project(start, C, least, np.concatenate(highs))
     if y is None:
         return None
-    return basis @ y, float(y[at] / (TASK_WEIGHT * length)) if length > NEGLIGIBLE else 1.0
+    return basis @ y, float(y[at] / weight) if length > NEGLIGIBLE else 1.0
 
 
 def _nearest(
