@@ -1,29 +1,42 @@
 """An arm under position control with its hand on the handle of a drawer, in MuJoCo's rigid-body dynamics.
 
 Each joint has a position servo: a spring of stated stiffness to the commanded position, critically damped against its
-rate. Commands and measurements travel for 1 ms each. The grip is a ball joint between hand and handle (MuJoCo's equality
-`connect`); its constraint force is what the hand does to the drawer. No constraint matrix takes part.
+rate, by the drive's own sensors. Commands and measurements travel for 1 ms each. The grip is a ball joint between hand and
+handle (MuJoCo's equality `connect`); its constraint force is what the hand does to the drawer. No constraint matrix takes
+part.
 """
 
 # pyright: reportAttributeAccessIssue=false
 # (the compiled parts of MuJoCo have no complete stubs)
 from __future__ import annotations
 
+import json
 from collections import deque
+from collections.abc import Mapping
+from pathlib import Path
 from typing import final
 
+import matplotlib
 import mujoco
 import numpy as np
 from jaxtyping import Float
 from make_recordings.arms import load_arm
 from make_recordings.guided_model import guided_model
 from make_recordings.mechanisms import Slide
+from matplotlib.figure import Figure
 
 PERIOD, TIMESTEP = 0.001, 0.0005  # of the servo's commands, of the physics [s]
 LATENCY = 0.002  # from a measurement to the command that it leads to [s], half of it on each way
 ENCODER_NOISE = 1e-4  # [rad]
-DRAWER_FRICTION = 3.0  # [N]; beside 4 N s/m. Joints: 0.5 to 0.1 N m, and 4 to 1 N m s/rad
+DRAWER_FRICTION = 1.0  # [N], beside 4 N s/m; the joints have 0.1 to 0.5 N m and 1 to 4 N m s/rad
 GRIP = "grip_0"
+THIN = 10  # periods per point of the plot
+
+
+def true_axis(recordings: Path) -> Float[np.ndarray, " 3"]:
+    """Where the recorded drawer slides, a unit vector in the base frame; the physics knows it, the learner does not."""
+    truth = json.loads((recordings / "truth.json").read_text(encoding="utf-8"))
+    return np.array(truth["mechanisms"][0]["axis"])
 
 
 @final
@@ -48,14 +61,14 @@ class DrawerPhysics:
     ):
         arm = load_arm(robot_name)
         handle = arm.pose(grasp)[:3, 3]
-        drawer = Slide(handle, np.empty((0, 3)), np.array([0.3]), np.asarray(axis))
+        drawer = Slide(handle, np.empty((0, 3)), np.array([0.3]), axis)
         self._model = guided_model(arm, [drawer], [handle], friction=1.0)
         self._model.opt.timestep = TIMESTEP
         self._grip = self._model.equality(GRIP).id
         self._model.eq_solref[self._grip, 0] = 2.0 * TIMESTEP
         self._model.dof_frictionloss[-1] = DRAWER_FRICTION
         self._data = mujoco.MjData(self._model)
-        self._n, self._axis, self._rng = len(grasp), np.asarray(axis), rng
+        self._n, self._axis, self._rng = len(grasp), axis, rng
         self._data.qpos[: self._n] = grasp
         self._data.eq_active[self._grip] = 1
         mujoco.mj_forward(self._model, self._data)
@@ -66,7 +79,6 @@ class DrawerPhysics:
         late = round(0.5 * LATENCY / PERIOD)
         self._measured = deque([(self._encoders(), -k * PERIOD) for k in range(late, -1, -1)], late + 1)
         self._sent = deque([grasp.copy() for _ in range(late + 2)], late + 2)
-        
 
     @property
     def time(self) -> float:
@@ -95,14 +107,14 @@ class DrawerPhysics:
         """Newest state that has arrived: joint positions [rad] with encoder noise, and when they were measured [s]."""
         return self._measured[0]
 
-    def send(self, position: Float[np.ndarray, " nv"]) -> None:
+    def send(self, position: Float[np.ndarray, " nv"] | None) -> None:
         """Command the servos and let one period pass.
 
         Args:
-            position: shape (nv,), commanded joint positions [rad]; they arrive late.
+            position: shape (nv,), commanded joint positions [rad]; they arrive late. None repeats the last ones.
         """
         data, n = self._data, self._n
-        self._sent.append(position)
+        self._sent.append(self._sent[-1] if position is None else position)
         start, end = self._sent[0], self._sent[1]
         rate, steps = (end - start) / PERIOD, round(PERIOD / TIMESTEP)
         for k in range(steps):
@@ -114,3 +126,32 @@ class DrawerPhysics:
 
     def _encoders(self) -> Float[np.ndarray, " nv"]:
         return self._data.qpos[: self._n] + self._rng.normal(0.0, ENCODER_NOISE, self._n)
+
+
+def draw(signals: Mapping[str, Float[np.ndarray, "T 4"]], path: str) -> Path:
+    """Plot way, side force and following error over time; returns the file.
+
+    Args:
+        signals: Name of a run -> way [m], side force [N], following error and its limit [rad], one row per period.
+        path: SVG file to write.
+    """
+    with matplotlib.rc_context({"font.size": 9, "svg.hashsalt": "manip_learn", "axes.spines.right": False}):
+        figure = Figure(figsize=(7.2, 5.4), layout="constrained")
+        panels = figure.subplots(3, 1, sharex=True)
+        for (name, rows), colour in zip(signals.items(), ("#0072b2", "#d55e00"), strict=False):
+            time = PERIOD * np.arange(len(rows))[::THIN]
+            rows = rows[::THIN]
+            for axes, values in zip(panels, (1e3 * rows[:, 0], rows[:, 1], 1e3 * rows[:, 2]), strict=True):
+                axes.plot(time, np.round(values, 3), color=colour, linewidth=1.2, label=name)
+            tripped = np.flatnonzero(rows[:, 2] > rows[:, 3])
+            panels[2].axhline(1e3 * rows[0, 3], color=colour, linestyle=":", linewidth=1.0)
+            for axes in panels[: len(tripped) * 3]:
+                axes.axvline(time[tripped[0]], color="black", linestyle="--", linewidth=0.8)
+        labels = ("drawer open [mm]", "side force [N]", "following error [mrad]\n(dotted: limit)")
+        for axes, label in zip(panels, labels, strict=True):
+            axes.set_ylabel(label)
+            axes.set_ylim(bottom=0.0)
+        panels[0].legend(frameon=False, loc="center right")
+        panels[2].set_xlabel("time [s]; dashed: the following error stops the arm")
+        figure.savefig(path, metadata={"Date": None})
+    return Path(path)

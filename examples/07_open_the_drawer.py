@@ -1,0 +1,100 @@
+# /// script
+# requires-python = ">=3.11"
+# dependencies = ["manip-learn[robots,physics,experiments]"]
+# ///
+"""Open the drawer that was taught, with a simulated arm: position servos, latency, encoder noise, friction.
+
+Once with the learnt axis, and once with an axis 5 degrees beside it: the drawer does not yield, the servos give way,
+and the following error stops the arm before the side force is large. The physics is in drawer_physics.py (MuJoCo).
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from drawer_physics import PERIOD, DrawerPhysics, draw, true_axis
+from scipy.spatial.transform import Rotation
+
+import manip_learn as ml
+
+RECORDINGS = Path(__file__).parent / "data" / "panda_drawer_whole"
+FRAME, FINGERS = "panda_hand_tcp", ("panda_finger_joint1", "panda_finger_joint2")
+WAY, SPEED = 0.18, 0.06  # [m], [m/s]
+ALLOWED_FORCE = 15.0  # side force at which the arm is to stop [N]
+
+
+def following_error_limit(constraint: ml.Constraint, q: np.ndarray, stiffness: float) -> float:
+    """force * lever / stiffness [rad]: how far a servo gives way to the allowed force.
+
+    A side force f loads the joints with A(q)^T f: lever is the longest among the joints, for the worst direction of f.
+    """
+    angle = np.linspace(0.0, np.pi, 180)
+    levers = np.abs(np.column_stack([np.cos(angle), np.sin(angle)]) @ constraint(q))  # two rows are held
+    return ALLOWED_FORCE * float(levers.max(axis=1).min()) / stiffness
+
+
+def open_drawer(constraint: ml.Constraint, grasp: np.ndarray, stiffness: float) -> tuple[ml.Rollout, np.ndarray]:
+    """What the arm did, and per period: way [m], side force [N], following error and its limit [rad]."""
+    task, climb = ml.FreeDirection(constraint, WAY, SPEED), ml.ManipulabilityAscent(constraint, gain=1.0)
+    controller = ml.ResolvedRateController(constraint, task=task, null_policy=climb)
+    limit = following_error_limit(constraint, grasp, stiffness)
+    loop = ml.ServoLoop(  # gentle on what the hand holds
+        controller, PERIOD, acceleration_limit=3.0, jerk_limit=30.0, following_error_limit=limit, latency=0.003
+    )
+    loop.reset(grasp)  # where the servos hold the arm, not where a noisy encoder sees it
+    physics = DrawerPhysics("panda", grasp, true_axis(RECORDINGS), stiffness, np.random.default_rng(7))
+    commands, measured, signals = [], [], []
+    for k in range(round((task.duration + 1.5) / PERIOD)):
+        if k * PERIOD > task.duration + 0.5:
+            loop.stop()  # open: no null-space motion any more
+        q, t = physics.measured()
+        command = loop.update(q, t)
+        physics.send(loop.position)
+        commands.append(command)
+        measured.append(q)
+        signals.append((physics.way, physics.side_force, command.following_error, limit))
+    rows = range(0, len(commands), 20)
+    rollout = ml.Rollout(
+        time=PERIOD * np.array(rows),
+        q=np.array([measured[i] for i in rows]),
+        u=np.array([commands[i].velocity for i in rows]),
+        manipulability=np.array([commands[i].manipulability for i in rows]),
+        status=tuple(commands[i].status for i in rows),
+        joint_names=loop.robot.joint_names,
+        task_error=np.array([WAY - signals[i][0] for i in rows]),
+        frame=FRAME,
+    )
+    return rollout, np.array(signals)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--headless", action="store_true", help="write the replay, but do not open it")
+    parser.add_argument("--stiffness", type=float, default=2000.0, help="of the servos [N m/rad]")
+    arguments = parser.parse_args()
+
+    robot = ml.load_robot("panda", locked=FINGERS)
+    recordings = ml.load_demonstrations(RECORDINGS, robot)
+    features = ml.FrameJacobian(robot, frame=FRAME, axes="xyz", reference="world")
+    learner = ml.ConstraintLearner(features).fit(recordings)
+    contact = next(phase for phase in learner.report_.phases if phase.constraint == 0)
+    demo = next(demo for demo in recordings if demo.name == contact.trajectory)
+    grasp = demo[contact.start : contact.end].q[0]  # as it was shown
+    learnt = learner.constraint_
+    turn = Rotation.from_rotvec(np.deg2rad(5.0) * learnt.selection[1])
+    wrong = ml.Constraint(learnt.selection @ turn.as_matrix().T, features)
+    opened = {}
+    for name, constraint in {"learnt axis": learnt, "axis 5 degrees off": wrong}.items():
+        opened[name] = rollout, signals = open_drawer(constraint, grasp, arguments.stiffness)
+        way, force, error, limit = signals.T
+        tripped = "".join(f", {f:.1f} N where that stopped the arm" for f in force[error > limit][:1])
+        print(f"{name}: {1e3 * way[-1]:.1f} of {1e3 * WAY:.0f} mm opened; {rollout.status_counts}")
+        print(f"  following error up to {1e3 * error.max():.2f} mrad, limit {1e3 * limit[0]:.2f} mrad")
+        print(f"  side force up to {force.max():.1f} N" + tripped)
+    rollouts = {name: rollout for name, (rollout, _) in opened.items()}
+    page = ml.replay(robot, rollouts, html="open_the_drawer.html", open_browser=not arguments.headless)
+    print(f"replay: {page.html}, plot: {draw({name: s for name, (_, s) in opened.items()}, 'open_the_drawer.svg')}")
+
+
+if __name__ == "__main__":
+    main()
