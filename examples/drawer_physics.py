@@ -1,9 +1,9 @@
 """An arm under position control with its hand on the handle of a drawer, in MuJoCo's rigid-body dynamics.
 
 Each joint has a position servo: a spring of stated stiffness to the commanded position, critically damped against its
-rate, by the drive's own sensors. Commands and measurements travel for 1 ms each. The grip is a ball joint between hand and
-handle (MuJoCo's equality `connect`); its constraint force is what the hand does to the drawer. No constraint matrix takes
-part.
+rate, by the drive's own sensors. Commands and measurements travel for 1 ms each. The grip is a ball joint between hand
+and handle (MuJoCo's equality `connect`); its constraint force is what the hand does to the drawer. No constraint matrix
+takes part.
 """
 
 # pyright: reportAttributeAccessIssue=false

@@ -50,6 +50,8 @@ class ServoLoop:
             The commands are averaged over 2 max_j(a_j / jerk_j), which delays them by half of that time.
         stale_after: Time without a new state after which the arm brakes [s].
         following_error_limit: shape (nv,) or a number [rad or m]; by default 0.1 rad, and 0.02 m for a prismatic joint.
+            A servo of stiffness k gives way by F r / k to a force F at a lever r, and by torque / k to friction: choose
+            it above the latter. The force goes on rising while the arm brakes.
         latency: Time by which a measurement may lag behind the command that it is compared with [s].
         robot: Whose limits count; the controller's own by default.
 
@@ -94,7 +96,8 @@ class ServoLoop:
         """Stand still and forget the past, after a following error or before another motion.
 
         Args:
-            q: Posture to start from; None takes the next measured one.
+            q: Posture to start from, that at which the servos hold the arm; None takes the next measured one, with
+                the noise of its encoders.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.

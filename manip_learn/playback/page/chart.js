@@ -3,11 +3,14 @@
 const STATUS = {
   ok: { colour: "#dfe5ea", say: "ok" },
   "null-scaled": { colour: "#9cc7e0", say: "null-space part scaled" },
-  rerouted: { colour: "#56b4e9", say: "led round a position limit" },
+  rerouted: { colour: "#56b4e9", say: "null-space motion makes room for the task" },
   damped: { colour: "#e69f00", say: "damped" },
   "velocity-limited": { colour: "#cc79a7", say: "velocity limit" },
   "position-limited": { colour: "#7b4fa3", say: "position limit" },
+  "acceleration-limited": { colour: "#b08bbf", say: "acceleration limit" },
   singular: { colour: "#17212b", say: "singular" },
+  stopped: { colour: "#8a949c", say: "stopped" },
+  "following-error": { colour: "#c0392b", say: "stopped by the following error" },
 };
 const OTHER_STATUS = ["#8c6d1f", "#4d7f6a", "#a04040", "#77808a"];
 const MAX_STRIPS = 8;
