@@ -26,6 +26,8 @@ LATENCY = 0.01
 class ServoLoop:
     """A controller as a real-time program calls it, once per period, e.g. at 1 kHz.
 
+    In a program::
+
         loop = ServoLoop(controller, dt=0.001)
         while running:
             command = loop.update(measured_q, t)      # never raises
