@@ -10,7 +10,7 @@ const STATUS = {
   "acceleration-limited": { colour: "#b08bbf", say: "acceleration limit" },
   singular: { colour: "#17212b", say: "singular" },
   stopped: { colour: "#8a949c", say: "stopped" },
-  "following-error": { colour: "#c0392b", say: "stopped by the following error" },
+  "following-error": { colour: "#c0392b", say: "following error" },
 };
 const OTHER_STATUS = ["#8c6d1f", "#4d7f6a", "#a04040", "#77808a"];
 const MAX_STRIPS = 8;
