@@ -26,12 +26,26 @@ if TYPE_CHECKING:
         manipulability_gradient,
     )
     from manip_learn.constraint.manipulability_batch import manipulability_batch
+    from manip_learn.constraint.penalised_manipulability import (
+        log_penalised_manipulability_gradient,
+        penalised_manipulability,
+        penalised_manipulability_gradient,
+    )
     from manip_learn.control.command import Command, Controller
     from manip_learn.control.compiled_controller import CompiledController
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.limits import Limits
     from manip_learn.control.paths.optimise_path import optimise_path
-    from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
+    from manip_learn.control.policies import (
+        JointAttractor,
+        JointLimitAvoidance,
+        ManipulabilityAscent,
+        NullSpacePolicy,
+        PenalisedManipulabilityAscent,
+        SelfCollisionAvoidance,
+        WeightedPolicies,
+        ZeroPolicy,
+    )
     from manip_learn.control.rollout import Rollout
     from manip_learn.control.servo_loop import ServoLoop
     from manip_learn.control.simulation import simulate
@@ -49,6 +63,7 @@ if TYPE_CHECKING:
     from manip_learn.recordings.trajectory import Trajectory
     from manip_learn.recordings.velocities import derive_velocities
     from manip_learn.robot import Robot, load_robot
+    from manip_learn.robot.collision import SelfCollision
     from manip_learn.robot.robot_summary import inspect_robot
     from manip_learn.robot.tips import likely_tips
 
@@ -56,6 +71,14 @@ __version__ = "0.1.0"
 
 # loaded at first use, so that `import manip_learn` and `manip-learn --help` are quick
 _HOMES = {
+    "JointLimitAvoidance": "control.policies",
+    "PenalisedManipulabilityAscent": "control.policies",
+    "SelfCollisionAvoidance": "control.policies",
+    "WeightedPolicies": "control.policies",
+    "SelfCollision": "robot.collision",
+    "penalised_manipulability": "constraint.penalised_manipulability",
+    "penalised_manipulability_gradient": "constraint.penalised_manipulability",
+    "log_penalised_manipulability_gradient": "constraint.penalised_manipulability",
     "RecordingSource": "recordings",
     "likely_tips": "robot.tips",
     "inspect_robot": "robot.robot_summary",
@@ -123,6 +146,7 @@ __all__ = [
     "FreeDirection",
     "Hold",
     "JointAttractor",
+    "JointLimitAvoidance",
     "Limits",
     "LiveViewer",
     "ManipLearnError",
@@ -131,18 +155,22 @@ __all__ = [
     "MechanismFit",
     "MechanismRows",
     "NullSpacePolicy",
+    "PenalisedManipulabilityAscent",
     "PointAttractor",
     "RecordingSource",
     "RelativeFrameJacobian",
     "ResolvedRateController",
     "Robot",
     "Rollout",
+    "SelfCollision",
+    "SelfCollisionAvoidance",
     "ServoLoop",
     "Stacked",
     "Status",
     "Task",
     "Track",
     "Trajectory",
+    "WeightedPolicies",
     "ZeroPolicy",
     "audit_episodes",
     "derive_velocities",
@@ -153,10 +181,13 @@ __all__ = [
     "load_demonstrations",
     "load_robot",
     "log_manipulability_gradient",
+    "log_penalised_manipulability_gradient",
     "manipulability",
     "manipulability_batch",
     "manipulability_gradient",
     "optimise_path",
+    "penalised_manipulability",
+    "penalised_manipulability_gradient",
     "replay",
     "resample",
     "simulate",

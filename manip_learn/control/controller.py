@@ -18,7 +18,13 @@ from manip_learn.control.bounded_velocity import Desired, bounded_velocity
 from manip_learn.control.command import Command
 from manip_learn.control.limits import Limits
 from manip_learn.control.outcome import Law, bounded_command, plain_command
-from manip_learn.control.policies import ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
+from manip_learn.control.policies import (
+    ManipulabilityAscent,
+    NullSpacePolicy,
+    SampledPolicy,
+    WeightedPolicies,
+    ZeroPolicy,
+)
 from manip_learn.control.polytope_projection import Solver, projection_by
 from manip_learn.control.singularity import (
     APPROACH_RATE,
@@ -110,7 +116,10 @@ class ResolvedRateController:
         self._features_check = self.robot is not None and self.robot is constraint.robot
         policy = self.null_policy
         self._ascent = policy if isinstance(policy, ManipulabilityAscent) and policy.constraint is constraint else None
-        self._escapes = inverse == "damped" and self._ascent is not None and self._ascent.max_speed is not None
+        climbs = self._ascent is not None and self._ascent.max_speed is not None
+        climbs = climbs or (isinstance(policy, WeightedPolicies) and policy.climbs(constraint))
+        self._escapes = inverse == "damped" and climbs
+        self._samples = policy if isinstance(policy, SampledPolicy) else None
         self._brakes = inverse == "damped" and self.limits is not None
 
     def __call__(
@@ -158,7 +167,7 @@ class ResolvedRateController:
     def _law(self, q: np.ndarray, t: float, dt: float) -> Law:
         """The parts of equation (2), before limits."""
         ascent, vjp = self._ascent, None
-        if ascent is None:
+        if ascent is None and not self._escapes:
             A = self.constraint(q)
         else:  # one Hessian and one inverse serve the task and the policy
             A, vjp = self.constraint.value_and_vjp(q)
@@ -171,7 +180,7 @@ class ResolvedRateController:
             return self._near_singularity(q, t, dt, A, b, vjp)
         # nothing to damp or to truncate, the case of nearly every step
         X, mu, smallest = inverse
-        pi = self._policy(q, t) if ascent is None or vjp is None else ascent.from_inverse(X, mu, smallest, vjp, dt)
+        pi = self._policy(q, t, dt) if ascent is None or vjp is None else ascent.from_inverse(X, mu, smallest, vjp, dt)
         desired = Desired(b.dot(X), pi - A.dot(pi).dot(X), None)
         return Law(A, b, desired, mu, smallest, False, None, vjp)
 
@@ -182,7 +191,7 @@ class ResolvedRateController:
         ascent, escape = self._ascent, None
         U, sigma, Vt = decomposition = Decomposition(*svd(A))
         if ascent is None or vjp is None:
-            pi = self._policy(q, t)
+            pi = self._policy(q, t, dt)
         else:
             pi = ascent.from_decomposition(A.shape, decomposition, vjp, dt)
         k = sigma.shape[0]
@@ -237,8 +246,9 @@ class ResolvedRateController:
             raise ConfigurationError(f"the posture is not finite: {vector.tolist()}")
         return vector
 
-    def _policy(self, q: np.ndarray, t: float) -> np.ndarray:
-        return self._checked(self.null_policy(q, t), self.constraint.nv, "the null-space policy's velocity")
+    def _policy(self, q: np.ndarray, t: float, dt: float) -> np.ndarray:
+        pi = self.null_policy(q, t) if self._samples is None else self._samples(q, t, dt)
+        return self._checked(pi, self.constraint.nv, "the null-space policy's velocity")
 
     @staticmethod
     def _checked(vector: ArrayLike, size: int, what: str) -> np.ndarray:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, escape_direction, gradient_from
-from manip_learn.control.policies.policy import NullSpacePolicy
+from manip_learn.control.policies.policy import SampledPolicy
 from manip_learn.control.singularity import SEED_SPEED, STABLE_SLOPE, Decomposition, steepest_ascent
 from manip_learn.errors import ConstraintError
 from manip_learn.linalg import row_inverse, svd
@@ -22,7 +22,7 @@ ASCENT_GAIN = 3.0
 
 
 @final
-class ManipulabilityAscent(NullSpacePolicy):
+class ManipulabilityAscent(SampledPolicy):
     """pi = gain * grad log mu, at most `max_speed`; or gain * grad mu as in equation (13) of Manavalan and Howard.
 
         d mu / d q_k = mu tr((A A^T)^-1 A (dA / dq_k)^T) = mu A^{+T} : dA / dq_k,    grad log mu = grad mu / mu

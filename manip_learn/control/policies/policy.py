@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from typing import final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+
+from manip_learn.errors import ConfigurationError
 
 
 class NullSpacePolicy(ABC):
@@ -19,6 +22,14 @@ class NullSpacePolicy(ABC):
     @abstractmethod
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
         """Desired joint velocity [rad/s or m/s] at posture q and time t [s]."""
+
+
+class SampledPolicy(NullSpacePolicy):
+    """A policy that takes into account for how long its velocity is held, so that explicit steps can follow it."""
+
+    @abstractmethod
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
+        """Desired joint velocity [rad/s or m/s] at posture q and time t [s], held for dt [s]."""
 
 
 @final
@@ -39,3 +50,14 @@ class ZeroPolicy(NullSpacePolicy):
 
     def __repr__(self) -> str:
         return "ZeroPolicy()"
+
+
+def positive(name: str, value: float) -> float:
+    """A setting that must be a positive number.
+
+    Raises:
+        ConfigurationError: It is not.
+    """
+    if not (math.isfinite(value) and value > 0.0):
+        raise ConfigurationError(f"{name} must be a positive number, got {value!r}")
+    return float(value)

@@ -1,10 +1,10 @@
-"""The `<visual>` elements of a URDF. What is wrong here costs a shape, never the robot."""
+"""The `<visual>` or `<collision>` elements of a URDF. What is wrong here costs a shape, never the robot."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import final
+from typing import Literal, final
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -15,6 +15,7 @@ from manip_learn.robot.description.urdf_elements import ZERO, Pose
 from manip_learn.robot.description.xml_node import XmlNode, number, parse_xml, vector
 
 Colour = tuple[float, float, float, float]
+Tag = Literal["visual", "collision"]
 LARGEST = 1e4  # [m]
 MAX_VISUALS = 2_000
 
@@ -118,7 +119,10 @@ class MeshElement:
 @final
 @dataclass(frozen=True)
 class VisualElement:
-    """One `<visual>`; `geometry` is None where it cannot be used, and `fault` says why. Without a colour it is None."""
+    """One `<visual>` or `<collision>`; `geometry` is None where it cannot be used, and `fault` says why.
+
+    Without a colour, `colour` is None.
+    """
 
     link: str
     line: int
@@ -128,8 +132,8 @@ class VisualElement:
     fault: str
 
 
-def visual_elements(content: bytes, path: Path) -> list[VisualElement]:
-    """All visuals of a validated URDF.
+def visual_elements(content: bytes, path: Path, tag: Tag = "visual") -> list[VisualElement]:
+    """All visuals of a validated URDF, or all its collision shapes, which have the same form.
 
     Raises:
         RobotError: The text is not XML.
@@ -139,7 +143,7 @@ def visual_elements(content: bytes, path: Path) -> list[VisualElement]:
     colours = {m.attributes.get("name", ""): c for m in root.all("material") if (c := _colour(m, log)) is not None}
     found: list[VisualElement] = []
     for link in root.all("link"):
-        for visual in link.all("visual")[: MAX_VISUALS - len(found)]:
+        for visual in link.all(tag)[: MAX_VISUALS - len(found)]:
             found.append(_element(link.attributes.get("name", ""), visual, colours, log))
     return found
 
@@ -166,14 +170,14 @@ def _pose(node: XmlNode, where: str, log: Diagnostics) -> Pose:
     x, y, z = vector(origin, "xyz", 3, where, log) or ZERO
     roll, pitch, yaw = vector(origin, "rpy", 3, where, log) or ZERO
     if max(abs(x), abs(y), abs(z)) > LARGEST:
-        raise _unusable(origin, where, f"its visual is {max(abs(x), abs(y), abs(z)):g} m away", log)
+        raise _unusable(origin, where, f"its {node.tag} is {max(abs(x), abs(y), abs(z)):g} m away", log)
     return Pose((x, y, z), (roll, pitch, yaw))
 
 
 def _geometry(node: XmlNode, where: str, log: Diagnostics) -> Shape | MeshElement:
     geometry = node.first("geometry")
     if geometry is None or not geometry.children:
-        raise _unusable(node, where, "its <visual> has no geometry", log)
+        raise _unusable(node, where, f"its <{node.tag}> has no geometry", log)
     shape = geometry.children[0]
     if shape.tag == "mesh":
         uri = shape.attributes.get("filename", "")

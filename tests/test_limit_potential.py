@@ -1,0 +1,65 @@
+"""The joint-limit potential and the weights that fall towards the limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_gradients import central_difference
+
+from manip_learn.robot.limit_potential import limit_gradient, limit_potential, limit_weights
+
+LIMITED = ["one", "planar3", "gantry", "panda", "ur5", "sawyer"]
+
+
+@pytest.mark.parametrize("name", [*LIMITED, "wrist", "tree", "mimic", "rover"])
+def test_gradient(robot_of, rng, name: str):
+    """dh/dq is right to 1e-6, within 1 % of the range from the limits too, and 0 for joints without limits."""
+    robot = robot_of(name)
+    for share in (0.0, 0.7, 0.99):
+        q = near_limits(robot, rng, share)
+        expected = central_difference(lambda x: limit_potential(robot, x), robot, q)
+        np.testing.assert_allclose(limit_gradient(robot, q), expected, rtol=1e-5, atol=1e-6)
+    free = ~np.isfinite(robot.position_upper)
+    np.testing.assert_array_equal(limit_gradient(robot, q)[free], 0.0)
+    np.testing.assert_array_equal(limit_weights(robot, q)[0][free], 1.0)
+
+
+@pytest.mark.parametrize("name", LIMITED)
+def test_weights(robot_of, rng, name: str):
+    """w = (1 + h'^2)^(-1/4), at most 2^(1/4) of (1 + |h'|)^(-1/2) and never less; its derivative is exact."""
+    robot = robot_of(name)
+    for share in (0.0, 0.5, 0.9, 0.999):
+        q = near_limits(robot, rng, share)
+        w, slope = limit_weights(robot, q)
+        steep = limit_gradient(robot, q)
+        np.testing.assert_allclose(w, (1.0 + steep**2) ** -0.25, rtol=1e-9)
+        published = 1.0 / np.sqrt(1.0 + np.abs(steep))
+        assert np.all(w >= published * (1.0 - 1e-12)) and np.all(w <= 2.0**0.25 * published)
+        expected = central_difference(lambda x: limit_weights(robot, x)[0], robot, q)
+        np.testing.assert_allclose(np.diag(slope), expected, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", LIMITED)
+def test_at_and_outside_the_limits(robot_of, name: str):
+    """Weights are 0 and finite in slope at the limits and outside; at the upper limit they fall, at the lower they rise."""
+    robot = robot_of(name)
+    for q, sign in ((robot.position_upper, -1.0), (robot.position_lower, 1.0)):
+        w, slope = limit_weights(robot, np.nextafter(q, -sign * np.inf))
+        assert np.all(w < 1e-6)
+        w, slope = limit_weights(robot, q)
+        assert np.all(w >= 0.0) and np.all(w < 1e-6) and np.all(np.isfinite(slope))
+        inside = limit_weights(robot, q + sign * 1e-9)[1]
+        assert np.all(sign * inside > 0.0)
+        w, slope = limit_weights(robot, q - sign * 0.1)
+        np.testing.assert_array_equal(np.stack([w, slope]), 0.0)
+        assert limit_potential(robot, q - sign * 0.1) == np.inf
+
+
+def near_limits(robot, rng: np.random.Generator, share: float) -> np.ndarray:
+    """Positions with each joint at +- share of its half range, at random; a random posture for share 0."""
+    q = robot.positions(robot.random_configuration(rng))
+    if share == 0.0:
+        return q
+    middle, half = 0.5 * (robot.position_lower + robot.position_upper), robot.position_upper - robot.position_lower
+    sign = rng.choice([-1.0, 1.0], robot.nv)
+    return np.where(np.isfinite(half), middle + 0.5 * share * sign * half, q)

@@ -1,0 +1,122 @@
+"""The manipulability that falls towards the joint limits: definition, exact gradient, finite everywhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import tip_of
+from test_gradients import central_difference, relative_error
+from test_limit_potential import near_limits
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FrameJacobian, RelativeFrameJacobian, Stacked
+from manip_learn.constraint.manipulability import manipulability, manipulability_gradient
+from manip_learn.constraint.penalised_manipulability import (
+    log_penalised_manipulability_gradient,
+    penalised_manipulability,
+    penalised_manipulability_gradient,
+)
+from manip_learn.control.policies import PenalisedManipulabilityAscent
+from manip_learn.errors import ConstraintError
+from manip_learn.robot.limit_potential import limit_weights
+
+# nv = 1, 3, 5, 6, 7, joints without limits, and a mimic joint
+ROBOTS = ["one", "planar3", "gantry", "wrist", "mimic", "ur5", "sawyer"]
+
+
+def feature_maps(robot, name: str) -> list:
+    """Frame rows in both references, the centre of mass, a relative frame, a stack, and a map in Python."""
+    frame, halfway = tip_of(name), robot.frame_names[len(robot.frame_names) // 2]
+    return [
+        FrameJacobian(robot, frame, "xyz"),
+        FrameJacobian(robot, frame, "pose", "local"),
+        CentreOfMass(robot),
+        RelativeFrameJacobian(robot, frame, halfway, "xyz"),
+        Stacked([FrameJacobian(robot, frame, "xyz"), FrameJacobian(robot, halfway, "rx rz")]),
+        CustomFeatures(lambda q: robot.jacobian(q, frame)[:2], ("x", "y"), robot=robot),
+    ]
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_gradient(robot_of, rng, name: str):
+    """grad mu_w and grad log mu_w are right to 1e-5 for random rows of each feature map, near limits too."""
+    robot, checked = robot_of(name), 0
+    for features in feature_maps(robot, name):
+        for s in range(1, min(3, features.n_rows, robot.nv) + 1):
+            constraint = Constraint(rng.normal(size=(s, features.n_rows)), features)
+            for share in (0.0, 0.6, 0.95):
+                q = near_limits(robot, rng, share)
+                A = constraint(q) * limit_weights(robot, q)[0]
+                sigma = np.linalg.svd(A, compute_uv=False)
+                if sigma[-1] <= 1e-2 * sigma[0]:
+                    continue
+                mu = penalised_manipulability(constraint, q)
+                assert mu == pytest.approx(np.sqrt(np.linalg.det(A @ A.T)), rel=1e-9)
+                assert mu <= manipulability(constraint, q) * (1.0 + 1e-12)
+                expected = central_difference(lambda x, c=constraint: penalised_manipulability(c, x), robot, q)
+                assert relative_error(penalised_manipulability_gradient(constraint, q), expected) <= 1e-5
+                log = log_penalised_manipulability_gradient(constraint, q)
+                assert relative_error(log, expected / mu) <= 1e-5
+                checked += 1
+    assert checked > 8
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_finite_everywhere(robot_of, rng, name: str):
+    """At all limits, outside them, stretched out, and with one joint at its limit: no NaN, no infinity."""
+    robot = robot_of(name)
+    upper = np.where(np.isfinite(robot.position_upper), robot.position_upper, 0.3)
+    one_at_limit = 0.5 * near_limits(robot, rng, 0.5)
+    one_at_limit[0] = upper[0]
+    for features in feature_maps(robot, name):
+        for s in range(1, features.n_rows + 1):
+            constraint = Constraint(np.eye(features.n_rows)[:s], features)
+            policy = PenalisedManipulabilityAscent(constraint)
+            for q in (upper, upper + 0.5, np.zeros(robot.nv), one_at_limit):
+                assert 0.0 <= penalised_manipulability(constraint, q) <= manipulability(constraint, q) * (1 + 1e-9)
+                assert np.all(np.isfinite(penalised_manipulability_gradient(constraint, q)))
+                assert np.all(np.isfinite(log_penalised_manipulability_gradient(constraint, q)))
+                assert np.all(np.isfinite(policy(q))) and np.linalg.norm(policy(q)) <= 4.0 * (1.0 + 1e-9)
+
+
+def test_a_joint_at_its_limit_does_not_count(robot_of):
+    """With one joint at its limit mu_w is that of the arm without it, each other joint weighted."""
+    robot = robot_of("planar3")
+    constraint = Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y"))
+    q = np.array([0.4, robot.position_upper[1], -0.8])
+    w = limit_weights(robot, q)[0]
+    rest = (constraint(q) * w)[:, [0, 2]]
+    assert penalised_manipulability(constraint, q) == pytest.approx(abs(np.linalg.det(rest)))
+
+
+def test_without_limits_it_is_mu(robot_of, rng):
+    """Where no joint is limited, mu_w = mu and the gradients agree; features without a robot are refused."""
+    robot = robot_of("kinova")
+    constraint = Constraint(rng.normal(size=(2, 3)), FrameJacobian(robot, tip_of("kinova"), "xyz"))
+    q = robot.random_configuration(rng)
+    free = ~np.isfinite(robot.position_upper)
+    assert np.any(free) and np.all(limit_weights(robot, q)[0][free] == 1.0)
+    flat = CustomFeatures(lambda q: np.array([[np.cos(q[0]), q[1]]]), "a", 2)
+    with pytest.raises(ConstraintError, match="no robot"):
+        penalised_manipulability(Constraint([[1.0]], flat), [0.1, 0.2])
+    with pytest.raises(ConstraintError, match="no robot"):
+        PenalisedManipulabilityAscent(Constraint([[1.0]], flat))
+
+
+def test_ascent_climbs_it_and_leaves_a_limit(robot_of, rng):
+    """Small steps along the policy raise mu_w; from 2 % beside a limit it leads inwards where grad mu does not matter."""
+    robot = robot_of("sawyer")
+    for _ in range(10):
+        constraint = Constraint(rng.normal(size=(2, 3)), FrameJacobian(robot, "right_hand"))
+        q = near_limits(robot, rng, 0.9)
+        direction = PenalisedManipulabilityAscent(constraint)(q)
+        step = 1e-5 * direction / np.linalg.norm(direction)
+        assert penalised_manipulability(constraint, q + step) > penalised_manipulability(constraint, q)
+        np.testing.assert_allclose(
+            np.cross(direction[:3], log_penalised_manipulability_gradient(constraint, q)[:3]), 0.0, atol=1e-6
+        )
+    one_row = Constraint([[1.0, 0.0]], FrameJacobian(robot_of("planar3"), "tip", "x y"))
+    q = np.array([1.0, 12.3, 0.3])
+    assert PenalisedManipulabilityAscent(one_row)(q)[1] < 0.0
+    assert "gain=2" in repr(PenalisedManipulabilityAscent(one_row, 2.0))
+    assert manipulability_gradient(one_row, q).shape == (3,)

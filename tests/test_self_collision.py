@@ -1,0 +1,166 @@
+"""Distances between links: exact gradients, which pairs count, and one clear error where there is nothing to measure."""
+
+from __future__ import annotations
+
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from conftest import chain_urdf
+from test_gradients import central_difference
+
+from manip_learn.control.policies import SelfCollisionAvoidance
+from manip_learn.errors import ConfigurationError, RobotError
+from manip_learn.robot.collision import SelfCollision
+from manip_learn.robot.loading import load_robot
+
+SHAPES = {"panda": "collision", "sawyer": "visual", "planar3": "visual"}
+
+
+@pytest.fixture(scope="module")
+def collision_of(robot_of):
+    """Name -> distances of a robot, each built once."""
+    built = {name: SelfCollision(robot_of(name), shapes=tag) for name, tag in SHAPES.items()}
+    return built.__getitem__
+
+
+def shape(kind: str) -> str:
+    return f'<collision><origin xyz="0.1 0 0"/><geometry>{kind}</geometry></collision>'
+
+
+@pytest.fixture(scope="module")
+def fold(tmp_path_factory):
+    """Three links in a plane, a ball at the end of the first and of the last, 0.1 m in radius; the second is bare."""
+    ball = '<sphere radius="0.1"/>'
+    joints = [("revolute", "0 0 1", "0.4 0 0", "0 0 0")] * 3
+    text = chain_urdf("fold", joints)
+    for link in ("base", "link2"):
+        text = text.replace(f'<link name="{link}">', f'<link name="{link}">{shape(ball)}')
+    path = tmp_path_factory.mktemp("fold") / "fold.urdf"
+    path.write_text(text, encoding="utf-8")
+    return load_robot(path)
+
+
+def test_distance_of_balls(fold):
+    """Two balls: the distance of their centres less their radii, and minus that depth when they overlap."""
+    collision, rng = SelfCollision(fold), np.random.default_rng(2)
+    assert collision.link_pairs == (("base", "link2"),)
+    for _ in range(50):
+        q = fold.random_configuration(rng)
+        ends = [fold.pose(q, link) @ [0.1, 0.0, 0.0, 1.0] for link in ("base", "link2")]
+        near = collision.nearest(q)
+        assert near is not None and near.links == ("base", "link2")
+        assert near.distance == pytest.approx(np.linalg.norm(ends[1] - ends[0]) - 0.2, abs=1e-9)
+        expected = central_difference(lambda x: collision.nearest(x).distance, fold, q)
+        np.testing.assert_allclose(near.gradient, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", list(SHAPES))
+def test_gradient(robot_of, collision_of, name: str):
+    """Of pairs that do not overlap the gradient is right to 1e-5, but for where the nearest points jump."""
+    robot, collision, rng = robot_of(name), collision_of(name), np.random.default_rng(5)
+    checked = jumps = 0
+    for _ in range(60):
+        q = robot.random_configuration(rng)
+        near = collision.nearest(q)
+        if near.distance <= 1e-3:
+            continue
+        expected = central_difference(lambda x: collision.nearest(x).distance, robot, q)
+        wrong = float(np.linalg.norm(near.gradient - expected))
+        checked, jumps = checked + 1, jumps + (wrong > 1e-5)
+    assert checked > 30 and jumps <= 0.1 * checked
+
+
+def test_nearest_is_the_nearest(robot_of, collision_of):
+    """`nearest` is the least of `closer_than`, which finds all pairs in range and no others."""
+    robot, collision, rng = robot_of("panda"), collision_of("panda"), np.random.default_rng(6)
+    for _ in range(20):
+        q = robot.random_configuration(rng)
+        every = collision.closer_than(q, 10.0)
+        near = collision.nearest(q)
+        assert near.distance == pytest.approx(min(p.distance for p in every), abs=1e-12)
+        in_range = sorted(p.distance for p in every if p.distance <= 0.1)
+        assert sorted(p.distance for p in collision.closer_than(q, 0.1)) == pytest.approx(in_range, abs=1e-12)
+
+
+def test_which_pairs_count(robot_of, collision_of):
+    """Neighbours are left out, and links that cannot touch; hand and base count. Neutral postures are free."""
+    pairs = {frozenset(p) for p in collision_of("panda").link_pairs}
+    assert frozenset(("panda_link1", "panda_hand")) in pairs and frozenset(("panda_link0", "panda_link6")) in pairs
+    assert not pairs & {frozenset((f"panda_link{i}", f"panda_link{i + 1}")) for i in range(7)}
+    assert frozenset(("panda_link2", "panda_link4")) not in pairs  # a knee that cannot close that far
+    for name in SHAPES:
+        assert collision_of(name).nearest(robot_of(name).neutral()).distance > 0.0
+
+
+def test_mimic_joints_and_threads(robot_of, collision_of):
+    """With a mimic joint the gradient is along the independent joints; threads and copies give the same numbers."""
+    panda = load_robot("panda")  # the second finger mimics the first
+    collision, rng = SelfCollision(panda), np.random.default_rng(7)
+    assert panda.nv == 8
+    starts = [panda.random_configuration(rng) for _ in range(16)]
+    alone = [collision.nearest(q) for q in starts]
+    assert all(p.gradient.shape == (8,) for p in alone)
+    with ThreadPoolExecutor(4) as threads:
+        together = list(threads.map(collision.nearest, starts))
+    copy = pickle.loads(pickle.dumps(collision_of("planar3")))
+    assert copy.link_pairs == collision_of("planar3").link_pairs
+    for a, b in zip(alone, together, strict=True):
+        assert a.links == b.links and a.distance == b.distance
+        np.testing.assert_array_equal(a.gradient, b.gradient)
+
+
+def test_robots_without_shapes(robot_of, tmp_path):
+    """One error says what is missing and what can take its place; broken shapes are named with their link."""
+    with pytest.raises(RobotError, match="shapes='visual'") as seen:
+        SelfCollisionAvoidance(robot_of("sawyer"))
+    assert seen.value.code == "no-collision-shapes"
+    with pytest.raises(RobotError, match="no <collision> elements"):
+        SelfCollision(robot_of("gantry"))
+    for kind, message in (('<sphere radius="-1"/>', "link2"), ('<mesh filename="nowhere.stl"/>', "nowhere.stl")):
+        text = chain_urdf("broken", [("revolute", "0 0 1", "0.4 0 0", "0 0 0")] * 3)
+        path = tmp_path / "broken.urdf"
+        path.write_text(text.replace('<link name="link2">', f'<link name="link2">{shape(kind)}'), encoding="utf-8")
+        with pytest.raises(RobotError, match=message):
+            SelfCollision(load_robot(path))
+
+
+def test_policy_pushes_apart(fold):
+    """0 beyond the distance; below it, at most the speed, growing from 0, along the gradient, continuous."""
+    policy, collision = SelfCollisionAvoidance(fold, 0.3, max_speed=0.5), SelfCollision(fold)
+    bends = np.linspace(0.0, 1.9, 400)
+    speeds, seen = [], set()
+    for bend in bends:
+        q = np.array([0.3, bend, bend])
+        pi, near = policy(q), collision.nearest(q)
+        speed = float(np.linalg.norm(pi))
+        speeds.append(speed)
+        assert speed <= 0.5
+        if near.distance >= 0.3:
+            assert speed == 0.0
+        elif speed > 0.0:
+            assert pi @ near.gradient > 0.0
+        seen.add(near.distance < 0.3)
+    assert seen == {True, False} and max(speeds) > 0.1
+    assert np.max(np.abs(np.diff(speeds))) < 0.05
+    assert "distance=0.3" in repr(policy)
+    with pytest.raises(ConfigurationError, match="distance"):
+        SelfCollisionAvoidance(fold, 0.0)
+
+
+def test_policy_separates_links(robot_of, collision_of):
+    """From postures with links in range, following the policy opens the distance; it is finite where links overlap."""
+    robot, collision, rng = robot_of("sawyer"), collision_of("sawyer"), np.random.default_rng(8)
+    policy, opened = SelfCollisionAvoidance(collision), 0
+    for _ in range(60):
+        q = robot.random_configuration(rng)
+        near = collision.nearest(q)
+        assert np.all(np.isfinite(policy(q))) and np.linalg.norm(policy(q)) <= 0.5
+        if not 0.0 < near.distance < 0.03:
+            continue
+        for _ in range(100):
+            q = robot.integrate(q, 0.01 * policy(q))
+        assert collision.nearest(q).distance > near.distance
+        opened += 1
+    assert opened >= 3
