@@ -41,7 +41,7 @@ def test_weights(robot_of, rng, name: str):
 
 @pytest.mark.parametrize("name", LIMITED)
 def test_at_and_outside_the_limits(robot_of, name: str):
-    """Weights are 0 and finite in slope at the limits and outside; at the upper limit they fall, at the lower they rise."""
+    """Weights are 0 at the limits and outside, of finite slope; they fall towards the upper limit and the lower one."""
     robot = robot_of(name)
     for q, sign in ((robot.position_upper, -1.0), (robot.position_lower, 1.0)):
         w, slope = limit_weights(robot, np.nextafter(q, -sign * np.inf))
@@ -60,6 +60,7 @@ def near_limits(robot, rng: np.random.Generator, share: float) -> np.ndarray:
     q = robot.positions(robot.random_configuration(rng))
     if share == 0.0:
         return q
-    middle, half = 0.5 * (robot.position_lower + robot.position_upper), robot.position_upper - robot.position_lower
-    sign = rng.choice([-1.0, 1.0], robot.nv)
-    return np.where(np.isfinite(half), middle + 0.5 * share * sign * half, q)
+    limited, sign = np.isfinite(robot.position_upper), rng.choice([-1.0, 1.0], robot.nv)
+    lower, upper = robot.position_lower[limited], robot.position_upper[limited]
+    q[limited] = 0.5 * (lower + upper + share * sign[limited] * (upper - lower))
+    return q
