@@ -73,9 +73,8 @@ def test_finite_everywhere(robot_of, rng, name: str):
             constraint = Constraint(np.eye(features.n_rows)[:s], features)
             policy = PenalisedManipulabilityAscent(constraint)
             for q in (upper, upper + 0.5, np.zeros(robot.nv), one_at_limit):
-                assert (
-                    0.0 <= penalised_manipulability(constraint, q) <= manipulability(constraint, q) * (1 + 1e-9) + 1e-18
-                )
+                most = manipulability(constraint, q) * (1.0 + 1e-9) + 1e-18
+                assert 0.0 <= penalised_manipulability(constraint, q) <= most
                 assert np.all(np.isfinite(penalised_manipulability_gradient(constraint, q)))
                 assert np.all(np.isfinite(log_penalised_manipulability_gradient(constraint, q)))
                 assert np.all(np.isfinite(policy(q))) and np.linalg.norm(policy(q)) <= 4.0 * (1.0 + 1e-9)

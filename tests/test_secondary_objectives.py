@@ -26,7 +26,7 @@ def test_joint_limit_avoidance(robot_of, rng, name: str):
     robot = robot_of(name)
     policy = JointLimitAvoidance(robot, 0.2, max_speed=0.3)
     limited = np.isfinite(robot.position_upper)
-    width = (robot.position_upper - robot.position_lower)[limited]
+    width = robot.position_upper[limited] - robot.position_lower[limited]
     longest = np.minimum(0.3, 0.5 * width)
     for _ in range(20):
         q = robot.positions(robot.random_configuration(rng))
@@ -36,7 +36,8 @@ def test_joint_limit_avoidance(robot_of, rng, name: str):
         np.testing.assert_array_equal(pi[~limited], 0.0)
     for beyond in (0.0, 1e-12, 0.5):
         for bound, sign in ((robot.position_upper, 1.0), (robot.position_lower, -1.0)):
-            q = np.where(limited, bound + sign * beyond, 0.1)
+            q = np.full(robot.nv, 0.1)
+            q[limited] = bound[limited] + sign * beyond
             np.testing.assert_allclose(policy(q)[limited], -sign * longest, rtol=1e-9)
 
 

@@ -128,7 +128,7 @@ def test_robots_without_shapes(robot_of, tmp_path):
 
 def test_policy_pushes_apart(fold):
     """0 beyond the distance; below it, at most the speed, growing from 0, along the gradient, continuous."""
-    policy, collision = SelfCollisionAvoidance(fold, 0.4, max_speed=0.5), SelfCollision(fold)
+    policy, collision = SelfCollisionAvoidance(fold, 0.4, 2.0, max_speed=0.5), SelfCollision(fold)
     bends = np.linspace(0.0, 2.0, 400)
     speeds, seen = [], set()
     for bend in bends:
@@ -156,7 +156,7 @@ def test_policy_separates_links(robot_of, collision_of):
     for _ in range(300):
         q = robot.random_configuration(rng)
         near = collision.nearest(q)
-        assert np.all(np.isfinite(policy(q))) and np.linalg.norm(policy(q)) <= 0.5
+        assert np.all(np.isfinite(policy(q))) and np.linalg.norm(policy(q)) <= 2.0
         if not 0.0 < near.distance < 0.03:
             continue
         for _ in range(100):

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.control.policies.policy import NullSpacePolicy, positive
-from manip_learn.robot.limit_potential import has_range, range_coordinates, ranges, room_of
+from manip_learn.robot.limit_potential import has_range, ranges, room_of
 from manip_learn.robot.robot import Robot
 
 # [1/s] half ranges a second that a joint moves at most, for joints whose range is short
@@ -45,6 +45,9 @@ class JointLimitAvoidance(NullSpacePolicy):
         limited = has_range(robot)
         width = np.where(limited, ranges(robot), 0.0)
         self._strength = self.gain * width
+        self._middle = np.zeros(robot.nv)
+        self._middle[limited] = 0.5 * (robot.position_lower[limited] + robot.position_upper[limited])
+        self._per_half = np.divide(2.0, width, out=np.zeros(robot.nv), where=limited)
         self._longest = np.where(limited, np.minimum(self.max_speed, 0.5 * LARGEST_RATE * width), 1.0)
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
@@ -53,11 +56,10 @@ class JointLimitAvoidance(NullSpacePolicy):
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
-        x = range_coordinates(self.robot, q)
+        x = (self.robot.positions(q) - self._middle) * self._per_half
         room, pull = room_of(x), self._strength * x
         # multiplied by room^2 above and below: finite at the limits
-        denominator = np.hypot(room * room, pull / self._longest)
-        return -np.divide(pull, denominator, out=np.zeros_like(x), where=denominator > 0.0)
+        return -pull / np.hypot(room * room, pull / self._longest)
 
     def __repr__(self) -> str:
         return f"JointLimitAvoidance(gain={self.gain:g}, max_speed={self.max_speed:g})"
