@@ -36,7 +36,7 @@ class SelfCollisionAvoidance(NullSpacePolicy):
     """
 
     def __init__(
-        self, robot: Robot | SelfCollision, distance: float = 0.05, gain: float = 10.0, *, max_speed: float = 2.0
+        self, robot: Robot | SelfCollision, distance: float = 0.1, gain: float = 10.0, *, max_speed: float = 2.0
     ):
         self.distance = positive("distance", distance)
         self.gain = positive("gain", gain)
