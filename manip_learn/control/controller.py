@@ -221,7 +221,7 @@ class ResolvedRateController:
             return None
         # |grad sigma| is about as large as A itself: no closer look where that is slow enough
         size = float(np.vdot(A, A))
-        least_deceleration = BRAKING_SHARE * float(limits.acceleration.min()) * math.sqrt(size)
+        least_deceleration = BRAKING_SHARE * limits.weakest * math.sqrt(size)
         rate = min(APPROACH_RATE, 0.5 / dt) * smallest
         if float(u.dot(u)) * size < min(2.0 * least_deceleration * smallest, rate * rate):
             return None
@@ -269,9 +269,11 @@ class ResolvedRateController:
         limits, damped = self.limits, self.inverse == "damped" and law.smallest < self.threshold
         if limits is None:
             return plain_command(law, velocity, damped)
-        bounds = limits.bounds(q, dt, previous)
         barrier = self._barrier(q, dt, law, velocity)
         slow = barrier is None or float(barrier[0].dot(velocity)) >= barrier[1]
+        if slow and limits.admit(q, dt, velocity, previous):
+            return plain_command(law, velocity, damped)
+        bounds = limits.bounds(q, dt, previous)
         if slow and bounds.admit(velocity):
             return plain_command(law, velocity, damped, bounds.outside)
         low, high = np.array(bounds.low), np.array(bounds.high)

@@ -104,6 +104,7 @@ class Limits:
         jerk: shape (nv,) [rad/s3 or m/s3], or None.
         lower: shape (nv,), lowest positions [rad or m].
         upper: shape (nv,), highest positions.
+        weakest: Smallest acceleration limit of a joint [rad/s2 or m/s2].
 
     Raises:
         ConfigurationError: A limit that is not positive or has the wrong size, or a margin that leaves no room.
@@ -143,8 +144,34 @@ class Limits:
         for array in (self.velocity, self.acceleration, self.lower, self.upper):
             array.setflags(write=False)
         self._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, self.acceleration))
+        self.weakest = float(self.acceleration.min())
         self._unknown: list[None] = [None] * robot.nv
         self._approach: tuple[float, list[_Approach]] = (0.0, [])
+
+    def admit(
+        self,
+        q: Float[np.ndarray, " n"],
+        dt: float,
+        velocity: Float[np.ndarray, " nv"],
+        previous: Float[np.ndarray, " nv"] | None,
+    ) -> bool:
+        """Whether a velocity is within `bounds` and no joint outside its limits, without making the bounds."""
+        if dt != self._approach[0]:
+            self._approach = (dt, [_approach(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)])
+        x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
+        for y, u, lower, upper, v, approach in zip(
+            x.tolist(), velocity.tolist(), *self._columns[:3], self._approach[1], strict=True
+        ):
+            below, above = y - lower, upper - y
+            if not -v <= u <= v or below < 0.0 or above < 0.0:
+                return False
+            distance = above if u > 0.0 else below
+            if distance < approach.free and abs(u) > approach.speed(distance):
+                return False
+        if previous is None:
+            return True
+        changes = zip(velocity.tolist(), previous.tolist(), self._columns[3], strict=True)
+        return all(abs(u - before) <= a * dt for u, before, a in changes)
 
     def bounds(self, q: Float[np.ndarray, " n"], dt: float, previous: Float[np.ndarray, " nv"] | None) -> Bounds:
         """Bounds on the velocity of the next dt.
@@ -196,6 +223,7 @@ class Limits:
             other.acceleration = _positive("acceleration", acceleration, self.robot.joint_names)
         if jerk is not None:
             other.jerk = _positive("jerk", jerk, self.robot.joint_names)
+        other.weakest = float(other.acceleration.min())
         other._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, other.acceleration))
         other._approach = (0.0, [])
         return other
