@@ -141,7 +141,7 @@ class Limits:
             raise ConfigurationError(
                 f"a margin of {margin:g} leaves no room to joint {names[j]!r}, whose range is {width:g} wide"
             )
-        for array in (self.velocity, self.acceleration, self.lower, self.upper):
+        for array in (self.lower, self.upper):
             array.setflags(write=False)
         self._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, self.acceleration))
         self.weakest = float(self.acceleration.min())
@@ -209,6 +209,19 @@ class Limits:
             low_cause.append(bottom_cause)
             high_cause.append(top_cause)
         return Bounds(low, high, low_cause, high_cause, outside if outside > OUTSIDE else 0.0)
+
+    def towards(
+        self, wish: Float[np.ndarray, " nv"], previous: Float[np.ndarray, " nv"], bounds: Bounds, dt: float
+    ) -> Float[np.ndarray, " nv"]:
+        """The velocity within `bounds` that leads to `wish`, or to what the velocity limits leave of its direction.
+
+        On the straight way from `previous`, as far as the acceleration limits go; then each joint is kept from
+        its position limits by itself, so that a joint that is stopped there stops no other.
+        """
+        slowed = wish / float(np.max(np.abs(wish) / self.velocity, initial=1.0))
+        change = slowed - previous
+        longest = float(np.max(np.abs(change) / (self.acceleration * dt), initial=1.0))
+        return np.clip(previous + change / longest, bounds.low, bounds.high)
 
     def with_rates(self, acceleration: ArrayLike | None, jerk: ArrayLike | None) -> Limits:
         """The same limits with other accelerations and jerks; None keeps what there is.
@@ -296,4 +309,5 @@ def _positive(what: str, values: ArrayLike, names: tuple[str, ...]) -> Float[np.
     if wrong.size:
         j = int(wrong[0])
         raise ConfigurationError(f"the {what} limit of joint {names[j]!r} must be positive, got {array[j]:g}")
+    array.setflags(write=False)
     return array

@@ -15,7 +15,9 @@ from manip_learn.errors import ConstraintError, MissingExtraError
 # how much a bound may be exceeded by rounding, in the unit of the bounds
 TOLERANCE = 1e-11
 # a row whose part outside the active rows is shorter than this share of it depends on them
-DEPENDENT = 1e-10
+DEPENDENT = 1e-18
+# ... and than this share, it is projected twice
+REORTHOGONAL = 1e-2
 
 Solver = Literal["active-set", "qp"]
 Projection = Callable[
@@ -93,14 +95,8 @@ def project_by_active_set(
         normal, bound = (C[worst], float(high[worst])) if above else (-C[worst], -float(low[worst]))
         square, multiplier = float(normal.dot(normal)), 0.0
         while True:
-            if active:
-                _, r, failed = dposv(rows.dot(rows.T), rows.dot(normal))
-                if failed:
-                    return None
-                direction = normal - r.dot(rows)
-            else:
-                r, direction = multipliers, normal
-            slope = float(direction.dot(normal))
+            r, direction = _across(rows, normal, square) if active else (multipliers, normal)
+            slope = float(direction.dot(direction))
             full = excess / slope if slope > DEPENDENT * square else np.inf
             falling = np.flatnonzero(r > 0.0)
             partial, leaving = np.inf, -1
@@ -128,7 +124,26 @@ def project_by_active_set(
     return None
 
 
+def _across(rows: np.ndarray, normal: np.ndarray, square: float) -> tuple[np.ndarray, np.ndarray]:
+    """(r, normal - r rows): a normal without its part along the active rows."""
+    gram = rows.dot(rows.T)
+    _, r, failed = dposv(gram, rows.dot(normal))
+    if failed:
+        r = np.linalg.lstsq(rows.T, normal, rcond=None)[0]
+    direction = normal - r.dot(rows)
+    if failed or direction.dot(direction) > REORTHOGONAL * square:
+        return r, direction
+    # the square of the condition number is in the Gram matrix: once more, for what rounding has left
+    _, more, failed = dposv(gram, rows.dot(direction))
+    return (r, direction) if failed else (r + more, direction - more.dot(rows))
+
+
 def _on_faces(x: np.ndarray, y: np.ndarray, rows: np.ndarray, bounds: np.ndarray) -> np.ndarray:
     """The nearest point to x with rows y = bounds, without the rounding of the steps that led to y."""
-    _, multipliers, failed = dposv(rows.dot(rows.T), rows.dot(x) - bounds)
-    return y if failed else x - multipliers.dot(rows)
+    gram = rows.dot(rows.T)
+    _, multipliers, failed = dposv(gram, rows.dot(x) - bounds)
+    if failed:
+        return y
+    nearest = x - multipliers.dot(rows)
+    _, more, _ = dposv(gram, rows.dot(nearest) - bounds)
+    return nearest - more.dot(rows)

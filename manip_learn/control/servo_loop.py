@@ -12,14 +12,18 @@ from numpy.typing import ArrayLike
 from manip_learn.control.command import Command, Controller
 from manip_learn.control.compiled_controller import CompiledController
 from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.following import FollowingError
+from manip_learn.control.moving_average import MovingAverage
 from manip_learn.control.outcome import next_slide
-from manip_learn.control.servo_settings import filter_length, following_errors, limits_of, robot_of, with_limits
+from manip_learn.control.servo_settings import limits_of, robot_of, with_limits
 from manip_learn.control.status import Status
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
 # [s] time by which a measurement may lag behind the command that it is compared with
 LATENCY = 0.01
+LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
+STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
 
 
 @final
@@ -78,20 +82,16 @@ class ServoLoop:
         latency: float = LATENCY,
         robot: Robot | None = None,
     ):
-        for name, value in (("dt", dt), ("stale_after", stale_after)):
-            if not 0.0 < value < math.inf:
+        for name, value in (("dt", dt), ("stale_after", stale_after), ("latency", latency)):
+            if not (_is_number(value) and 0.0 <= value < math.inf and (value > 0.0 or name == "latency")):
                 raise ConfigurationError(f"{name} must be a positive number of seconds, got {value!r}")
-        if not 0.0 <= latency < math.inf:
-            raise ConfigurationError(f"latency must be a number of seconds, got {latency!r}")
-        self.robot = robot_of(controller, robot)
-        self.dt, self.stale_after = float(dt), float(stale_after)
+        self.robot, self.dt, self.stale_after = robot_of(controller, robot), float(dt), float(stale_after)
         self.limits = limits_of(controller, self.robot, acceleration_limit, jerk_limit)
         self.controller = with_limits(controller, self.limits)
         self.acceleration_limit, self.jerk_limit = self.limits.acceleration, self.limits.jerk
         self._keeps_limits = isinstance(self.controller, ResolvedRateController | CompiledController)
-        self._largest_error = following_errors(self.robot, following_error_limit)
-        self._latency = float(latency)
-        self._filter = np.zeros((filter_length(self.limits, dt), self.robot.nv))
+        self._following = FollowingError(self.robot, following_error_limit, float(latency))
+        self._average = MovingAverage(self.limits, self.dt)
         self.reset()
 
     def reset(self, q: ArrayLike | None = None) -> None:
@@ -105,16 +105,16 @@ class ServoLoop:
             ConfigurationError: q has the wrong size or is not finite.
         """
         nv = self.robot.nv
-        # where the controller is, and where the arm is sent: the same but for the filter
+        # where the controller is, and where the arm is sent: the same but for the average
         self._reference = self._output = None if q is None else np.array(self.robot.checked_posture(q))
         self._velocity, self._sent = np.zeros(nv), np.zeros(nv)
-        self._filter[:] = 0.0
-        self._row = 0
+        self._average.forget()
+        self._following.forget()
         self._time, self._origin = -math.inf, math.nan  # of the newest state, and of the first
         self._advanced = 0.0  # time by which the commanded posture has moved on since `_origin`
         self._waited = 0.0  # periods since the newest state
-        self._tripped = self._stopping = False
-        self._error, self._slide = 0.0, 0.0
+        self._stopping = False
+        self._slide = 0.0
         self._last: Command | None = None
 
     def stop(self) -> None:
@@ -152,24 +152,35 @@ class ServoLoop:
             ManipLearnError: What the controller raises.
         """
         measured = self._posture(q)
-        time = float(t) if isinstance(t, int | float | np.number) and not isinstance(t, bool) else math.nan
-        if measured is None or not math.isfinite(time) or time < self._time:
+        time = float(t) if _is_number(t) and abs(t) < LONGEST_TIME else math.nan
+        if measured is None or not time >= self._time:
             self._waited += self.dt
             return self._braked(Status.INVALID_INPUT)
         held = self._accept_time(time)
-        if self._reference is None:
+        if self._reference is None or self._output is None:
             self._reference = self._output = measured
-        self._measure(measured)
-        q = self._reference
-        if self._tripped:
+        if self._waited == 0.0:  # a state that is not new says nothing of the commands since
+            self._following.compare(self._output, measured, self._sent, self.limits.acceleration)
+        if self._following.tripped:
             return self._braked(Status.FOLLOWING_ERROR)
         if held is None or self._waited > self.stale_after:
             return self._braked(Status.STALE)
         if self._stopping:
             return self._braked(Status.STOPPED)
-        if self._waited > 0.0 and self._last is not None:  # nothing new: hold the last command
-            return self._sent_on(self._last._replace(velocity=self._velocity, following_error=self._error))
-        return self._sent_on(self._command(q, time, held)._replace(following_error=self._error))
+        if self._waited > 0.0 and self._last is not None:
+            return self._held(self._last)
+        return self._sent_on(self._command(self._reference, time, held))
+
+    def _held(self, last: Command) -> Command:
+        """Nothing new: the last command, as long as that stays within the limits."""
+        if last.status in STANDING:
+            return self._braked(last.status)
+        if self._reference is not None:
+            bounds = self.limits.bounds(self._reference, self.dt, self._velocity)
+            if not bounds.admit(self._velocity):
+                slower = np.clip(self._velocity, bounds.low, bounds.high)
+                return self._sent_on(last._replace(velocity=slower, status=Status.POSITION_LIMITED))
+        return self._sent_on(last._replace(velocity=self._velocity))
 
     def _posture(self, q: Any) -> Float[np.ndarray, " n"] | None:
         """The posture as an array of its own; None if it is none."""
@@ -181,15 +192,17 @@ class ServoLoop:
             if q.dtype.kind not in "fiu":
                 return None
             q = q.astype(np.float64)
-        if q.ndim != 1 or not math.isfinite(math.fsum(map(abs, q.tolist()))):
+        if q.ndim != 1:
             return None
         try:
-            return np.array(self.robot.checked_posture(q))
+            q = self.robot.checked_posture(q)
+            # (cos, sin) of any length but 0
+            return np.array(q) if q.shape[0] == self.robot.nv else np.array(self.robot.configuration(q))
         except ConfigurationError:
             return None
 
     def _accept_time(self, time: float) -> float | None:
-        """Take the time of a state; returns how long its command will be held, None after a gap [s]."""
+        """Take the time of a state; returns the time since the last command, None after a gap [s]."""
         dt, since = self.dt, time - self._time
         if since <= 0.0:
             self._waited += dt
@@ -200,19 +213,9 @@ class ServoLoop:
             return dt if math.isinf(since) else None
         late = (time - self._origin) - self._advanced
         if abs(late) > 0.01 * dt and self._reference is not None:  # periods of another length than dt
-            self._advance(late)
-        return dt * max(1, round(since / dt))
-
-    def _measure(self, measured: np.ndarray) -> None:
-        """Compare the measured posture with the commanded one."""
-        if self._output is None:
-            return
-        away = np.abs(self.robot.difference(self._output, measured))
-        lag = self._latency * (np.abs(self._sent) + self._latency * self.limits.acceleration)
-        excess = np.maximum(away - lag, 0.0)
-        self._error = float(excess.max(initial=0.0))
-        if self._error > 0.0 and np.any(excess > self._largest_error):
-            self._tripped = True
+            self._advance(late, self._sent)
+        # calls without a new state have moved on in steps of dt: the change of velocity that they left out is lost
+        return dt * max(1, math.floor(late / dt + 1.25)) if late > -0.25 * dt else max(dt + late, 0.1 * dt)
 
     def _command(self, q: np.ndarray, time: float, held: float) -> Command:
         """The controller's command, within the limits."""
@@ -220,62 +223,56 @@ class ServoLoop:
             command = self.controller(q, time, held, self._velocity, self._slide)  # type: ignore[call-arg]
             self._slide = next_slide(self._slide, command, held)
             return command
-        command = self.controller(q, time, held)
-        wish = np.asarray(command.velocity, dtype=np.float64)
+        # the user's own controller may write into what it is given, and give the same array every time
+        command = self.controller(q.copy(), time, held)
+        wish = np.array(command.velocity, dtype=np.float64)
         if wish.shape != self._velocity.shape or not np.all(np.isfinite(wish)):
             raise ConfigurationError(f"the controller's velocity is not {self.robot.nv} finite numbers: {wish}")
         bounds = self.limits.bounds(q, held, self._velocity)
         if bounds.admit(wish):
-            return command
-        # as far as possible on the straight way from the velocity commanded last
-        low, high = np.array(bounds.low), np.array(bounds.high)
-        start = np.clip(self._velocity, low, high)
-        change = wish - start
-        room = np.where(change > 0.0, high - start, start - low)
-        share = float(np.min(room[change != 0.0] / np.abs(change[change != 0.0]), initial=1.0))
+            return command._replace(velocity=wish)
         status = Status.OUTSIDE_LIMITS if bounds.outside > 0.0 else Status.ACCELERATION_LIMITED
-        return command._replace(velocity=start + share * change, status=status, outside=bounds.outside)
+        velocity = self.limits.towards(wish, self._velocity, bounds, held)
+        return command._replace(velocity=velocity, status=status, outside=bounds.outside)
 
     def _braked(self, status: Status) -> Command:
         """The arm brakes along the motion it was in, as hard as the acceleration limits allow."""
         u, dt = self._velocity, self.dt
         hardest = float(np.max(np.abs(u) / (self.limits.acceleration * dt), initial=0.0))
-        if hardest > 0.0:
-            u = u * max(0.0, 1.0 - 1.0 / hardest)
-            if self._reference is not None:
-                bounds = self.limits.bounds(self._reference, dt, self._velocity)
-                u = np.clip(u, bounds.low, bounds.high)
+        if np.all(np.isfinite(self.limits.acceleration)):
+            u = u * max(0.0, 1.0 - 1.0 / hardest) if hardest > 0.0 else u
+        else:  # a joint that stops at once waits for none that cannot
+            u = np.sign(u) * np.maximum(np.abs(u) - self.limits.acceleration * dt, 0.0)
+        if hardest > 0.0 and self._reference is not None:
+            bounds = self.limits.bounds(self._reference, dt, self._velocity)
+            # slower towards a limit, but at rest outside one
+            u = np.clip(u, np.minimum(bounds.low, 0.0), np.maximum(bounds.high, 0.0))
         last, zero = self._last, np.zeros(self.robot.nv)
-        facts = (
-            (0.0, zero[:0], 0.0)
-            if last is None
-            else (last.manipulability, last.task_velocity, last.smallest_singular_value)
-        )
-        command = Command(
-            *(u, status, facts[0], facts[1], u, zero, 0.0, 0.0, facts[2]), progress=0.0, following_error=self._error
-        )
-        return self._sent_on(command)
+        mu, b, smallest = 0.0, zero[:0], 0.0
+        if last is not None:
+            mu, b, smallest = last.manipulability, last.task_velocity, last.smallest_singular_value
+        return self._sent_on(Command(*(u, status, mu, b, u, zero, 0.0, 0.0, smallest), progress=0.0))
 
     def _sent_on(self, command: Command) -> Command:
-        """Filter the velocity, and move the commanded posture on by one period."""
-        self._last, u = command, command.velocity
-        self._velocity = u
-        if len(self._filter) > 1:
-            self._filter[self._row] = u
-            self._row = (self._row + 1) % len(self._filter)
-            u = self._filter.mean(axis=0)
-        self._sent = u
-        self._advance(self.dt)
-        return command if u is command.velocity else command._replace(velocity=u.copy())
+        """Average the velocity, and move the commanded posture on by one period."""
+        # arrays of the loop's own: what the caller does to those of the command is his
+        self._last, self._velocity, error = command, command.velocity.copy(), self._following.largest
+        self._sent = self._average.of(self._velocity)
+        self._advance(self.dt, self._velocity)
+        b, task, null = (np.array(part) for part in (command.task_velocity, command.task_part, command.null_part))
+        return command._replace(
+            velocity=self._sent.copy(), task_velocity=b, task_part=task, null_part=null, following_error=error
+        )
 
-    def _advance(self, time: float) -> None:
+    def _advance(self, time: float, velocity: np.ndarray) -> None:
         """Move the commanded posture on by a time [s]."""
         if self._reference is None or self._output is None:
             return
         self._advanced += time
-        together = self._output is self._reference and self._sent is self._velocity
-        self._reference = self.robot.integrate(self._reference, time * self._velocity)
-        self._output = self._reference if together else self.robot.integrate(self._output, time * self._sent)
+        if velocity.any() or self._sent.any():
+            together = self._output is self._reference and self._average.length == 1
+            self._reference = self.robot.integrate(self._reference, time * velocity)
+            self._output = self._reference if together else self.robot.integrate(self._output, time * self._sent)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]; NaN if the controller knows none."""
@@ -284,3 +281,9 @@ class ServoLoop:
 
     def __repr__(self) -> str:
         return f"ServoLoop({self.controller!r}, dt={self.dt:g})"
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value is a real number; True, text, arrays and durations are none."""
+    kinds = (int, float, np.integer, np.floating)
+    return isinstance(value, kinds) and not isinstance(value, bool | np.timedelta64)

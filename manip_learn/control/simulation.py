@@ -106,8 +106,8 @@ def _integrated(
     method: Method,
     report: Progress,
 ) -> Rollout:
-    task_error = controller.task_error if isinstance(controller, TaskController) else None
-    command_at = _loop_of(controller, dt, method)
+    task_error = controller.task_error if isinstance(controller, TaskController | ServoLoop) else None
+    command_at = _loop_of(controller, q, dt, method)
     postures, errors = np.empty((steps + 1, q.shape[0])), np.full(steps + 1, np.nan)
     commands: list[Command] = []
     for i in range(steps + 1):
@@ -133,9 +133,14 @@ def _integrated(
     )
 
 
-def _loop_of(controller: Controller | ServoLoop, dt: float, method: Method) -> Callable[[np.ndarray, float], Command]:
+def _loop_of(
+    controller: Controller | ServoLoop, start: np.ndarray, dt: float, method: Method
+) -> Callable[[np.ndarray, float], Command]:
     """The rule of one step: a servo loop, the library's controllers in one of their own, others as they are."""
     if isinstance(controller, ServoLoop):
+        if method != "euler":
+            raise ConfigurationError("a ServoLoop holds each command for its period: simulate it with method='euler'")
+        controller.reset(start)
         return controller.update
     law = controller.controller if isinstance(controller, CompiledController) else controller
     if method == "euler" and isinstance(law, ResolvedRateController) and law.limits is not None:
@@ -182,7 +187,8 @@ def _compiled_rollout(
 
 def _frame_of(controller: Controller) -> str:
     """Name of the frame whose rows are constrained; empty if the controller has no such frame."""
-    law = controller.controller if isinstance(controller, CompiledController) else controller
+    law = controller.controller if isinstance(controller, ServoLoop) else controller
+    law = law.controller if isinstance(law, CompiledController) else law
     features = law.constraint.features if isinstance(law, ResolvedRateController) else None
     return features.frame.name if isinstance(features, FrameJacobian) else ""
 
