@@ -49,12 +49,12 @@ class Law(NamedTuple):
 def plain_command(law: Law, velocity: Float[np.ndarray, " nv"], damped: bool, outside: float = 0.0) -> Command:
     """The command where no limit changes the law."""
     task, null, escape = law.desired
-    progress, status = 1.0, Status.OK
-    if damped:
+    progress, status, lost = 1.0, Status.OK, _direction_lost(law)
+    if damped or lost:
         progress, status = _progress(law, velocity), Status.DAMPED
         if progress < STALLED_BELOW:
             status = Status.STALLED
-    if law.singular:
+    if lost:
         status = Status.SINGULAR
     if outside > 0.0:
         status = Status.OUTSIDE_LIMITS
@@ -75,7 +75,7 @@ def bounded_command(law: Law, found: BoundedVelocity, bounds: Bounds, damped: bo
     joint, cause = bounds.binding(velocity, task + null)
     if bounds.outside > 0.0:
         status = Status.OUTSIDE_LIMITS
-    elif law.singular:
+    elif _direction_lost(law):
         status = Status.SINGULAR
     elif progress < STALLED_BELOW and cause != ACCELERATION:
         status = Status.STALLED
@@ -96,6 +96,12 @@ def next_slide(slide: float, command: Command, dt: float) -> float:
     if command.status is Status.STALLED:
         return min(1.0, slide + dt / SLIDING_AFTER)
     return max(0.0, slide - dt / KEEPING_AFTER) if command.progress > GOING_ON else slide
+
+
+def _direction_lost(law: Law) -> bool:
+    """Whether A loses a direction of the task: at a singularity, or with more rows than joints that b does not fit."""
+    s, nv = law.A.shape
+    return law.singular or (s > nv and _progress(law, law.desired.task) < SCALED_BELOW)
 
 
 def _progress(law: Law, velocity: np.ndarray) -> float:
