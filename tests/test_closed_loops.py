@@ -129,7 +129,7 @@ def singular_cases(name: str) -> list[tuple[ml.Constraint, np.ndarray]]:
         if sigma[-1] < 1e-9 and len(selection) <= robot.nv:
             free = Vt[np.count_nonzero(sigma > 1e-9) :]
             beside = [np.linalg.svd(constraint(q + 1e-4 * z), compute_uv=False)[-1] for z in free]
-            if max(beside) > 1e-6:
+            if max(beside) > 1e-5:
                 cases.append((constraint, q))
     return cases[:: max(1, len(cases) // 3)]
 
