@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 
+from manip_learn.control.approach import APPROACH_RATE
+from manip_learn.control.approach import BRAKING_SHARE as LIMIT_BRAKING_SHARE
 from manip_learn.control.kernel_linalg import row_inverse
-from manip_learn.control.limits import APPROACH_RATE
-from manip_learn.control.limits import BRAKING_SHARE as LIMIT_BRAKING_SHARE
 from manip_learn.control.singularity import APPROACH_RATE as SINGULAR_RATE
 from manip_learn.control.singularity import BRAKING_SHARE, STABLE_SLOPE
 from manip_learn.control.status import STATUSES, Status

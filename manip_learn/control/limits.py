@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from manip_learn.control.approach import Approach, approach_of
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
@@ -17,12 +18,6 @@ from manip_learn.robot.robot import Robot
 ACCELERATION_RATE = 5.0
 # [rad/s2 or m/s2] default acceleration limit of a joint that has no velocity limit
 DEFAULT_ACCELERATION = 10.0
-# share of the acceleration limit that braking before a position limit uses; the rest keeps the task on its way
-BRAKING_SHARE = 0.5
-# [1/s] rate at which a joint approaches its position limit exponentially, at the end of its braking distance
-APPROACH_RATE = 20.0
-# share of the velocity limit at which a joint that starts outside its position limits returns
-RETURN_SPEED = 0.25
 # [rad or m] room that the joints need for leaving a singularity
 ROOM_TO_LEAVE = 0.1
 # [rad or m] a joint is outside when it is more than this beyond a position limit
@@ -146,7 +141,7 @@ class Limits:
         self._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, self.acceleration))
         self.weakest = float(self.acceleration.min())
         self._unknown: list[None] = [None] * robot.nv
-        self._approach: tuple[float, list[_Approach]] = (0.0, [])
+        self._approach: tuple[float, list[Approach]] = (0.0, [])
 
     def admit(
         self,
@@ -157,7 +152,7 @@ class Limits:
     ) -> bool:
         """Whether a velocity is within `bounds` and no joint outside its limits, without making the bounds."""
         if dt != self._approach[0]:
-            self._approach = (dt, [_approach(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)])
+            self._approach = (dt, [approach_of(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)])
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
         for y, u, lower, upper, v, approach in zip(
             x.tolist(), velocity.tolist(), *self._columns[:3], self._approach[1], strict=True
@@ -182,7 +177,7 @@ class Limits:
             previous: Velocity commanded in the step before [rad/s or m/s]; None bounds no acceleration.
         """
         if dt != self._approach[0]:
-            self._approach = (dt, [_approach(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)])
+            self._approach = (dt, [approach_of(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)])
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
         # loops over Python floats: NumPy calls on vectors as short as an arm's cost more
         low, high, low_cause, high_cause, outside = [], [], [], [], 0.0
@@ -253,51 +248,6 @@ class Limits:
         behind = np.where(direction > 0.0, down, up)[moving] / speeds[moving]
         enough = ROOM_TO_LEAVE / float(speeds.max())
         return direction if float(ahead.min()) >= min(float(behind.min()), enough) else -direction
-
-
-@final
-class _Approach(NamedTuple):
-    """How fast one joint may approach a position limit, see `Limits`.
-
-    Attributes:
-        free: Distance from which every speed is allowed.
-        rate: kappa.
-        linear: d1, where the exponential approach begins.
-        offset: d0.
-        twice: 2 a.
-        half: a dt / 2.
-        fastest: Speed of return from outside.
-    """
-
-    free: float
-    rate: float
-    linear: float
-    offset: float
-    twice: float
-    half: float
-    fastest: float
-
-    def speed(self, distance: float) -> float:
-        """brake(d); negative outside, where the joint returns."""
-        if distance <= self.linear:
-            return max(self.rate * distance, -self.fastest)
-        return math.sqrt(self.half * self.half + self.twice * (distance - self.offset)) - self.half
-
-
-def _approach(velocity: float, acceleration: float, dt: float) -> _Approach:
-    """The constants of a joint: value and slope of brake(d) are continuous at d1."""
-    acceleration = BRAKING_SHARE * acceleration
-    rate = min(APPROACH_RATE, 0.5 / dt)
-    v = min(velocity, 1e6)
-    fastest = RETURN_SPEED * v
-    if not math.isfinite(acceleration):  # stops at once
-        return _Approach(v / rate, rate, math.inf, 0.0, 0.0, 0.0, fastest)
-    twice, half = 2.0 * acceleration, 0.5 * acceleration * dt
-    joined = acceleration / rate - half  # speed at d1
-    linear = joined / rate
-    offset = linear - joined * (joined + acceleration * dt) / twice
-    free = v / rate if v <= joined else offset + v * (v + acceleration * dt) / twice
-    return _Approach(free, rate, linear, offset, twice, half, fastest)
 
 
 def _positive(what: str, values: ArrayLike, names: tuple[str, ...]) -> Float[np.ndarray, " nv"]:
