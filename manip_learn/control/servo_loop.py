@@ -15,7 +15,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.following import FollowingError
 from manip_learn.control.moving_average import MovingAverage
 from manip_learn.control.outcome import next_slide
-from manip_learn.control.servo_settings import limits_of, robot_of, with_limits
+from manip_learn.control.servo_settings import limits_of, robot_of, task_of, with_limits
 from manip_learn.control.status import Status
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
@@ -46,7 +46,7 @@ class ServoLoop:
     time (`Status.INVALID_INPUT`), a state that has not been new for `stale_after` (`Status.STALE`), a call of `stop`
     (`Status.STOPPED`). It starts again by itself when the reason is gone. Where the measured posture is farther from
     the commanded one than `following_error_limit` (a collision, a jammed drawer, a servo that is off), it stands until
-    `reset` is called (`Status.FOLLOWING_ERROR`).
+    `reset` is called (`Status.FOLLOWING_ERROR`), and brakes without regard to the jerk limits.
 
     Args:
         controller: A `ResolvedRateController`, a `CompiledController`, or any `(q, t, dt) -> Command`.
@@ -111,11 +111,15 @@ class ServoLoop:
         self._average.forget()
         self._following.forget()
         self._time, self._origin = -math.inf, math.nan  # of the newest state, and of the first
+        self._earlier = math.nan  # of a state that was refused, being older than the newest
         self._advanced = 0.0  # time by which the commanded posture has moved on since `_origin`
         self._waited = 0.0  # periods since the newest state
         self._stopping = False
         self._slide = 0.0
         self._last: Command | None = None
+        task = task_of(self.controller)
+        if task is not None:
+            task.reset()
 
     def stop(self) -> None:
         """Brake and stand until `start` is called."""
@@ -153,7 +157,10 @@ class ServoLoop:
         """
         measured = self._posture(q)
         time = float(t) if _is_number(t) and abs(t) < LONGEST_TIME else math.nan
+        if measured is not None and time < self._time and self._earlier < time <= self._earlier + self.stale_after:
+            self._time = -math.inf  # two states in order: the clock was set back, or one stamp was wrong
         if measured is None or not time >= self._time:
+            self._earlier = time if measured is not None and time < self._time else math.nan
             self._waited += self.dt
             return self._braked(Status.INVALID_INPUT)
         held = self._accept_time(time)
@@ -162,6 +169,8 @@ class ServoLoop:
         if self._waited == 0.0:  # a state that is not new says nothing of the commands since
             self._following.compare(self._output, measured, self._sent, self.limits.acceleration)
         if self._following.tripped:
+            # the average would go on pressing for its own length
+            self._reference, self._velocity = self._output, self._sent
             return self._braked(Status.FOLLOWING_ERROR)
         if held is None or self._waited > self.stale_after:
             return self._braked(Status.STALE)
@@ -257,7 +266,7 @@ class ServoLoop:
         """Average the velocity, and move the commanded posture on by one period."""
         # arrays of the loop's own: what the caller does to those of the command is his
         self._last, self._velocity, error = command, command.velocity.copy(), self._following.largest
-        self._sent = self._average.of(self._velocity)
+        self._sent = self._velocity.copy() if self._following.tripped else self._average.of(self._velocity)
         self._advance(self.dt, self._velocity)
         b, task, null = (np.array(part) for part in (command.task_velocity, command.task_part, command.null_part))
         return command._replace(

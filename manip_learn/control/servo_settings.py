@@ -8,6 +8,7 @@ from manip_learn.control.command import Controller
 from manip_learn.control.compiled_controller import CompiledController
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.limits import Limits
+from manip_learn.control.tasks import Task
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
@@ -38,3 +39,9 @@ def with_limits(controller: Controller, limits: Limits) -> Controller:
     if isinstance(controller, CompiledController):
         return CompiledController(controller.controller.with_limits(limits))
     return controller.with_limits(limits) if isinstance(controller, ResolvedRateController) else controller
+
+
+def task_of(controller: Controller) -> Task | None:
+    """The task of a controller of the library; None for a controller of another kind."""
+    law = controller.controller if isinstance(controller, CompiledController) else controller
+    return law.task if isinstance(law, ResolvedRateController) else None

@@ -22,6 +22,9 @@ class Task(ABC):
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Distance to the goal along the constraint's rows (Euclidean norm)."""
 
+    def reset(self) -> None:  # noqa: B027  most tasks remember nothing
+        """Forget the past, before another motion."""
+
     def rows(self, constraint: Constraint) -> Constraint:
         """The constraint along whose rows b is given: the controller's own, unless the task drives further rows."""
         return constraint

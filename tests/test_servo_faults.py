@@ -1,0 +1,306 @@
+"""The servo loop and what it is not used to: following errors, other controllers, odd periods, a million bad calls."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+
+import numpy as np
+import pytest
+from servo_cases import BAD_TIMES, DT, Constantly, RobotOf, bad_postures, command_of, law_of, run, start_of
+
+import manip_learn as ml
+from manip_learn.control.following import FOLLOWING_ERROR
+from manip_learn.errors import ConfigurationError, ManipLearnError
+
+ROUNDING = 1.0 + 1e-9
+
+
+def test_a_following_error_trips_until_reset(robot_of: RobotOf) -> None:
+    """A blocked arm: the loop brakes when the commanded posture is 0.1 rad ahead, and stands until `reset`."""
+    robot = robot_of("sawyer")
+    loop, q = ml.ServoLoop(law_of(robot, "sawyer", 3.0)), start_of(robot)
+    for k in range(2000):
+        command = loop.update(q, k * DT)
+        if command.status is ml.Status.FOLLOWING_ERROR:
+            break
+    assert loop.position is not None
+    assert command.following_error > FOLLOWING_ERROR
+    assert np.max(np.abs(loop.position - q)) < FOLLOWING_ERROR + 0.05
+    at = loop.position
+    commands = [loop.update(at, 5.0 + i * DT) for i in range(300)]  # the block is gone: that is no reason to move
+    assert {c.status for c in commands} == {ml.Status.FOLLOWING_ERROR}
+    assert np.all(commands[-1].velocity == 0.0)
+    loop.reset()
+    assert np.linalg.norm([c.velocity for _, c in run(loop, q, 100)][-1]) > 0.01
+
+
+def test_waiting_for_a_state_is_no_following_error(robot_of: RobotOf) -> None:
+    """At full speed, states that come late trip nothing: an old measurement says nothing of newer commands."""
+    robot = robot_of("sawyer")
+    loop, q = ml.ServoLoop(Constantly(robot, robot.velocity_limit)), np.minimum(robot.position_lower, -1.0)
+    for k in range(600):
+        if k % 90 == 0:
+            seen, at = q, k * DT
+        command = loop.update(seen, at)
+        assert command.status is not ml.Status.FOLLOWING_ERROR
+        q = robot.integrate(q, DT * command.velocity)
+
+
+def test_stop_and_start(robot_of: RobotOf) -> None:
+    """`stop` brakes within the acceleration limit and holds; `start` goes on from rest."""
+    robot = robot_of("sawyer")
+    loop = ml.ServoLoop(law_of(robot, "sawyer"))
+    *_, (q, last) = run(loop, start_of(robot), 300)
+    loop.stop()
+    stopping = list(run(loop, q, 400, 0.3))
+    assert {c.status for _, c in stopping} == {ml.Status.STOPPED}
+    speeds = np.array([last.velocity, *(c.velocity for _, c in stopping)])
+    assert np.all(np.abs(np.diff(speeds, axis=0)) <= loop.acceleration_limit * DT * ROUNDING)
+    assert np.all(speeds[-1] == 0.0)
+    loop.start()
+    going = [c.velocity for _, c in run(loop, stopping[-1][0], 200, 0.7)]
+    assert np.linalg.norm(going[0]) <= np.linalg.norm(loop.acceleration_limit * DT) and np.linalg.norm(going[-1]) > 0.05
+
+
+def test_loops_share_nothing(robot_of: RobotOf) -> None:
+    """Two loops round one controller: interleaved they do what each does alone."""
+    robot = robot_of("sawyer")
+    law, q = law_of(robot, "sawyer"), start_of(robot)
+    alone = [c.velocity for _, c in run(ml.ServoLoop(law), q, 200)]
+    first, second = ml.ServoLoop(law), ml.ServoLoop(law, acceleration_limit=1.0, jerk_limit=100.0)
+    pairs = zip(run(first, q, 200), run(second, q + 0.1, 200), strict=True)
+    np.testing.assert_array_equal([c.velocity for (_, c), _ in pairs], alone)
+    assert law.limits is not None and law.limits.jerk is None and law.limits.acceleration[0] != 1.0
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_commands_belong_to_the_caller(own: bool, robot_of: RobotOf) -> None:
+    """Writing into a command, a posture or a position changes no later one, and later updates change no command."""
+    robot = robot_of("sawyer")
+    law = Constantly(robot, np.linspace(-1.0, 1.0, 7)) if own else law_of(robot, "sawyer")
+    clean, spoiled, q = ml.ServoLoop(law), ml.ServoLoop(law), start_of(robot)
+    kept = []
+    for k in range(300):
+        t = (k - k % 3) * DT  # every state twice more
+        posture = q.copy()
+        expected, command = clean.update(q, t), spoiled.update(posture, t)
+        np.testing.assert_array_equal(command.velocity, expected.velocity)
+        kept.append((expected, expected.velocity.copy(), expected.task_part.copy()))
+        for array in (posture, command.velocity, command.task_velocity, command.task_part, command.null_part):
+            array[:] = 1e6
+        position = spoiled.position
+        assert position is not None
+        position[:] = np.nan
+        q = robot.integrate(q, DT * expected.velocity)
+    for command, velocity, task_part in kept:
+        np.testing.assert_array_equal(command.velocity, velocity)
+        np.testing.assert_array_equal(command.task_part, task_part)
+
+
+def test_a_controller_of_the_users_own_is_kept_within_the_limits(robot_of: RobotOf) -> None:
+    """Full speed at once, in one array that is used again: acceleration, velocity and position limits hold."""
+    robot = robot_of("sawyer")
+    loop, before = ml.ServoLoop(Constantly(robot, 1e300 * robot.velocity_limit)), np.zeros(7)
+    words = set()
+    for q, command in run(loop, start_of(robot), 3000):
+        assert np.all(np.abs(command.velocity - before) <= loop.acceleration_limit * DT * ROUNDING)
+        assert np.all(q <= robot.position_upper + 1e-9)
+        before = command.velocity
+        words.add(command.status)
+    assert ml.Status.OK not in words
+    np.testing.assert_allclose(q, robot.position_upper, rtol=0, atol=1e-2)
+
+
+def test_velocities_of_any_kind_are_numbers(robot_of: RobotOf) -> None:
+    """A list of ints or a float32 array from a user's own controller becomes a float64 velocity of the loop's own."""
+    robot = robot_of("sawyer")
+    for velocity in ([0] * 7, np.full(7, 0.001, np.float32), (0.001,) * 7):
+        loop = ml.ServoLoop(lambda q, t, dt, v=velocity: command_of(v), robot=robot)
+        for _, command in run(loop, start_of(robot), 20):
+            assert command.velocity.dtype == np.float64 and command.status is ml.Status.OK
+            np.testing.assert_allclose(command.velocity, velocity, rtol=1e-6)
+
+
+def test_the_compiled_controller_gives_the_same_commands(robot_of: RobotOf) -> None:
+    """A loop round a `CompiledController` sends what a loop round its law sends."""
+    pytest.importorskip("numba")
+    robot = robot_of("sawyer")
+    law, q = law_of(robot, "sawyer"), start_of(robot)
+    by_law = run(ml.ServoLoop(law), q, 400)
+    compiled = run(ml.ServoLoop(ml.CompiledController(law)), q, 400)
+    for (_, expected), (_, command) in zip(by_law, compiled, strict=True):
+        np.testing.assert_allclose(command.velocity, expected.velocity, rtol=0, atol=1e-9)
+        assert command.status is expected.status
+
+
+@pytest.mark.parametrize("jerk", [None, 200.0])
+def test_irregular_periods(robot_of: RobotOf, rng: np.random.Generator, jerk: float | None) -> None:
+    """Late calls, with commands that are held in between: the commanded posture is where the arm is, limits hold."""
+    robot = robot_of("sawyer")
+    law = law_of(robot, "sawyer")
+    loop, q, t, before = ml.ServoLoop(law, jerk_limit=jerk), start_of(robot), 0.0, np.zeros(7)
+    first, period = law.task_error(q), DT
+    for k in range(2500):
+        command = loop.update(q, t)
+        assert np.all(np.abs(command.velocity - before) <= 1.5 * loop.acceleration_limit * max(period, DT))
+        assert command.following_error == 0.0
+        period = DT * (rng.uniform(0.8, 1.2) if k % 50 else rng.uniform(1.0, 8.0))
+        q, t, before = robot.integrate(q, period * command.velocity), t + period, command.velocity
+        assert loop.position is not None
+        assert np.max(np.abs(loop.position - q)) < 0.02
+    assert law.task_error(q) < 0.02 * first
+
+
+def test_twice_as_often_as_agreed(robot_of: RobotOf) -> None:
+    """Called at 2 kHz with dt = 1 ms, the arm still accelerates within its limit in time."""
+    robot = robot_of("sawyer")
+    loop, q, before = ml.ServoLoop(law_of(robot, "sawyer", 2.0)), start_of(robot), np.zeros(7)
+    for k in range(500):
+        command = loop.update(q, k * 0.5 * DT)
+        if k > 0:
+            change = np.abs(command.velocity - before)
+            assert np.all(change <= loop.acceleration_limit * 0.5 * DT * (1.0 + 1e-6))
+        q, before = robot.integrate(q, 0.5 * DT * command.velocity), command.velocity
+
+
+def test_after_bad_input_the_arm_does_not_make_up_for_it(robot_of: RobotOf) -> None:
+    """After periods of bad input, the next command is one period's acceleration away, not all of theirs."""
+    robot = robot_of("sawyer")
+    loop, before = ml.ServoLoop(law_of(robot, "sawyer", 2.0)), np.zeros(7)
+    q = start_of(robot)
+    for k in range(400):
+        command = loop.update(None if k % 100 > 50 else q, k * DT)
+        assert np.all(np.abs(command.velocity - before) <= loop.acceleration_limit * DT * ROUNDING)
+        q, before = robot.integrate(q, DT * command.velocity), command.velocity
+
+
+def test_without_acceleration_limits_a_stop_is_a_stop(robot_of: RobotOf) -> None:
+    """Infinite acceleration: bad input stops the arm at once, and a following error still trips."""
+    robot = robot_of("sawyer")
+    loop = ml.ServoLoop(law_of(robot, "sawyer", 2.0), acceleration_limit=np.inf)
+    *_, (q, last) = run(loop, start_of(robot), 50)
+    assert np.any(last.velocity != 0.0)
+    assert np.all(loop.update(None, 0.0).velocity == 0.0)
+    commands = [loop.update(q, 0.05 + k * DT) for k in range(1500)]
+    assert commands[-1].status is ml.Status.FOLLOWING_ERROR and np.all(commands[-1].velocity == 0.0)
+
+
+@pytest.mark.parametrize("periods", [1_500, pytest.param(1_000_000, marks=pytest.mark.slow)])
+def test_memory_does_not_grow(periods: int, robot_of: RobotOf) -> None:
+    """Thousands of periods, good and bad, leave nothing behind."""
+    robot = robot_of("sawyer")
+    loop, q = ml.ServoLoop(law_of(robot, "sawyer"), jerk_limit=500.0), start_of(robot)
+
+    def work(first: int, last: int, q: np.ndarray) -> np.ndarray:
+        for k in range(first, last):
+            command = loop.update(None if k % 500 > 450 else q, k * DT)
+            q = robot.integrate(q, DT * command.velocity)
+        return q
+
+    q = work(0, 600, q)
+    gc.collect()
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        work(600, 600 + periods, q)
+        gc.collect()
+        assert tracemalloc.get_traced_memory()[0] - before < 20_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3000)
+def test_a_million_bad_calls(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """1,000,000 calls with bad or stale input: no exception, no motion."""
+    robot = robot_of("sawyer")
+    loop, q = ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot)
+    loop.update(q, 0.0)
+    loop.reset(q)
+    bad = [(p, 1.0) for p in bad_postures(robot)] + [(q, t) for t in BAD_TIMES if t != -1.0 and t != -(10**9)]
+    for i in rng.integers(len(bad), size=1_000_000).tolist():
+        assert not loop.update(*bad[i]).velocity.any()
+
+
+def test_a_loop_can_be_simulated_again(robot_of: RobotOf) -> None:
+    """`simulate` runs a loop from rest at the start given, as often as it is asked to, with the task's error."""
+    robot = robot_of("sawyer")
+    law = law_of(robot, "sawyer")
+    loop = ml.ServoLoop(law, DT)
+    first = ml.simulate(robot, loop, start_of(robot), 0.3, DT)
+    second = ml.simulate(robot, loop, start_of(robot), 0.3, DT)
+    plain = ml.simulate(robot, law, start_of(robot), 0.3, DT)
+    np.testing.assert_array_equal(first.q, second.q)
+    np.testing.assert_allclose(first.q, plain.q, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(first.task_error, plain.task_error, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        *({"dt": 0.0}, {"dt": np.nan}, {"dt": "fast"}, {"stale_after": -1.0}, {"latency": -0.1}, {"dt": True}),
+        *({"acceleration_limit": 0.0}, {"acceleration_limit": [1.0]}, {"jerk_limit": -1.0}, {"jerk_limit": 1e-9}),
+        *({"following_error_limit": [0.1, 0.1]}, {"following_error_limit": np.nan}, {"following_error_limit": 0.0}),
+        {"acceleration_limit": np.inf, "jerk_limit": 10.0},
+    ],
+)
+def test_wrong_settings_are_refused(settings: dict, robot_of: RobotOf) -> None:
+    """Before the arm moves, with an error of the library's own."""
+    with pytest.raises(ConfigurationError):
+        ml.ServoLoop(law_of(robot_of("sawyer"), "sawyer"), **settings)
+
+
+def test_step_raises_what_update_hides(robot_of: RobotOf) -> None:
+    """`step` shows the error of a task, for finding out what is wrong with it."""
+    robot = robot_of("sawyer")
+    controller = ml.ResolvedRateController(law_of(robot, "sawyer").constraint, null_policy=lambda q, t: np.zeros(3))
+    loop = ml.ServoLoop(controller)
+    assert loop.update(start_of(robot), 0.0).status is ml.Status.INVALID_INPUT
+    with pytest.raises(ManipLearnError, match="7 finite numbers"):
+        loop.step(start_of(robot), 0.1)
+
+
+def test_a_trip_brakes_past_the_average(robot_of: RobotOf) -> None:
+    """With a jerk limit too, the arm brakes at its acceleration limit from the period in which the loop trips."""
+    robot = robot_of("sawyer")
+    loop = ml.ServoLoop(law_of(robot, "sawyer", 2.0), acceleration_limit=3.0, jerk_limit=30.0)
+    q = start_of(robot)
+    for k in range(400):
+        before = loop.update(q, k * DT).velocity
+        q = robot.integrate(q, DT * before)
+    assert np.max(np.abs(before)) > 0.1
+    periods = int(np.ceil(np.max(np.abs(before)) / (3.0 * DT))) + 1
+    for k in range(400, 400 + periods):
+        command = loop.update(q + 0.5, k * DT)
+        assert command.status == "following-error"
+        assert np.all(np.abs(command.velocity - before) <= 3.0 * DT * ROUNDING)
+        before = command.velocity
+    np.testing.assert_array_equal(command.velocity, np.zeros(7))
+
+
+def test_a_clock_that_was_set_back(robot_of: RobotOf) -> None:
+    """One stamp from the future stops the arm for a moment only; states in order are believed again."""
+    robot = robot_of("sawyer")
+    loop, q = ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot)
+    words = []
+    for k in range(60):
+        command = loop.update(q, 1e6 if k == 20 else k * DT)
+        q = robot.integrate(q, DT * command.velocity)
+        words.append(str(command.status))
+    assert words[20] == "stale" and words[21] == "invalid-input"
+    assert set(words[30:]).isdisjoint({"stale", "invalid-input"})
+
+
+def test_reset_begins_the_task_again(robot_of: RobotOf) -> None:
+    """After `reset` a motion along a free direction starts where the arm is then, not where it was."""
+    robot = robot_of("sawyer")
+    constraint = ml.Constraint(np.eye(3)[:2], ml.FrameJacobian(robot, "right_hand"))
+    loop = ml.ServoLoop(ml.ResolvedRateController(constraint, ml.FreeDirection(constraint, 0.05, 0.2)))
+    q = start_of(robot)
+    for _ in range(2):
+        loop.reset(q)
+        at = robot.position(q, "right_hand")
+        for k in range(1500):
+            q = robot.integrate(q, DT * loop.update(q, k * DT).velocity)
+        assert np.linalg.norm(robot.position(q, "right_hand") - at) == pytest.approx(0.05, abs=1e-3)
