@@ -91,7 +91,7 @@ def test_errors_of_a_prior_have_its_covariance(rng):
 
 
 def test_at_the_bound_and_inside_two_times_in_three():
-    """A curved policy hidden by noise: at most 1.3 times the bound, but for the chance of 24 sets; a seed of its own."""
+    """A curved policy hidden by noise: at most 1.3 times the bound, but for the chance of 24 sets; its own seed."""
     line = measure("planar3", "quadratic", 0.01, (50, 20), 24, seed=4711)
     assert line.ratio < 1.5
     assert 0.45 <= line.coverage <= 0.9
