@@ -186,7 +186,10 @@ def test_without_acceleration_limits_a_stop_is_a_stop(robot_of: RobotOf) -> None
     assert commands[-1].status is ml.Status.FOLLOWING_ERROR and np.all(commands[-1].velocity == 0.0)
 
 
-@pytest.mark.parametrize("periods", [1_500, pytest.param(1_000_000, marks=pytest.mark.slow)])
+LONG = (pytest.mark.slow, pytest.mark.timeout(3000))
+
+
+@pytest.mark.parametrize("periods", [1_500, pytest.param(1_000_000, marks=LONG)])
 def test_memory_does_not_grow(periods: int, robot_of: RobotOf) -> None:
     """Thousands of periods, good and bad, leave nothing behind."""
     robot = robot_of("sawyer")
