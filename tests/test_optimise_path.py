@@ -115,7 +115,7 @@ class TestWithCasadi:
     def test_better_where_the_greedy_law_is_trapped(self, robot_of):
         """From a posture whose gradient leads the wrong way, the whole path gains a lot."""
         robot = robot_of("planar3")
-        constraint, task, start = reaching(robot, "tip", 2, 0)
+        constraint, task, start = reaching(robot, "tip", 2, 5)
         base = greedy(constraint, task, start, 4.0)
         path = ml.optimise_path(constraint, task, start, 4.0, knots=20)
         assert np.mean(path.manipulability) > 1.15 * np.mean(base.manipulability)

@@ -29,11 +29,12 @@ from manip_learn.control.polytope_projection import Solver, projection_by
 from manip_learn.control.singularity import (
     APPROACH_RATE,
     BRAKING_SHARE,
-    STABLE_SLOPE,
     Decomposition,
     approach_bound,
     escape_velocity,
+    pressed_damping,
     smallest_gradient,
+    stable_damping,
 )
 from manip_learn.control.tasks import Hold, Task
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
@@ -68,8 +69,8 @@ class ResolvedRateController:
         null_policy: pi(q, t); None is zero.
         inverse: `"damped"` for a real arm; `"exact"` or `"truncated"` (Matlab's tolerance) as in the paper.
         threshold: Singular value of A at which damping sets in, in the constraint's units (m or 1).
-        damping: Least damping factor at a singular value of 0; within limits sqrt(2 dt |beta| sigma_1) or more, beta
-            the part of b in the direction that is nearly lost: an explicit step of dt can follow.
+        damping: Damping factor at a singular value of 0; within limits a larger one for a task that presses into the
+            singularity (see `stable_damping`).
         limits: `True` for the robot's own (see `Limits` for the accelerations); a `Limits`; `False` ignores the
             joint limits and scales nothing (the paper's law as printed).
         dt: Time for which a command is held [s], unless the call says otherwise.
@@ -195,14 +196,15 @@ class ResolvedRateController:
         else:
             pi = ascent.from_decomposition(A.shape, decomposition, vjp, dt)
         k = sigma.shape[0]
-        damping = self.damping
-        if (
-            self._brakes
-        ):  # an explicit step of dt can follow what is damped that much, also towards targets out of reach
-            lost = float(np.max(np.abs(b.dot(U[:, :k][:, sigma < self.threshold])), initial=0.0))
-            damping = max(damping, math.sqrt(lost * float(sigma[0]) * dt / (2.0 * STABLE_SLOPE)))
-        gains = inverse_singular_values(sigma, A.shape, self.inverse, self.threshold, damping)
-        task_part = (gains * b.dot(U[:, :k])).dot(Vt[:k])
+        along = b.dot(U[:, :k])
+        gains = inverse_singular_values(sigma, A.shape, self.inverse, self.threshold, self.damping)
+        task_part = (gains * along).dot(Vt[:k])
+        stable = stable_damping(sigma, along, self.threshold, dt)
+        if self._brakes and stable > self.damping and sigma[-1] > SINGULAR_RATIO * sigma[0]:
+            slope = smallest_gradient(decomposition, vjp or self.constraint.value_and_vjp(q)[1])
+            damping = pressed_damping(self.damping, stable, slope, task_part)
+            gains = inverse_singular_values(sigma, A.shape, self.inverse, self.threshold, damping)
+            task_part = (gains * along).dot(Vt[:k])
         Z = Vt[np.count_nonzero(sigma > matlab_tolerance(sigma, A.shape)) :]
         smallest, singular = float(sigma[-1]), bool(sigma[-1] <= SINGULAR_RATIO * sigma[0])
         mu = math.prod(sigma.tolist()) if A.shape[0] <= A.shape[1] else 0.0

@@ -26,6 +26,9 @@ CROSSING_SPEED = 5e-4
 # share of the joints' acceleration that is kept for braking before a singularity
 BRAKING_SHARE = 0.5
 
+# share of the task part along -grad sigma from which on it presses fully into a singularity
+FULLY_PRESSING = 0.1
+
 
 @final
 class Decomposition(NamedTuple):
@@ -127,3 +130,38 @@ def approach_bound(
     deceleration = BRAKING_SHARE * length * length * usable
     rate = min(APPROACH_RATE, 0.5 / dt)
     return length * CROSSING_SPEED + min(rate * smallest, math.sqrt(2.0 * deceleration * smallest))
+
+
+def stable_damping(
+    sigma: Float[np.ndarray, " k"], along: Float[np.ndarray, " k"], threshold: float, dt: float
+) -> float:
+    """Damping lambda at which an explicit step of dt follows a task that presses into a singularity.
+
+    The joint velocity beta sigma / (sigma^2 + lambda^2) has the slope |grad sigma| beta / lambda^2 at the singularity,
+    |grad sigma| about as large as sigma_1:  lambda^2 = dt |beta| sigma_1 / (2 STABLE_SLOPE).
+
+    Args:
+        sigma: Singular values of A.
+        along: U^T b.
+        threshold: Singular value below which a direction counts as nearly lost.
+        dt: Time for which a velocity is held [s].
+    """
+    beta = float(np.max(np.abs(along[sigma < threshold]), initial=0.0))
+    return math.sqrt(beta * float(sigma[0]) * dt / (2.0 * STABLE_SLOPE))
+
+
+def pressed_damping(
+    damping: float, stable: float, slope: Float[np.ndarray, " nv"], task_part: Float[np.ndarray, " nv"]
+) -> float:
+    """`stable` for a task part that presses into the singularity, `damping` for one that leads out of it.
+
+    Args:
+        damping: Damping of a task that leads out, or along.
+        stable: See `stable_damping`.
+        slope: Gradient of the smallest singular value.
+        task_part: A^+ b.
+    """
+    size = math.sqrt(slope.dot(slope) * task_part.dot(task_part))
+    pressing = -float(slope.dot(task_part)) / size if size > 0.0 else 0.0
+    share = min(1.0, max(0.0, pressing / FULLY_PRESSING))
+    return math.sqrt((1.0 - share) * damping**2 + share * stable**2)

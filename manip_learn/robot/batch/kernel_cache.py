@@ -31,6 +31,7 @@ KERNEL_FILES = (
 CONSTANT_FILES = (
     "linalg.py",
     "control/status.py",
+    "control/approach.py",
     "control/limits.py",
     "control/singularity.py",
 )

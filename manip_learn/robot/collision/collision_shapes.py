@@ -158,7 +158,7 @@ def _primitive(shape: Shape) -> tuple[Any, float]:
     return _convex(shape.vertices, shape.faces), float(np.linalg.norm(shape.vertices, axis=1).max())
 
 
-def geometry_object(shape: CollisionShape, number: int) -> Any:
+def geometry_object(shape: CollisionShape, number: int) -> pin.GeometryObject:
     """The shape as Pinocchio keeps it."""
     placement = pin.SE3(shape.placement[:3, :3], shape.placement[:3, 3])
     return pin.GeometryObject(f"{shape.link}_{number}", shape.joint, placement, shape.geometry)
