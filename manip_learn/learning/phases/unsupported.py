@@ -18,9 +18,11 @@ from manip_learn.recordings.trajectory import Trajectory
 
 # one recording shows a contact by firmness alone: free motion is straight or flat too, but to a few percent at best
 FIRM_ALONE = 0.01
-# least evidence [nats], and how many times that of the best recording without a contact; in free motion of six kinds
-# the best recording had 1.3 times as much
+# least evidence [nats], and how many times that of the best recording without a contact
 LEAST_ALONE, MARGIN_ALONE = 60.0, 1.5
+# a few joints, or one after the other, move the hand on circles and in planes: only where the joints move in so many
+# directions, each by this share of the liveliest, does it take a contact to keep them on one
+DIRECTIONS, USED = 5, 0.01
 # versions of the recordings without a contact that are searched for comparison
 CHANCE_RUNS = 3
 # evidence against what is explained already [nats/s]
@@ -59,9 +61,18 @@ def contacts_of_one(
         if found is not None and found.support > needed:
             alone = motion.alone(i)
             values = evidence_of(alone, found) - _explained(alone, i, taken)
-            held = held_samples(values[:, None], alone.first)[:, 0].astype(np.int64)
-            out += [(found.support, Stretch(i, s.start, s.end)) for s in stretches_of(alone, held, 1)]
+            held = held_samples(values[:, None], alone.first)[:, 0]
+            if _directions(np.asarray(trajectories[i].u)[held], float(alone.noise[0])) >= min(DIRECTIONS, features.nv):
+                stretches = stretches_of(alone, held.astype(np.int64), 1)
+                out += [(found.support, Stretch(i, s.start, s.end)) for s in stretches]
     return out
+
+
+def _directions(u: Float[np.ndarray, "n nv"], noise: float) -> int:
+    """Number of directions in which the joints move, beyond the variance of their noise."""
+    sizes = np.linalg.svd(u, compute_uv=False)
+    floor = max(USED * float(np.max(sizes, initial=0.0)), 2.0 * np.sqrt(noise * len(u)))
+    return int(np.count_nonzero(sizes > floor))
 
 
 def _firmest(thin: PhaseMotion, baseline: Float[np.ndarray, " n"], largest: int) -> Found | None:
