@@ -54,14 +54,14 @@ def door_model(handle: np.ndarray, axes: Rotation) -> mujoco.MjModel:
     """The guided arm with its gripper firmly on the handle of a door."""
     spec = guided_arm()
     hinge_place = handle + RADIUS * axes.as_matrix()[:, 0]
-    door = spec.worldbody.add_body(name="door", pos=hinge_place, quat=axes.as_quat(scalar_first=True))
+    door = spec.worldbody.add_body(name="door", pos=hinge_place, quat=axes.as_quat()[[3, 0, 1, 2]])
     door.mass, door.ipos, door.explicitinertial = 4.0, [-RADIUS / 2, 0.0, 0.0], True
     door.inertia = np.array([0.06, 0.11, 0.05])
     door.gravcomp = 1.0  # flaps have gas springs
     hinge = door.add_joint(name="hinge", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, -1.0, 0.0])
     set_damping(hinge, 0.4)
     hinge.frictionloss = 0.3
-    door.add_site(name="handle", pos=[-RADIUS, 0.0, 0.0], quat=GRASP.as_quat(scalar_first=True))
+    door.add_site(name="handle", pos=[-RADIUS, 0.0, 0.0], quat=GRASP.as_quat()[[3, 0, 1, 2]])
     spec.body(GRIP_FRAME).add_site(name="grip")
     firm = spec.add_equality(name="firm_grip", type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_SITE)
     firm.name1, firm.name2, firm.solref, firm.solimp = "grip", "handle", STIFF_SOLREF, STIFF_SOLIMP

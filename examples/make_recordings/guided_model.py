@@ -54,12 +54,12 @@ def _add_arm(spec: mujoco.MjSpec, arm: Arm, friction: float) -> None:
     for i in range(1, model.njoints):
         placement, inertia, kind = model.jointPlacements[i], model.inertias[i], model.joints[i]
         body = bodies[model.parents[i]].add_body(name=model.names[i], pos=placement.translation)
-        body.quat = Rotation.from_matrix(placement.rotation).as_quat(scalar_first=True)
+        body.quat = Rotation.from_matrix(placement.rotation).as_quat()[[3, 0, 1, 2]]
         body.mass, body.ipos, body.explicitinertial = max(inertia.mass, LEAST_MASS), inertia.lever, True
         moments, axes = np.linalg.eigh(inertia.inertia)
         axes = axes * np.linalg.det(axes)
         body.inertia = np.maximum(moments, LEAST_INERTIA)
-        body.iquat = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+        body.iquat = Rotation.from_matrix(axes).as_quat()[[3, 0, 1, 2]]
         axis = AXES.get(kind.shortname()) or kind.extract().axis
         joint = body.add_joint(name=f"joint_{i}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
         damping, dry, joint.armature = drives[i - 1]
@@ -67,7 +67,7 @@ def _add_arm(spec: mujoco.MjSpec, arm: Arm, friction: float) -> None:
         joint.frictionloss = friction * dry
         bodies.append(body)
     frame = model.frames[arm.tip.index]
-    quat = Rotation.from_matrix(frame.placement.rotation).as_quat(scalar_first=True)
+    quat = Rotation.from_matrix(frame.placement.rotation).as_quat()[[3, 0, 1, 2]]
     bodies[frame.parentJoint].add_site(name=TIP, pos=frame.placement.act(np.array(arm.offset)), quat=quat)
 
 
