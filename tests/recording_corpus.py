@@ -103,7 +103,8 @@ def text_cases() -> list[Case]:
         Case("wrong_extension.bag", "accept", text(GOOD)),
         Case("other_order.csv", "accept", text(csv(TABLE[:, [3, 0, 2, 1]], "joint3,time,joint2,joint1"))),
         Case("quoted_header.csv", "accept", text('"time","joint1","joint2","joint3"\n' + "\n".join(LINES[1:]))),
-        Case("no_last_line_end.csv", "accept", text(GOOD.rstrip("\n"))),
+        Case("no_last_line_end.csv", "note", text(GOOD.rstrip("\n"))),
+        Case("no_last_line_end_kept.csv", "accept", text(GOOD.rstrip("\n")), {"last_line": "keep"}),
         Case("commented_header.csv", "note", text("# " + GOOD)),
         Case("effort.csv", "note", text(csv(np.column_stack([TABLE, TIME]), HEADER + ",joint1_effort"))),
         Case("empty.csv", "empty", text("")),
@@ -140,7 +141,9 @@ def text_cases() -> list[Case]:
         Case("trailing_delimiter.csv", "ragged", text(GOOD.replace("\n", ",\n").replace(",\n", "\n", 1))),
         Case("mixed_marks.csv", "decimal-mark", text(csv(TABLE, delimiter=";") + "1,3;1;2;3\n")),
         Case("thousands.csv", "decimal-mark", text(csv(TABLE, delimiter=";") + "1.000,5;1;2;3\n")),
-        Case("cut_off.csv", "ragged", text(GOOD[:-14])),
+        Case("cut_off.csv", "note", text(GOOD[:-14])),
+        Case("cut_off_kept.csv", "ragged", text(GOOD[:-14]), {"last_line": "keep"}),
+        Case("cut_inside_last_number.csv", "note", text(GOOD[:-4])),
         Case("latin1.csv", "encoding", raw(GOOD.encode() + "0.5,\u00e9,1,1\n".encode("latin-1"))),
         Case("long_line.csv", "line-too-long", text("time," + "x" * 1_100_000)),
     ]
@@ -332,7 +335,7 @@ def stub_cases() -> list[Case]:
             "folder_of_notes", "no-recordings", lambda path: folder(path, {"README.md": "hello there", "x.json": "{}"})
         ),
         Case("two_kinds", "mixed-folder", two_kinds),
-        Case("one_bad_in_folder", "ragged", lambda path: folder(path, {"a.csv": GOOD, "b.csv": GOOD[:-14]})),
+        Case("one_bad_in_folder", "ragged", lambda path: folder(path, {"a.csv": GOOD, "b.csv": GOOD[:-14] + "\n"})),
         Case("folder_with_readme", "note", lambda path: folder(path, {"a.csv": GOOD, "README.md": "hello there"})),
         Case(
             "folder", "accept", lambda path: folder(path, {"demo_1.csv": GOOD, "demo_10.csv": GOOD, "demo_2.csv": GOOD})

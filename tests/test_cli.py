@@ -239,7 +239,7 @@ BAD_RECORDINGS = {
 @pytest.mark.parametrize(("content", "word"), BAD_RECORDINGS.values(), ids=BAD_RECORDINGS.keys())
 def test_bad_recording_is_named(run, content, word):
     """The sentence names the file, and the joint, value or fault."""
-    Path("demo.csv").write_text(content, encoding="utf-8")
+    Path("demo.csv").write_text(content and content.rstrip("\n") + "\n", encoding="utf-8")
     code, out, err = run("learn", "planar3", "demo.csv", "--frame", "tip", "--axes", "planar")
     assert (code, out) == (2, ""), err
     assert err.count("\n") == 1

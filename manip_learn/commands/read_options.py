@@ -25,6 +25,9 @@ def read_options(
     topic: Annotated[list[str] | None, typer.Option(help="Topic of a bag; default: all that hold joints.")] = None,
     rate: Annotated[float | None, typer.Option(help="Samples per second, for files without time stamps.")] = None,
     outside_limits: Annotated[str | None, typer.Option(help="Samples far outside the limits: refuse or note.")] = None,
+    last_line: Annotated[
+        str | None, typer.Option(help="A table's last line without a line end (cut off?): drop or keep.")
+    ] = None,
     episodes: Annotated[
         str | None, typer.Option(help="Which to read, from 0, e.g. 0:50,60,75: LeRobot episodes, or files in order.")
     ] = None,
@@ -45,6 +48,7 @@ def read_options(
         "topics": topic,
         "rate": rate,
         "outside_limits": outside_limits,
+        "last_line": last_line,
         "episodes": episodes,
         "task": task,
     }

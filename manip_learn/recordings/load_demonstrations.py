@@ -33,6 +33,8 @@ class ReadOptions(TypedDict, total=False):
         topics: Topics of a bag; not given: all JointState topics that carry joints of the robot.
         rate: Samples per second, for files that have no time stamps [Hz].
         outside_limits: `"refuse"` (the default) or `"note"` positions far outside the joint limits.
+        last_line: `"drop"` (the default, with a note) or `"keep"` the last line of a text table if it has no line end:
+            a file that was cut off inside its last number ends so, and some programs write whole files so.
         episodes: Which episodes to read: text such as `"0:50,60,75"` (counted from 0; 0:50 is 0 to 49) or numbers. Of a
             LeRobot data set they are numbers of episodes; else places of files in natural order.
         task: Only the episodes of a LeRobot data set that show this task.
@@ -47,6 +49,7 @@ class ReadOptions(TypedDict, total=False):
     topics: Sequence[str] | None
     rate: float | None
     outside_limits: Literal["refuse", "note"]
+    last_line: Literal["drop", "keep"]
     episodes: str | int | Iterable[int] | None
     task: str | None
 

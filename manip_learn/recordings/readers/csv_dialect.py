@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,7 @@ class CsvDialect:
         columns: Names in the header.
         header_line: Line of the header, counted from 1.
         commented_header: True if the header was found in a comment line.
+        without_cut_line: True if a last line without a line end is not read.
     """
 
     encoding: str
@@ -35,6 +37,7 @@ class CsvDialect:
     columns: tuple[str, ...]
     header_line: int
     commented_header: bool = False
+    without_cut_line: bool = False
 
     def split(self, line: str) -> list[str]:
         """Fields of a line, without quotes and surrounding blanks."""
@@ -54,6 +57,17 @@ def encoding_of(path: Path) -> str:
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
     return "utf-8-sig"
+
+
+def is_cut_off(path: Path, dialect: CsvDialect) -> bool:
+    """True if the file ends within a line of numbers, as one that was cut off."""
+    with path.open("rb") as file:
+        file.seek(-min(path.stat().st_size, LONGEST_LINE), os.SEEK_END)
+        end = file.read()
+    if dialect.encoding == "utf-16":
+        end = end.replace(b"\x00", b"")  # line ends, blanks and comment marks are ASCII
+    last = end.replace(b"\r", b"\n").rpartition(b"\n")[2]
+    return not is_skipped(last.decode("ascii", errors="replace"))
 
 
 def sniff_dialect(path: Path) -> CsvDialect:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import IO, NoReturn
@@ -16,6 +17,7 @@ from manip_learn.recordings.readers.csv_dialect import (
     LONGEST_LINE,
     NUMBER,
     CsvDialect,
+    is_cut_off,
     is_skipped,
     line_too_long,
     not_text,
@@ -38,9 +40,16 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     dialect = sniff_dialect(path)
     names = _column_names(path, dialect, request)
     used = [i for i, name in enumerate(names) if name is not None]
+    cut = is_cut_off(path, dialect) and request.last_line == "drop"
+    dialect = replace(dialect, without_cut_line=cut)
     table = _table(path, dialect, used)
     kept = [str(names[i]) for i in used]
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
+    if cut:
+        notes.append(
+            "the last line has no line end and was left out, for its last number may be cut off; if the file is whole, "
+            "pass last_line='keep' (--last-line keep)"
+        )
     own = request.robot.joint_names
     surplus = [n for n in kept if _base_name(n, SURPLUS_SUFFIXES, own)]
     if surplus:
@@ -111,8 +120,9 @@ def _table(path: Path, dialect: CsvDialect, used: list[int]) -> Float[np.ndarray
             lines = _checked_lines(file, path, dialect)
             first = next(lines, None)
             if first is None:
+                cut = " with a line end (last_line='keep' reads one without)" if dialect.without_cut_line else ""
                 raise RecordingError(
-                    f"{path.name}: there is a header but no row of numbers", code="too-short", path=path
+                    f"{path.name}: there is a header but no row of numbers{cut}", code="too-short", path=path
                 )
             return np.loadtxt(
                 _chained(first, lines),
@@ -140,6 +150,8 @@ def _numbered_lines(file: IO[str], path: Path, dialect: CsvDialect) -> Iterator[
         number += 1
         if len(line) >= LONGEST_LINE:
             raise line_too_long(path, number)
+        if dialect.without_cut_line and not line.endswith("\n"):
+            return
         if number > dialect.header_line and not is_skipped(line):
             yield number, line
 

@@ -33,6 +33,7 @@ class ReadRequest:
         topics: Topics of a bag to read; None: all that carry the robot's joints.
         rate: Samples per second, for files without time stamps [Hz].
         outside_limits: What to do with positions far outside the joint limits.
+        last_line: What to do with a last line of text that has no end, as that of a file that was cut off.
         episodes: Which episodes to read; None: all.
         task: Only episodes that show this task, of LeRobot data.
         chosen: Numbers of the episodes to read of a data set, once these two have been looked up; None: all.
@@ -50,6 +51,7 @@ class ReadRequest:
     topics: tuple[str, ...] | None = None
     rate: float | None = None
     outside_limits: Literal["refuse", "note"] = "refuse"
+    last_line: Literal["drop", "keep"] = "drop"
     episodes: EpisodeSelection | None = None
     task: str | None = None
     chosen: frozenset[int] | None = None
@@ -58,6 +60,7 @@ class ReadRequest:
         _check_choice("units", self.units, (None, *get_args(Units)))
         _check_choice("time_unit", self.time_unit, (None, *get_args(TimeUnit)))
         _check_choice("outside_limits", self.outside_limits, ("refuse", "note"))
+        _check_choice("last_line", self.last_line, ("drop", "keep"))
         for option in ("ignore_columns", "joint_names", "topics"):
             object.__setattr__(self, option, _names(option, getattr(self, option)))
         if self.task is not None and not (isinstance(self.task, str) and self.task.strip()):
