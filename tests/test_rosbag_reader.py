@@ -44,8 +44,11 @@ def joint_state(types, stamp: int, names, q, u=(), effort=(), frame: str = "base
     return types.types[JOINT_STATE](header, list(names), *arrays)
 
 
-def write_bag(path: Path, kind: str, messages: list[tuple[str, int, object]], **options) -> Path:
-    """A bag of (topic, recorder's stamp, JointState without its header's types); returns its path."""
+def write_bag(path: Path, kind: str, messages: list[tuple[str, int, object]], callers=None, **options) -> Path:
+    """A bag of (topic, recorder's stamp, JointState without its header's types); returns its path.
+
+    `callers` gives the caller of each message of a ROS 1 bag.
+    """
     types = ROS1 if kind == "ros1" else ROS2
     if kind == "ros1":
         path = path.with_suffix(".bag")
@@ -59,16 +62,18 @@ def write_bag(path: Path, kind: str, messages: list[tuple[str, int, object]], **
             writer.set_compression(options["mode"], CompressionFormat.ZSTD)
     with writer:
         connections = {}
-        for topic, stamp, content in messages:
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, JOINT_STATE, typestore=types)
+        for (topic, stamp, content), caller in zip(messages, callers or [None] * len(messages), strict=True):
+            key = (topic, caller)
+            if key not in connections:
+                named = {"callerid": caller} if caller else {}
+                connections[key] = writer.add_connection(topic, JOINT_STATE, typestore=types, **named)
             message = joint_state(types, *content)
             raw = (
                 types.serialize_ros1(message, JOINT_STATE)
                 if kind == "ros1"
                 else types.serialize_cdr(message, JOINT_STATE)
             )
-            writer.write(connections[topic], stamp, raw)
+            writer.write(connections[key], stamp, raw)
     return path
 
 
@@ -170,6 +175,59 @@ def test_measured_and_commanded_states_are_not_mixed(planar3: Robot, tmp_path: P
     demos = load_demonstrations(write_bag(tmp_path / "usual", "mcap", messages), planar3)
     np.testing.assert_array_equal(demos[0].q, Q)
     assert "/command" in " ".join(demos.notes)
+
+
+def robot_and_gui(difference: float) -> tuple[list, list[str]]:
+    """The robot's messages, and in between those of a GUI that shows another posture; and who sent each of them."""
+    gui = [(t, r + 4_000_000, (s + 4_000_000, n, Q[0] + difference, ())) for t, r, (s, n, *_) in all_in_one(u=None)]
+    both = sorted([*((m, "/robot") for m in all_in_one(u=None)), *((m, "/gui") for m in gui)], key=lambda m: m[0][1])
+    return [m for m, _ in both], [caller for _, caller in both]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_forgotten_gui_is_noticed(kind: str, planar3: Robot, tmp_path: Path) -> None:
+    """Two publishers that take turns on one topic are refused by the samples alone, with the joint and the cause."""
+    messages, _ = robot_and_gui(0.4)
+    with pytest.raises(RecordingError, match="Two programs published on one topic") as caught:
+        load_demonstrations(write_bag(tmp_path / "bag", kind, messages), planar3)
+    assert caught.value.code == "two-publishers" and caught.value.column in JOINTS
+
+
+def test_two_callers_of_one_topic_are_refused(planar3: Robot, tmp_path: Path) -> None:
+    """ROS 1 names the callers: postures that nearly agree are told apart; one after the other, they are read."""
+    messages, callers = robot_and_gui(1e-4)
+    with pytest.raises(RecordingError, match="/gui .200 messages. and /robot .200.|/robot .200.* and /gui") as caught:
+        load_demonstrations(write_bag(tmp_path / "bag", "ros1", messages, callers), planar3)
+    assert caught.value.code == "two-publishers"
+    messages = all_in_one()
+    restarted = ["/robot_1"] * 100 + ["/robot_2"] * 100
+    demos = load_demonstrations(write_bag(tmp_path / "restarted", "ros1", messages, restarted), planar3)
+    np.testing.assert_array_equal(demos[0].q, Q)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_joint_named_twice_in_a_message_is_refused(kind: str, planar3: Robot, tmp_path: Path) -> None:
+    """Also in a single message of many; a name that the robot does not have does not matter."""
+    messages = all_in_one(u=None)
+    topic, received, (stamp, _, q, _) = messages[70]
+    messages[70] = (topic, received, (stamp, ("joint1", "joint2", "joint3", "joint2"), (*q, 0.5)))
+    with pytest.raises(RecordingError, match="name the joint 'joint2' 2 times") as caught:
+        load_demonstrations(write_bag(tmp_path / "bag", kind, messages), planar3)
+    assert caught.value.code == "duplicate-column"
+    messages = [(t, r, (s, (*n, "x", "x"), (*q, 0, 0))) for t, r, (s, n, q, _) in all_in_one(u=None)]
+    assert load_demonstrations(write_bag(tmp_path / "other", kind, messages), planar3).n_samples == len(Q)
+
+
+def test_messages_that_differ_are_named(planar3: Robot, tmp_path: Path) -> None:
+    """One message with another list of joints, and one without velocities: nothing is left out in silence."""
+    messages = all_in_one()
+    topic, received, (stamp, _, q, u) = messages[70]
+    messages[70] = (topic, received, (stamp, ("joint1", "joint2", "jointX"), q, u))
+    demos = load_demonstrations(write_bag(tmp_path / "names", "mcap", messages), planar3)
+    assert "1 messages of /joint_states with another list of joints are not used" in " ".join(demos.notes)
+    messages[70] = (topic, received, (stamp, JOINTS, q))
+    demos = load_demonstrations(write_bag(tmp_path / "velocities", "mcap", messages), planar3)
+    assert demos[0].u is None and "1 of 200 messages of /joint_states have no velocities" in " ".join(demos.notes)
 
 
 def test_missing_joints_are_named_with_near_matches(planar3: Robot, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ try:
     import apsw
     import lz4.frame
     from rosbags import rosbag1, rosbag2
+    from rosbags.rosbag2.storage_mcap import McapReader
     from rosbags.serde import SerdeError
     from rosbags.typesys import Stores, get_typestore
     from ruamel.yaml.error import YAMLError
@@ -166,11 +167,16 @@ class BagFile:
         self.joint_topics: tuple[str, ...] = tuple(dict.fromkeys(c.topic for c in self._connections))
         self._types = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
 
-    def messages(self, topics: tuple[str, ...]) -> Iterator[tuple[str, int, bytes]]:
-        """Topic, stamp of the recorder [ns] and bytes of every message, in the order of the recorder's stamps."""
+    def messages(self, topics: tuple[str, ...]) -> Iterator[tuple[str, str, int, bytes]]:
+        """Topic, publisher, stamp of the recorder [ns] and bytes of every message, in the order of these stamps.
+
+        The publisher is the caller of a ROS 1 connection; of an MCAP file it is the channel, where the channels of a
+        topic differ in their metadata; else it is empty.
+        """
         wanted = [c for c in self._connections if c.topic in topics]
+        publishers = {c.id: _publisher(c, self._reader) for c in wanted}
         for connection, stamp, raw in self._reader.messages(connections=wanted):
-            yield connection.topic, stamp, raw
+            yield connection.topic, publishers[connection.id], stamp, raw
 
     def layout(self, raw: bytes) -> JointStateLayout:
         """Where the numbers are in a message; checked against the library's own reading of it.
@@ -199,6 +205,17 @@ class BagFile:
         seconds, nanoseconds = struct.unpack_from(layout.order + "II", raw, layout.stamp_at)
         if (seconds, nanoseconds) != (message.header.stamp.sec % 2**32, message.header.stamp.nanosec):
             raise ValueError("the stamp of a message is read differently by the library")
+
+
+def _publisher(connection: Any, reader: Any) -> str:
+    if isinstance(reader, rosbag1.Reader):
+        return connection.ext.callerid or ""
+    storage = reader.storage
+    if not isinstance(storage, McapReader):
+        return ""
+    of_topic = {i: c.metadata for i, c in storage.channels.items() if c.topic == connection.topic}
+    first = min(i for i, metadata in of_topic.items() if metadata == of_topic[connection.id])
+    return f"channel {first}" if len(set(of_topic.values())) > 1 else ""
 
 
 @contextlib.contextmanager

@@ -25,6 +25,7 @@ class JointStateStream:
 
     Attributes:
         topic: Topic.
+        publisher: Who published them, as far as the format says; else empty.
         names: Joints.
         stamps: shape (T,), header stamps [ns].
         received: shape (T,), stamps of the recorder [ns].
@@ -33,6 +34,7 @@ class JointStateStream:
     """
 
     topic: str
+    publisher: str
     names: tuple[str, ...]
     stamps: Int[np.ndarray, " T"]
     received: Int[np.ndarray, " T"]
@@ -55,16 +57,16 @@ def joint_state_streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[Joi
     Raises:
         RecordingError: Messages that are no JointState.
     """
-    pieces: dict[tuple[str, tuple[str, ...]], _Pieces] = {}
+    pieces: dict[tuple[str, str, tuple[str, ...]], _Pieces] = {}
     layouts: dict[tuple[str, int], list[JointStateLayout]] = {}
     without_positions: dict[str, int] = {}
-    for topic, received, raw in _batches(bag, topics):
+    for topic, publisher, received, raw in _batches(bag, topics):
         for layout, messages, stamps in _by_layout(bag, topic, raw, received, layouts):
             positions = layout.positions(messages)
             if positions is None:
                 without_positions[topic] = without_positions.get(topic, 0) + len(messages)
                 continue
-            piece = pieces.setdefault((topic, layout.names), _Pieces())
+            piece = pieces.setdefault((topic, publisher, layout.names), _Pieces())
             piece.stamps.append(layout.stamps(messages))
             piece.received.append(stamps)
             piece.positions.append(positions)
@@ -72,6 +74,7 @@ def joint_state_streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[Joi
     streams = [
         JointStateStream(
             topic,
+            publisher,
             names,
             np.concatenate(p.stamps),
             np.concatenate(p.received),
@@ -80,19 +83,25 @@ def joint_state_streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[Joi
             if any(v is None for v in p.velocities)
             else np.concatenate([v for v in p.velocities if v is not None]),
         )
-        for (topic, names), p in pieces.items()
+        for (topic, publisher, names), p in pieces.items()
     ]
     notes = [f"{n} messages of {topic} have no positions, not used" for topic, n in without_positions.items()]
+    notes += [
+        f"{n} of {sum(map(len, p.stamps))} messages of {topic} have no velocities, so those of the others are not used"
+        for (topic, _, _), p in pieces.items()
+        if 0 < (n := sum(len(s) for s, v in zip(p.stamps, p.velocities, strict=True) if v is None))
+        and any(v is not None for v in p.velocities)
+    ]
     return streams, notes
 
 
-def _batches(bag: BagFile, topics: tuple[str, ...]) -> Iterator[tuple[str, np.ndarray, list[bytes]]]:
-    """Messages of one topic at a time, with the recorder's stamps."""
+def _batches(bag: BagFile, topics: tuple[str, ...]) -> Iterator[tuple[str, str, np.ndarray, list[bytes]]]:
+    """Messages of one publisher of one topic at a time, with the recorder's stamps."""
     messages = bag.messages(topics)
     while batch := list(itertools.islice(messages, BATCH)):
-        for topic in dict.fromkeys(m[0] for m in batch):
-            of_topic = [m for m in batch if m[0] == topic]
-            yield topic, np.array([m[1] for m in of_topic], dtype=np.int64), [m[2] for m in of_topic]
+        for source in dict.fromkeys(m[:2] for m in batch):
+            mine = [m for m in batch if m[:2] == source]
+            yield *source, np.array([m[2] for m in mine], dtype=np.int64), [m[3] for m in mine]
 
 
 def _by_layout(

@@ -3,219 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from manip_learn.errors import RecordingError, closest_names
 from manip_learn.recordings.readers.bag_file import JOINT_STATE, BagFile, open_bag
+from manip_learn.recordings.readers.joint_state_merge import MergeError, joint_groups, merge, topics_of_joints
 from manip_learn.recordings.readers.joint_state_streams import JointStateStream, joint_state_streams
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.validation.joint_matching import match_joints
-from manip_learn.recordings.validation.time_checks import GAP_FACTOR
-
-USUAL_TOPIC = "/joint_states"
-SET_BACK = 1_000_000_000  # [ns] a clock that goes back this far was reset
-
-
-class MergeError(Exception):
-    """The streams cannot be merged; `code` and the sentence go into the recording's refusal."""
-
-    def __init__(self, code: str, message: str):
-        super().__init__(message)
-        self.code = code
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class JointGroup:
-    """Joints that were published together.
-
-    Attributes:
-        topic: Topic.
-        names: Joints.
-        stamps: shape (T,), increasing [ns].
-        q: shape (T, n).
-        u: shape (T, n), or None.
-    """
-
-    topic: str
-    names: tuple[str, ...]
-    stamps: Int[np.ndarray, " T"]
-    q: Float[np.ndarray, "T n"]
-    u: Float[np.ndarray, "T n"] | None
-
-
-def topics_of_joints(streams: list[JointStateStream], joints: tuple[str, ...]) -> tuple[dict[str, str], list[str]]:
-    """Joint -> the topic to read it from, and notes. Joints that no topic has are left out.
-
-    One topic that has all joints is preferred; of several, `/joint_states`.
-
-    Raises:
-        MergeError: Several topics have the same joint and none is `/joint_states`.
-    """
-    carried: dict[str, set[str]] = {}
-    for stream in streams:
-        carried.setdefault(stream.topic, set()).update(set(stream.names) & set(joints))
-    whole = [t for t, names in carried.items() if names == set(joints)]
-    if whole:
-        topic = _preferred(whole, "all joints")
-        others = [t for t, names in carried.items() if names and t != topic]
-        notes = [f"joint states read from {topic}"] if len(carried) > 1 else []
-        if others:
-            notes.append(f"also about these joints, not used: {', '.join(others)} (choose with topics=[...])")
-        return dict.fromkeys(joints, topic), notes
-    chosen = {}
-    for joint in joints:
-        topics = [t for t, names in carried.items() if joint in names]
-        if topics:
-            chosen[joint] = _preferred(topics, f"joint {joint!r}")
-    return chosen, []
-
-
-def _preferred(topics: list[str], what: str) -> str:
-    if len(topics) == 1:
-        return topics[0]
-    if USUAL_TOPIC in topics:
-        return USUAL_TOPIC
-    raise MergeError(
-        "ambiguous-topic",
-        f"several topics have {what}: {', '.join(topics)}; measured and commanded states must not be mixed, so say "
-        f"which one: topics=[{topics[0]!r}]",
-    )
-
-
-def joint_groups(streams: list[JointStateStream], chosen: dict[str, str]) -> tuple[list[JointGroup], list[str]]:
-    """Groups of joints with common stamps; every chosen joint is in one group.
-
-    Raises:
-        MergeError: A clock that was set back.
-    """
-    sets: dict[tuple[str, tuple[str, ...]], list[JointStateStream]] = {}
-    for stream in streams:
-        mine = tuple(j for j, topic in chosen.items() if topic == stream.topic and j in stream.names)
-        if mine:
-            sets.setdefault((stream.topic, mine), []).append(stream)
-    order = sorted(sets, key=lambda key: -sum(len(s.stamps) for s in sets[key]) * len(key[1]))
-    groups: list[JointGroup] = []
-    notes: list[str] = []
-    taken: set[str] = set()
-    for topic, mine in order:
-        free = tuple(j for j in mine if j not in taken)
-        if free:
-            taken.update(free)
-            group, said = _group(topic, free, sets[topic, mine])
-            groups.append(group)
-            notes += said
-    return groups, notes
-
-
-def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) -> tuple[JointGroup, list[str]]:
-    columns = [[s.names.index(n) for n in names] for s in streams]
-    stamps = np.concatenate([s.stamps for s in streams])
-    received = np.concatenate([s.received for s in streams])
-    q = np.concatenate([s.positions[:, c] for s, c in zip(streams, columns, strict=True)])
-    u = None
-    if all(s.velocities is not None for s in streams):
-        u = np.concatenate(
-            [s.velocities[:, c] for s, c in zip(streams, columns, strict=True) if s.velocities is not None]
-        )
-    notes = []
-    if np.any(stamps == 0):
-        stamps = received
-        notes.append(f"{topic}: header stamps are not set, the recorder's stamps are used")
-    by_arrival = np.argsort(received, kind="stable")
-    arrived = stamps[by_arrival]
-    back = np.diff(arrived)
-    if np.any(back < -SET_BACK):
-        i = int(np.argmax(back < -SET_BACK))
-        raise MergeError(
-            "time-order",
-            f"the clock of {topic} goes back by {-back[i] * 1e-9:.3g} s at message {i + 1}: it was reset, or several "
-            "runs are in one bag; cut the bag there",
-        )
-    order = by_arrival[np.argsort(arrived, kind="stable")]
-    if np.any(back < 0):
-        notes.append(f"{topic}: {np.count_nonzero(back < 0)} messages came late, sorted by header stamp")
-    keep = np.append(np.diff(stamps[order]) != 0, True)
-    if not np.all(keep):
-        notes.append(
-            f"{topic}: {np.count_nonzero(~keep)} messages with a repeated stamp left out, the last one is kept"
-        )
-    order = order[keep]
-    return JointGroup(topic, names, stamps[order], q[order], None if u is None else u[order]), notes
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class MergedStates:
-    """One table of all joints."""
-
-    names: tuple[str, ...]
-    stamps: Int[np.ndarray, " T"]
-    q: Float[np.ndarray, "T n"]
-    u: Float[np.ndarray, "T n"] | None
-    notes: tuple[str, ...]
-
-
-def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> MergedStates:
-    """All joints at the stamps of the group with the most joints; the others are interpolated linearly.
-
-    Samples are left out where another group has nothing nearby: before its first and after its last message, and in
-    its gaps.
-
-    Raises:
-        MergeError: The publishers do not overlap in time.
-    """
-    base = max(groups, key=lambda g: (len(g.names), len(g.stamps)))
-    inside = np.ones(len(base.stamps), dtype=bool)
-    q, u, names, notes = [base.q], [base.u], list(base.names), []
-    for group in groups:
-        if group is base:
-            continue
-        q.append(_at(base.stamps, group, _continuous(group, angles_that_wrap)))
-        u.append(None if group.u is None else _at(base.stamps, group, group.u))
-        names += group.names
-        inside &= _covered(base.stamps, group.stamps)
-        source = f"{group.topic}" if group.topic != base.topic else "other messages of the same topic"
-        notes.append(f"{', '.join(group.names)} come from {source}: interpolated at the stamps of {base.topic}")
-    if not np.any(inside):
-        raise MergeError("no-overlap", "the publishers of the joints do not overlap in time: record them together")
-    if not np.all(inside):
-        notes.append(f"{np.count_nonzero(~inside)} samples left out, where not all publishers have data")
-    without = [g.topic for g in groups if g.u is None]
-    some_u = [x for x in u if x is not None]
-    all_u = np.hstack(some_u)[inside] if not without else None
-    if without and some_u:
-        notes.append(f"velocities are not used, for {', '.join(dict.fromkeys(without))} has none")
-    return MergedStates(tuple(names), base.stamps[inside], np.hstack(q)[inside], all_u, tuple(notes))
-
-
-def _continuous(group: JointGroup, angles_that_wrap: frozenset[str]) -> Float[np.ndarray, "T n"]:
-    q = group.q.copy()
-    wrap = [i for i, n in enumerate(group.names) if n in angles_that_wrap]
-    q[:, wrap] = np.unwrap(q[:, wrap], axis=0)
-    return q
-
-
-def _at(stamps: Int[np.ndarray, " T"], group: JointGroup, values: Float[np.ndarray, "S n"]) -> Float[np.ndarray, "T n"]:
-    # differences first: nanoseconds since 1970 do not fit into float64
-    start = group.stamps[0]
-    t, own = (stamps - start).astype(np.float64), (group.stamps - start).astype(np.float64)
-    return np.column_stack([np.interp(t, own, values[:, i]) for i in range(values.shape[1])])
-
-
-def _covered(stamps: Int[np.ndarray, " T"], own: Int[np.ndarray, " S"]) -> Bool[np.ndarray, " T"]:
-    """Stamps with a message of the other group before and after, both close."""
-    if len(own) < 2:
-        return np.zeros(len(stamps), dtype=bool)
-    after = np.clip(np.searchsorted(own, stamps), 1, len(own) - 1)
-    close = own[after] - own[after - 1] <= GAP_FACTOR * np.median(np.diff(own))
-    return (stamps >= own[0]) & (stamps <= own[-1]) & close
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
@@ -280,8 +79,7 @@ def _topics(bag: BagFile, request: ReadRequest) -> tuple[str, ...]:
 
 
 def _renamed(stream: JointStateStream, request: ReadRequest) -> JointStateStream:
-    names = tuple(request.renamed(n) for n in stream.names)
-    return JointStateStream(stream.topic, names, stream.stamps, stream.received, stream.positions, stream.velocities)
+    return replace(stream, names=tuple(request.renamed(n) for n in stream.names))
 
 
 def _refuse_missing(path: Path, request: ReadRequest, streams: list[JointStateStream]) -> None:

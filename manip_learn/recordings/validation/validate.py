@@ -13,6 +13,7 @@ from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, match_joints
 from manip_learn.recordings.validation.limit_checks import check_limits
 from manip_learn.recordings.validation.object_poses import object_coordinates
+from manip_learn.recordings.validation.publisher_checks import refuse_two_publishers
 from manip_learn.recordings.validation.time_checks import (
     bunched_note,
     doubt_slow_time,
@@ -51,6 +52,8 @@ def validate(recording: Recording, request: ReadRequest) -> Demonstrations:
     notes += bunched_note(time)
     q, said = _unwrapped(robot, q)
     notes += said
+    if not recording.trusted:
+        refuse_two_publishers(recording, robot.joint_names, q)
     if u is None:
         doubt_slow_time(recording, request, time, q)
     elif time.shape[0] >= FEWEST and not recording.trusted:

@@ -1,0 +1,97 @@
+"""Two publishers on one topic (a robot and a forgotten GUI): samples that jump to and fro between two motions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from manip_learn.recordings.readers.recording import Recording
+
+LAGS = 20  # samples, within which each of two publishers is heard again
+PART = 20_000  # samples that are judged together: the second publisher may have been there for a while only
+FEWEST_SAMPLES, FEWEST_JUMPS = 30, 10
+CLEAR = 6.0  # times the motion from one sample of a publisher to its next one
+SMALLEST = 0.02  # [rad or m]: a flickering encoder jumps by less
+QUANTA, LARGEST_QUANTUM = 3.0, 0.02  # a coarse encoder flickers by one or two quanta [rad or m]
+OPPOSITE, ALIKE = -0.9, 0.6  # cosine and ratio of the sizes of a jump and the jump back
+MOSTLY = 0.9  # of the jumps
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Alternation:
+    """Jumps between two motions.
+
+    Attributes:
+        jumps: Samples before the jumps.
+        joint: Column of the joint that jumps farthest.
+        size: Its usual jump [rad or m].
+        usual: The usual motion between samples that belong together [rad or m].
+    """
+
+    jumps: Int[np.ndarray, " k"]
+    joint: int
+    size: float
+    usual: float
+
+
+def refuse_two_publishers(recording: Recording, names: tuple[str, ...], q: Float[np.ndarray, "T nv"]) -> None:
+    """Refuse positions that alternate, regularly or not, between two motions.
+
+    Raises:
+        RecordingError: Code `two-publishers`.
+    """
+    for start in range(0, q.shape[0], PART):
+        found = alternation(q[start : start + PART])
+        if found is not None:
+            sample = start + int(found.jumps[0]) + 1
+            raise recording.refusal(
+                "two-publishers",
+                f"the samples alternate between two motions: {found.jumps.size} steps jump to and fro, joint "
+                f"{names[found.joint]!r} by about {found.size:.3g}, while samples that belong together are "
+                f"{found.usual:.2g} apart. Two programs published on one topic (a robot and a GUI?): end one of them "
+                "(`ros2 topic info -v`, `rostopic info` list them) and record again",
+                sample=sample,
+                column=names[found.joint],
+            )
+
+
+def alternation(q: Float[np.ndarray, "T nv"]) -> Alternation | None:
+    """Jumps to and fro between two smooth motions, or None.
+
+    A sample is close to one of the samples before it, its own publisher's last one. Where a step is clearly longer than
+    that, the publisher has changed; the next such step must lead back. Noise does not do so: its steps differ in size.
+    """
+    n_samples = q.shape[0]
+    if n_samples < FEWEST_SAMPLES:
+        return None
+    steps = np.diff(q, axis=0)
+    size = np.linalg.norm(steps, axis=1)
+    nearest = size.copy()
+    for lag in range(2, LAGS + 1):
+        np.minimum(nearest[lag - 1 :], np.linalg.norm(q[lag:] - q[:-lag], axis=1), out=nearest[lag - 1 :])
+    usual = float(np.quantile(nearest, 0.9))
+    jumps = np.flatnonzero(size > max(CLEAR * usual, SMALLEST, QUANTA * _quantum(q)))
+    if jumps.size < FEWEST_JUMPS:
+        return None
+    there, back = steps[jumps[:-1]], steps[jumps[1:]]
+    sizes = size[jumps]
+    cosine = np.sum(there * back, axis=1) / (sizes[1:] * sizes[:-1])
+    alike = np.minimum(sizes[1:], sizes[:-1]) / np.maximum(sizes[1:], sizes[:-1])
+    if np.mean((cosine < OPPOSITE) & (alike > ALIKE)) < MOSTLY:
+        return None
+    by_joint = np.median(np.abs(steps[jumps]), axis=0)
+    joint = int(np.argmax(by_joint))
+    return Alternation(jumps, joint, float(by_joint[joint]), usual)
+
+
+def _quantum(q: Float[np.ndarray, "T nv"]) -> float:
+    """Size of a step by which all joints move by the smallest difference that their encoders show [rad or m]."""
+    total = 0.0
+    for column in q.T:
+        gaps: Float[np.ndarray, " k"] = np.diff(np.unique(column))
+        total += min(float(gaps.min()), LARGEST_QUANTUM) ** 2 if gaps.size else 0.0
+    return float(np.sqrt(total))
