@@ -12,9 +12,9 @@ import typer
 
 from manip_learn.commands import arguments as shared
 from manip_learn.commands.output import answer, progress, waiting
-from manip_learn.commands.read_options import ReadOptions, takes_read_options
+from manip_learn.commands.read_options import ReadOptions, flags_of, takes_read_options
 from manip_learn.commands.vectors import joined_vectors, vector
-from manip_learn.errors import ManipLearnError
+from manip_learn.errors import ManipLearnError, advice_for_command
 
 app = typer.Typer(
     name="manip-learn",
@@ -224,12 +224,7 @@ def replay(
             constraint_file=constraint,
         )
     content = {"html": str(page.html), "bytes": page.bytes, "notes": list(page.notes)}
-    if as_json:
-        answer(True, content)
-        return
-    for note in page.notes:
-        typer.echo(f"note: {note}")
-    typer.echo(f"replay: {page.html} ({page.bytes / 1e6:.1f} MB)")
+    answer(as_json, content, "print_replayed", page)
 
 
 @app.command()
@@ -262,7 +257,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = joined_vectors(list(sys.argv[1:] if argv is None else argv))
     if not arguments:
         return _complain("no command given: try `manip-learn demo`, or `manip-learn --help` for all commands")
-    code = _run(lambda: get_command(app).main(arguments, prog_name="manip-learn", standalone_mode=False))
+    command = get_command(app)
+    with advice_for_command(flags_of(command, arguments)):
+        code = _run(lambda: command.main(arguments, prog_name="manip-learn", standalone_mode=False))
     if argv is None:
         sys.exit(code)
     return code

@@ -7,9 +7,35 @@ attributes, so that a program need not parse the sentence.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import final
+
+# flags of the command that runs; None where the library is called from Python
+_FLAGS: ContextVar[frozenset[str] | None] = ContextVar("flags of the command", default=None)
+
+
+@contextmanager
+def advice_for_command(flags: Iterable[str]) -> Iterator[None]:
+    """Within it, errors advise flags of the command line, and only those that the command at hand has."""
+    token = _FLAGS.set(frozenset(flags))
+    try:
+        yield
+    finally:
+        _FLAGS.reset(token)
+
+
+def advice(sentence: str, python: str, flag: str) -> str:
+    """The sentence with `{}` replaced by what the caller can write: the Python argument, or the flag with its value.
+
+    Empty where a command runs that does not have the flag.
+    """
+    flags = _FLAGS.get()
+    if flags is None:
+        return sentence.replace("{}", python)
+    return sentence.replace("{}", flag) if flag.split()[0] in flags else ""
 
 
 class ManipLearnError(Exception):

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recording_corpus import FULL, HEADER, TABLE, VELOCITIES, csv
 
-from manip_learn.errors import RecordingError
+from manip_learn.errors import RecordingError, advice_for_command
 from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import Robot, load_robot
 
@@ -112,7 +112,7 @@ def test_a_table_that_was_cut_off_loses_its_last_line_only(encoding: str, planar
         n = content[:end].count("\n") - 1
         np.testing.assert_allclose(demos[0].q, TABLE[:n, 1:], rtol=1e-8)
         is_cut = not content[:end].endswith("\n")
-        assert ("--last-line keep" in " ".join(demos.notes)) == is_cut
+        assert ("last_line='keep'" in " ".join(demos.notes)) == is_cut
     path.write_text(content[:-1], encoding=encoding, newline="")
     demos = load_demonstrations(path, planar3, last_line="keep")
     assert demos.notes == () and demos.n_samples == len(TABLE)
@@ -127,11 +127,21 @@ def test_a_comment_without_a_line_end_is_no_cut_line(planar3: Robot, tmp_path: P
 
 
 def test_missing_joints_tell_both_ways_out(planar3: Robot, tmp_path: Path) -> None:
-    """Near names and the option for them, locking in Python and on the command line."""
+    """Near names and the option for them, and locking, in the words of the caller: Python, or the command that runs."""
     error = refusal(written(tmp_path / "demo.csv", csv(TABLE, "time,joint1,joint2,jiont3")), planar3)
     assert error.code == "missing-joint"
-    for part in ("'jiont3'", "rename={'jiont3': 'joint3'}", "locked=['joint3']", "--lock joint3"):
+    for part in ("'jiont3'", "rename={'jiont3': 'joint3'}", "locked=['joint3']"):
         assert part in str(error)
+    with advice_for_command(["--rename", "--lock"]):
+        said = str(refusal(written(tmp_path / "demo.csv", csv(TABLE, "time,joint1,joint2,jiont3")), planar3))
+    assert "--rename jiont3=joint3" in said
+    assert "--lock joint3" in said
+    assert "rename={" not in said
+    assert "locked=" not in said
+    with advice_for_command(["--rename"]):
+        said = str(refusal(written(tmp_path / "demo.csv", csv(TABLE, "time,joint1,joint2,jiont3")), planar3))
+    assert "--rename jiont3=joint3" in said
+    assert "lock" not in said
     demos = load_demonstrations(tmp_path / "demo.csv", planar3, rename={"jiont3": "joint3"})
     np.testing.assert_allclose(demos[0].q, TABLE[:, 1:], rtol=1e-8)
 
@@ -140,7 +150,7 @@ def test_unknown_columns_tell_the_option(planar3: Robot, tmp_path: Path) -> None
     """A surplus column is no accident to be passed over: refused with the option that ignores it."""
     path = written(tmp_path / "demo.csv", csv(np.column_stack([TABLE, TABLE[:, 1]]), HEADER + ",joint11"))
     error = refusal(path, planar3)
-    assert error.code == "unknown-column" and "'joint1'" in str(error) and "ignore_columns=('joint11',)" in str(error)
+    assert error.code == "unknown-column" and "'joint1'" in str(error) and "ignore_columns=['joint11']" in str(error)
     assert len(load_demonstrations(path, planar3, ignore_columns=("joint11",))[0]) == 60
 
 

@@ -234,7 +234,7 @@ def test_missing_joints_are_named_with_near_matches(planar3: Robot, tmp_path: Pa
     """A joint that is not published is rejected, with the closest name and the two remedies."""
     messages = [(t, r, (s, ("joint1", "joint2", "joint_3"), q)) for t, r, (s, _, q, _) in all_in_one()]
     bag = write_bag(tmp_path / "bag", "ros1", messages)
-    with pytest.raises(RecordingError, match="'joint_3'.*--lock joint3") as caught:
+    with pytest.raises(RecordingError, match=r"'joint_3'.*locked=\['joint3'\]") as caught:
         load_demonstrations(bag, planar3)
     assert caught.value.code == "missing-joint" and caught.value.column == "joint3"
     demos = load_demonstrations(bag, planar3, rename={"joint_3": "joint3"})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -71,6 +71,12 @@ def takes_read_options(command: Callable[..., None]) -> Callable[..., None]:
     merged = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in merged]
     vars(with_options).update(__signature__=inspect.Signature(merged), __annotations__={})
     return with_options
+
+
+def flags_of(program: Any, arguments: Sequence[str]) -> set[str]:
+    """Flags that the command named in the arguments has; `program` is typer's group of commands."""
+    command = next((program.commands[a] for a in arguments if a in program.commands), program)
+    return {flag for parameter in command.params for flag in (*parameter.opts, *parameter.secondary_opts)}
 
 
 def _pair(text: str) -> tuple[str, str]:

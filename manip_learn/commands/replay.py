@@ -80,7 +80,7 @@ def _is_rollout(path: Path) -> bool:
             return False
         raise RecordingError(f"rollout file {path} does not exist", code="missing", path=path)
     try:
-        with np.load(path, allow_pickle=False) as content:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
             return "format" in content
     except (OSError, ValueError, EOFError, AttributeError):
         return False

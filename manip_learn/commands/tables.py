@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # so that printing one command's answer does not load the oth
     from manip_learn.commands.demo import Demo
     from manip_learn.commands.learn import Learnt
     from manip_learn.commands.reproduce import Reproduction
+    from manip_learn.playback import ReplayResult
     from manip_learn.robot.robot_summary import RobotSummary
 
 MOST_ROWS = 20  # of an audit on a terminal
@@ -206,6 +207,13 @@ def print_audit(console: Console, audited: Audited) -> None:
         console.print(f"[dim]note: {escape(note)}[/dim]", highlight=False)
     if audited.out is not None:
         console.print(f"written: {escape(str(audited.out))}", highlight=False, soft_wrap=True)
+
+
+def print_replayed(console: Console, page: ReplayResult) -> None:
+    """What was noticed, the file and its size."""
+    for note in page.notes:
+        console.print(f"note: {escape(note)}", highlight=False)
+    console.print(f"replay: {escape(str(page.html))} ({page.bytes / 1e6:.1f} MB)", highlight=False, soft_wrap=True)
 
 
 def _number(value: float, form: str, unit: str = "") -> str:

@@ -21,6 +21,7 @@ from manip_learn.errors import RecordingError
 from manip_learn.learning.data_summary import check_joints
 from manip_learn.learning.episode_measures import EpisodeAudit, measure
 from manip_learn.linalg import one_thread
+from manip_learn.recordings.readers.option_uses import refuse_unmatched
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import Progress, TrajectorySource, source_of
 from manip_learn.recordings.velocities import VelocityMethod
@@ -196,6 +197,7 @@ def audit_episodes(
     for part, said in _measured_parts(constraint, source, velocities, client, progress):
         rows += [dataclasses.replace(row, number=len(rows) + i) for i, row in enumerate(part)]
         notes += said
+    notes = refuse_unmatched(notes, source.n_parts)
     if not rows:
         raise RecordingError("there are no demonstrations: give at least one trajectory", code="empty")
     imposed = constraint.provenance.get("kind") == "self-imposed"

@@ -236,6 +236,7 @@ class ConstraintLearner:
         stream = open_stream(source, feature_maps, self.velocities)
         with open_executor(client, stream, progress) as executor:
             summary = executor.total(SummaryAccumulator(IN_MEMORY_SAMPLES), {}, "all samples, first pass")
+            summary = summary.checked(source.n_parts)
             chosen = learn_best(feature_maps, summary.data, stream.joint_names, settings)
             best, data = refine(chosen, summary, executor)
         return best, data, stream.joint_names

@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Literal, TypedDict, Unpack
 
-from manip_learn.errors import RecordingError
+from manip_learn.errors import RecordingError, advice, closest_names
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.readers.episode_files import select_episodes
 from manip_learn.recordings.readers.episode_selection import EpisodeSelection
+from manip_learn.recordings.readers.option_uses import OptionUses, refuse_unmatched
 from manip_learn.recordings.readers.read_request import ReadRequest, TimeUnit, Units
 from manip_learn.recordings.readers.recording_files import RecordingFile, recording_files
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.validation.joint_matching import unmoved_joint_names
 from manip_learn.recordings.validation.validate import validate
 from manip_learn.robot import Robot
+
+ARRAYS = ("time", "q", "u", "joint_names", "format")  # of an NPZ archive; `time` is a column of any recording
+SUFFIXES = ("_velocity", "_effort", "_torque", "_acceleration", ".pos", ".vel")
+POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz", "qx", "qy", "qz", "qw")
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
@@ -94,6 +101,7 @@ def iter_demonstrations(
     files, request, said = open_recordings(paths, robot, options)
     found: list[str] = []
     yield from read_recordings(files, request, found)
+    found = refuse_unmatched(found)
     if notes is not None:
         notes += said + found
 
@@ -118,12 +126,15 @@ def read_recordings(
 ) -> Iterator[Trajectory]:
     """The trajectories in files, one after the other; sentences are added to `notes` at the end.
 
+    Among them is an `UnmatchedOption` for each option that these files had no use for.
+
     Raises:
         RecordingError: As soon as a recording is found that cannot be trusted.
         MissingExtraError: The format needs a library that is not installed.
     """
     by_text: dict[str, list[str]] = {}
     found = False
+    request = replace(request, uses=OptionUses())
     for file in files:
         for recording in file.format.reader()(file.path, request):
             validated = validate(recording, request)
@@ -136,6 +147,7 @@ def read_recordings(
         raise RecordingError(f"there is no demonstration in {', '.join(str(f.path) for f in files)}", code="empty")
     if notes is not None:
         notes += _sentences(by_text)
+        notes += request.unmatched()
 
 
 def _sentences(by_text: dict[str, list[str]]) -> list[str]:
@@ -164,4 +176,28 @@ def _request(robot: Robot, options: ReadOptions) -> ReadRequest:
         fields["units"] = "degrees"
     if fields.get("episodes") is not None:
         fields["episodes"] = EpisodeSelection.of(fields["episodes"])  # type: ignore[arg-type]
-    return ReadRequest(robot=robot, **fields)  # type: ignore[arg-type]
+    request = ReadRequest(robot=robot, **fields)  # type: ignore[arg-type]
+    _check_new_names(request)
+    return request
+
+
+def _check_new_names(request: ReadRequest) -> None:
+    """Refuse renaming to what the robot does not have: the column would be left out as one of no joint."""
+    robot = request.robot
+    joints = [*robot.joint_names, *unmoved_joint_names(robot)]
+    poses = [f"{name}.{part}" for name in robot.objects for part in POSE_COLUMNS]
+    for old, new in request.rename.items():
+        base = new if new in joints else _without_suffix(new)
+        if base not in (*joints, *poses, *ARRAYS):
+            near = closest_names(base, joints) or joints
+            python, flag = f"rename={{{old!r}: {new!r}}}", f"--rename {old}={new}"
+            raise RecordingError(
+                f"{advice('{}: ', python, flag)}robot {robot.name!r} has no joint {new!r}; "
+                f"{'did you mean' if near != joints else 'it has'} {', '.join(map(repr, near[:12]))}, or 'time'",
+                code="option",
+            )
+
+
+def _without_suffix(name: str) -> str:
+    """The joint that a column such as `joint1_velocity` is about."""
+    return next((name.removesuffix(s) for s in SUFFIXES if name.endswith(s)), name)

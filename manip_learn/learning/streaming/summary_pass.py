@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -11,6 +12,7 @@ from jaxtyping import UInt
 
 from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary
 from manip_learn.learning.streaming.accumulator import Accumulator, Chunk
+from manip_learn.recordings.readers.option_uses import refuse_unmatched
 
 # multiples of the golden ratio (Fibonacci hashing): the smallest of any number of them are spread evenly over the
 # samples, and no rhythm of the recording is met, which every k-th sample might
@@ -40,6 +42,18 @@ class PassSummary:
             first[part] = count
             count += self.counts[part]
         return first
+
+    def checked(self, n_parts: int) -> PassSummary:
+        """The same, once all parts are in it.
+
+        Raises:
+            RecordingError: A reading option that matched nothing in any part.
+        """
+        return self.with_notes(refuse_unmatched(self.data.notes, n_parts))
+
+    def with_notes(self, notes: Sequence[str]) -> PassSummary:
+        """The same with these notes of the reader."""
+        return dataclasses.replace(self, data=dataclasses.replace(self.data, notes=tuple(notes)))
 
 
 @final
@@ -82,7 +96,7 @@ class SummaryAccumulator(Accumulator):
 
     def finish(self, total: PassSummary, notes: tuple[str, ...]) -> PassSummary:
         """The total with the notes of the reader."""
-        return dataclasses.replace(total, data=dataclasses.replace(total.data, notes=notes))
+        return total.with_notes(notes)
 
     def _merge(self, before: PassSummary, after: PassSummary, samples: int, trajectories: int) -> PassSummary:
         a, b = before.data, after.data

@@ -13,6 +13,7 @@ import numpy as np
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import RecordingError
 from manip_learn.learning.streaming.sample_stream import open_stream
+from manip_learn.recordings.readers.option_uses import refuse_unmatched
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource, part_starts
 from manip_learn.recordings.velocities import VelocityMethod
@@ -71,11 +72,12 @@ class TrajectoryBuffer(TrajectorySource):
             for part in range(source.n_parts):
                 for trajectory in stream.trajectories(part, notes):
                     self._keep(trajectory)
+            kept = refuse_unmatched(notes, source.n_parts)
         except RecordingError:
             del self._held[before[0] :], self._lengths[before[0] :]
             self._bytes = before[1]
             raise
-        self._notes += notes
+        self._notes += kept
 
     def part(self, index: int, notes: list[str] | None = None) -> Iterable[Trajectory]:
         """The trajectories of a part."""

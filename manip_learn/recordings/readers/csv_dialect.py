@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, final
 
-from manip_learn.errors import RecordingError
+from manip_learn.errors import RecordingError, advice
 from manip_learn.recordings.readers.recording import reason
 
 LONGEST_LINE = 1_000_000
@@ -30,6 +30,7 @@ class CsvDialect:
         header_line: Line of the header, counted from 1.
         commented_header: True if the header was found in a comment line.
         without_cut_line: True if a last line without a line end is not read.
+        named_by_caller: True if there is no header, and the names are the caller's.
     """
 
     encoding: str
@@ -38,6 +39,7 @@ class CsvDialect:
     header_line: int
     commented_header: bool = False
     without_cut_line: bool = False
+    named_by_caller: bool = False
 
     def split(self, line: str) -> list[str]:
         """Fields of a line, without quotes and surrounding blanks."""
@@ -70,8 +72,8 @@ def is_cut_off(path: Path, dialect: CsvDialect) -> bool:
     return not is_skipped(last.decode("ascii", errors="replace"))
 
 
-def sniff_dialect(path: Path) -> CsvDialect:
-    """Dialect of a text table, from its header.
+def sniff_dialect(path: Path, names: tuple[str, ...] | None = None) -> CsvDialect:
+    """Dialect of a text table, from its header; `names` are those of its columns if it has none.
 
     Raises:
         RecordingError: No header, no text, or a header of numbers: joint names are mandatory.
@@ -85,16 +87,27 @@ def sniff_dialect(path: Path) -> CsvDialect:
     dialect = CsvDialect(encoding, _delimiter(line), (), number)
     fields = dialect.split(line)
     if fields and all(NUMBER.fullmatch(f) for f in fields):
-        names = _split_comment(comment)
-        if len(names) != len(fields) or all(NUMBER.fullmatch(n) for n in names):
+        commented = _split_comment(comment)
+        if len(commented) == len(fields) and not all(NUMBER.fullmatch(n) for n in commented):
+            return CsvDialect(encoding, dialect.delimiter, tuple(commented), number - 1, commented_header=True)
+        if names is None:
             raise RecordingError(
                 f"{path.name}:{number}: the first line holds numbers ({line.strip()[:60]!r}), a header is needed: "
-                "'time' and one joint name per column, since columns are matched by name",
+                "'time' and one joint name per column, since columns are matched by name"
+                + advice("; write it, or pass {}", "joint_names=['time', ...]", "--joint-names time,NAME,..."),
                 code="no-header",
                 path=path,
                 line=number,
             )
-        return CsvDialect(encoding, dialect.delimiter, tuple(names), number - 1, commented_header=True)
+        if len(names) != len(fields):
+            raise RecordingError(
+                f"{path.name}:{number}: this row has {len(fields)} fields and {len(names)} column names were given "
+                f"({', '.join(names)}): give one for each, 'time' among them",
+                code="shape",
+                path=path,
+                line=number,
+            )
+        return CsvDialect(encoding, dialect.delimiter, names, number - 1, named_by_caller=True)
     return CsvDialect(encoding, dialect.delimiter, tuple(fields), number)
 
 

@@ -11,7 +11,7 @@ from typing import IO, NoReturn
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import RecordingError, closest_names
+from manip_learn.errors import RecordingError, advice, closest_names
 from manip_learn.recordings.readers.csv_dialect import (
     DELIMITER_WORDS,
     LONGEST_LINE,
@@ -37,7 +37,9 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     Raises:
         RecordingError: Names file, line and column, the value seen and the value expected.
     """
-    dialect = sniff_dialect(path)
+    dialect = sniff_dialect(path, request.joint_names)
+    if dialect.named_by_caller:
+        request.uses.use("joint_names")
     names = _column_names(path, dialect, request)
     used = [i for i, name in enumerate(names) if name is not None]
     cut = is_cut_off(path, dialect) and request.last_line == "drop"
@@ -47,8 +49,8 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
     if cut:
         notes.append(
-            "the last line has no line end and was left out, for its last number may be cut off; if the file is whole, "
-            "pass last_line='keep' (--last-line keep)"
+            "the last line has no line end and was left out, for its last number may be cut off"
+            + advice("; if the file is whole, pass {}", "last_line='keep'", "--last-line keep")
         )
     own = request.robot.joint_names
     surplus = [n for n in kept if _base_name(n, SURPLUS_SUFFIXES, own)]
@@ -83,7 +85,10 @@ def _column_names(path: Path, dialect: CsvDialect, request: ReadRequest) -> list
     names: list[str | None] = [request.renamed(n) for n in dialect.columns]
     if "time" not in names:
         near = closest_names("time", [n for n in names if n]) or [n for n in ("t", "stamp", "secs") if n in names]
-        hint = f"; if {near[0]!r} is meant, pass rename={{{near[0]!r}: 'time'}} or rename it" if near else ""
+        hint = ""
+        if near:
+            python, flag = f"rename={{{near[0]!r}: 'time'}}", f"--rename {near[0]}=time"
+            hint = advice(f"; if {near[0]!r} is meant, pass {{}} or rename it", python, flag)
         shown = ", ".join(map(repr, dialect.columns[:8])) + (" ..." if len(dialect.columns) > 8 else "")
         raise _header_error(
             path,
@@ -93,7 +98,7 @@ def _column_names(path: Path, dialect: CsvDialect, request: ReadRequest) -> list
         )
     seen: set[str] = set()
     for i, (raw, name) in enumerate(zip(dialect.columns, names, strict=True)):
-        if raw in request.ignore_columns or name in request.ignore_columns:
+        if request.ignores(raw, *([name] if name else [])):
             names[i] = None
             continue
         if not name:
@@ -120,7 +125,8 @@ def _table(path: Path, dialect: CsvDialect, used: list[int]) -> Float[np.ndarray
             lines = _checked_lines(file, path, dialect)
             first = next(lines, None)
             if first is None:
-                cut = " with a line end (last_line='keep' reads one without)" if dialect.without_cut_line else ""
+                cut = " with a line end" if dialect.without_cut_line else ""
+                cut += advice(" ({} reads one without)", "last_line='keep'", "--last-line keep") if cut else ""
                 raise RecordingError(
                     f"{path.name}: there is a header but no row of numbers{cut}", code="too-short", path=path
                 )

@@ -10,6 +10,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from manip_learn.errors import advice
 from manip_learn.recordings.readers.joint_state_streams import JointStateStream
 from manip_learn.recordings.validation.time_checks import GAP_FACTOR
 
@@ -62,7 +63,10 @@ def topics_of_joints(streams: list[JointStateStream], joints: tuple[str, ...]) -
         others = [t for t, names in carried.items() if names and t != topic]
         notes = [f"joint states read from {topic}"] if len(carried) > 1 else []
         if others:
-            notes.append(f"also about these joints, not used: {', '.join(others)} (choose with topics=[...])")
+            notes.append(
+                f"also about these joints, not used: {', '.join(others)}"
+                + advice(" (choose with {})", "topics=[...]", "--topic NAME")
+            )
         return dict.fromkeys(joints, topic), notes
     chosen = {}
     for joint in joints:
@@ -79,8 +83,8 @@ def _preferred(topics: list[str], what: str) -> str:
         return USUAL_TOPIC
     raise MergeError(
         "ambiguous-topic",
-        f"several topics have {what}: {', '.join(topics)}; measured and commanded states must not be mixed, so say "
-        f"which one: topics=[{topics[0]!r}]",
+        f"several topics have {what}: {', '.join(topics)}; measured and commanded states must not be mixed"
+        + advice(", so say which one: {}", f"topics=[{topics[0]!r}]", f"--topic {topics[0]}"),
     )
 
 

@@ -10,7 +10,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float, Int
 
-from manip_learn.errors import RecordingError
+from manip_learn.errors import RecordingError, advice
 from manip_learn.recordings.readers.bag_file import BagFile
 from manip_learn.recordings.readers.joint_state_layout import JointStateLayout
 
@@ -134,8 +134,8 @@ def _by_layout(
 def _new_layout(bag: BagFile, topic: str, raw: bytes, n_known: int) -> JointStateLayout:
     if n_known >= MOST_LAYOUTS:
         raise RecordingError(
-            f"{bag.path.name}: the joints named in {topic} change all the time ({n_known} lists): choose another "
-            "topic with topics=[...]",
+            f"{bag.path.name}: the joints named in {topic} change all the time ({n_known} lists)"
+            + advice(": choose another topic with {}", "topics=[...]", "--topic NAME"),
             code="unsteady-names",
             path=bag.path,
         )

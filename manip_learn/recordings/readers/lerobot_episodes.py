@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from manip_learn.errors import MissingExtraError, RecordingError, UnknownNameError
+from manip_learn.errors import MissingExtraError, RecordingError, UnknownNameError, advice
 from manip_learn.recordings.readers.lerobot_dataset import SEARCHED_LEVELS, open_dataset
 from manip_learn.recordings.readers.recording import reason
 from manip_learn.recordings.readers.recording_files import natural_order
@@ -72,7 +72,8 @@ def _described_episodes(path: Path) -> Iterator[tuple[int, tuple[str, ...]]]:
     else:
         raise RecordingError(
             f"{path}: the data set does not name the tasks of its episodes (no meta/episodes.jsonl or meta/episodes/): "
-            "download all of meta/, or select by number with episodes='0:50,60' (--episodes)",
+            "download all of meta/"
+            + advice(", or select by number with {}", "episodes='0:50,60'", "--episodes 0:50,60"),
             code="no-tasks",
             path=path,
         )

@@ -12,7 +12,7 @@ from typing import Any, final
 
 import numpy as np
 
-from manip_learn.errors import MissingExtraError, RecordingError
+from manip_learn.errors import MissingExtraError, RecordingError, advice
 from manip_learn.recordings.readers.lerobot_dataset import STATE, VELOCITY, LeRobotDataset, open_dataset
 from manip_learn.recordings.readers.lerobot_episodes import episode_number
 from manip_learn.recordings.readers.read_request import ReadRequest
@@ -111,11 +111,13 @@ def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ReadRequest
 
 def _names(dataset: LeRobotDataset, request: ReadRequest, width: int) -> tuple[str, ...]:
     names = request.joint_names or dataset.names
+    request.uses.use("joint_names")
     if names is None:
         raise _refusal(
             dataset.root,
             "no-joint-names",
-            f"the data set does not name the {width} entries of {STATE}: pass joint_names=[...] in their order",
+            f"the data set does not name the {width} entries of {STATE}: "
+            + advice("pass {} in their order", "joint_names=[...]", "--joint-names NAME,NAME,..."),
         )
     if len(names) != width:
         raise _refusal(
@@ -142,8 +144,9 @@ def _refuse_unknown_units(
     raise _refusal(
         dataset.root,
         "units",
-        f"LeRobot data does not say its units and the arm's values are {low:.4g} .. {high:.4g}: pass units='radians', "
-        f"'degrees' or 'normalised'; these look like {guess}",
+        f"LeRobot data does not say its units and the arm's values are {low:.4g} .. {high:.4g}: "
+        + advice("pass {}", "units='radians', 'degrees' or 'normalised'", "--units radians, degrees or normalised")
+        + f"; these look like {guess}",
     )
 
 
@@ -218,11 +221,13 @@ def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest)
     if "timestamp" in batch.schema.names:
         return _vector(file, batch, "timestamp")
     rate = request.rate or dataset.fps
+    request.uses.use("rate")
     if rate is None or "frame_index" not in batch.schema.names:
         raise _refusal(
             file,
             "no-time",
-            "there is neither 'timestamp' nor 'frame_index' with a rate: pass rate=<samples per second>",
+            "there is neither 'timestamp' nor 'frame_index' with a rate: "
+            + advice("pass {}", "rate=<samples per second>", "--rate <samples per second>"),
         )
     return _vector(file, batch, "frame_index") / rate
 

@@ -15,7 +15,7 @@ from typing import IO, final
 
 import numpy as np
 
-from manip_learn.errors import RecordingError, closest_names
+from manip_learn.errors import RecordingError, advice, closest_names
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, reason
 
@@ -71,14 +71,17 @@ def _read_arrays(path: Path, archive: zipfile.ZipFile, request: ReadRequest) -> 
         key = request.renamed(info.filename.removesuffix(".npy"))
         if key in members:
             raise _refusal(path, "duplicate-column", f"the array {key!r} occurs twice: keep one")
-        if key in WANTED and key not in request.ignore_columns:
+        if key in WANTED and not request.ignores(key):
             members[key] = info
         else:
             ignored.append(key)
     for key in ("time", "q"):
         if key not in members:
             near = closest_names(key, ignored)
-            hint = f"; if {near[0]!r} is meant: rename={{{near[0]!r}: {key!r}}}" if near else ""
+            hint = ""
+            if near:
+                python, flag = f"rename={{{near[0]!r}: {key!r}}}", f"--rename {near[0]}={key}"
+                hint = advice(f"; if {near[0]!r} is meant: {{}}", python, flag)
             raise _refusal(
                 path,
                 "missing-array",
@@ -167,9 +170,12 @@ def _joint_names(path: Path, arrays: dict[str, np.ndarray], request: ReadRequest
             raise _refusal(
                 path,
                 "no-joint-names",
-                f"the archive has no 'joint_names' for the {arrays['q'].shape[1]} columns of q: save them, or pass "
-                "joint_names=[...] in the order of the columns",
+                f"the archive has no 'joint_names' for the {arrays['q'].shape[1]} columns of q: save them"
+                + advice(
+                    ", or pass {} in the order of the columns", "joint_names=[...]", "--joint-names NAME,NAME,..."
+                ),
             )
+        request.uses.use("joint_names")
         names = request.joint_names
     else:
         raw = arrays["joint_names"]

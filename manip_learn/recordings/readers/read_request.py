@@ -9,6 +9,7 @@ from typing import Literal, final, get_args
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.readers.episode_selection import EpisodeSelection
+from manip_learn.recordings.readers.option_uses import OptionUses, UnmatchedOption
 from manip_learn.robot import Robot
 
 Units = Literal["radians", "degrees", "normalised"]
@@ -37,6 +38,7 @@ class ReadRequest:
         episodes: Which episodes to read; None: all.
         task: Only episodes that show this task, of LeRobot data.
         chosen: Numbers of the episodes to read of a data set, once these two have been looked up; None: all.
+        uses: What of the options the recordings that were read so far had a use for.
 
     Raises:
         RecordingError: An option that is not one of its allowed values.
@@ -55,6 +57,7 @@ class ReadRequest:
     episodes: EpisodeSelection | None = None
     task: str | None = None
     chosen: frozenset[int] | None = None
+    uses: OptionUses = field(default_factory=OptionUses, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         _check_choice("units", self.units, (None, *get_args(Units)))
@@ -77,7 +80,29 @@ class ReadRequest:
 
     def renamed(self, name: str) -> str:
         """The name after renaming."""
+        self.uses.see(name)
+        if name in self.rename:
+            self.uses.use("rename", name)
         return self.rename.get(name, name)
+
+    def unmatched(self) -> list[UnmatchedOption]:
+        """A sentence for each option that the recordings read so far had no use for."""
+        return self.uses.unmatched(
+            rename=self.rename,
+            ignore_columns=self.ignore_columns,
+            topics=self.topics,
+            joint_names=self.joint_names,
+            rate=self.rate,
+            time_unit=self.time_unit,
+        )
+
+    def ignores(self, *names: str) -> bool:
+        """True if a column with these names (in the file, and after renaming) is not to be read."""
+        self.uses.see(*names)
+        asked = [n for n in names if n in self.ignore_columns]
+        for name in asked:
+            self.uses.use("ignore_columns", name)
+        return bool(asked)
 
 
 def _check_choice(option: str, value: object, allowed: tuple[object, ...]) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from manip_learn.errors import MissingExtraError, RecordingError
+from manip_learn.errors import MissingExtraError, RecordingError, advice
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, reason
 from manip_learn.recordings.readers.recording_files import natural_order
@@ -136,14 +136,20 @@ def _names(path: Path, request: ReadRequest) -> tuple[str, ...]:
         raise _refusal(
             path,
             "no-joint-names",
-            f"robomimic files name no joints: pass joint_names=[...] in the order of {POSITION} (for this robot "
-            f"probably {list(request.robot.joint_names)})",
+            f"robomimic files name no joints; say which columns {POSITION} has, for this robot probably: "
+            + advice(
+                "{}",
+                f"joint_names={list(request.robot.joint_names)}",
+                f"--joint-names {','.join(request.robot.joint_names)}",
+            ),
         )
+    request.uses.use("joint_names")
     return request.joint_names
 
 
 def _rate(path: Path, data: Any, request: ReadRequest) -> tuple[float, str]:
     if request.rate is not None:
+        request.uses.use("rate")
         return request.rate, f"no time stamps in the file: {request.rate:g} samples per second, as asked"
     text = data.attrs.get("env_args")
     try:
@@ -156,7 +162,8 @@ def _rate(path: Path, data: Any, request: ReadRequest) -> tuple[float, str]:
         raise _refusal(
             path,
             "no-time",
-            "neither time stamps nor a control_freq in env_args are in the file: pass rate=<samples per second>",
+            "neither time stamps nor a control_freq in env_args are in the file: "
+            + advice("pass {}", "rate=<samples per second>", "--rate <samples per second>"),
         )
     return rate, f"no time stamps in the file: {rate:g} samples per second, from control_freq in env_args"
 

@@ -75,6 +75,7 @@ def _topics(bag: BagFile, request: ReadRequest) -> tuple[str, ...]:
                 code="unknown-topic",
                 path=bag.path,
             )
+    request.uses.use("topics")
     return request.topics
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from manip_learn.errors import RecordingError, closest_names
+from manip_learn.errors import RecordingError, advice, closest_names
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.validation.object_poses import with_rotation_vectors
@@ -42,6 +42,7 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
         RecordingError: A joint without a column, a column without a joint, velocities for some joints only.
     """
     robot = request.robot
+    recording = _without_ignored(recording, request)
     _refuse_repeated(recording)
     recording = with_rotation_vectors(recording, robot.objects, in_degrees=request.units == "degrees")
     names = recording.position_names
@@ -61,6 +62,24 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
     )
 
 
+def _without_ignored(recording: Recording, request: ReadRequest) -> Recording:
+    """The recording without the columns that the caller does not want, whatever its format."""
+    if not request.ignore_columns:
+        return recording
+    p = [i for i, n in enumerate(recording.position_names) if not request.ignores(n)]
+    v = [i for i, n in enumerate(recording.velocity_names) if not request.ignores(n)]
+    if len(p) == len(recording.position_names) and len(v) == len(recording.velocity_names):
+        return recording
+    velocities = recording.velocities
+    return replace(
+        recording,
+        position_names=tuple(recording.position_names[i] for i in p),
+        positions=recording.positions[:, p],
+        velocity_names=tuple(recording.velocity_names[i] for i in v),
+        velocities=None if velocities is None else velocities[:, v],
+    )
+
+
 def _refuse_repeated(recording: Recording) -> None:
     for names in (recording.position_names, recording.velocity_names):
         repeated = next((n for n in names if names.count(n) > 1), None)
@@ -73,7 +92,8 @@ def _missing(recording: Recording, robot: Robot, missing: list[str]) -> Recordin
     free = [n for n in recording.position_names if n not in robot.joint_names]
     near = closest_names(missing[0], free)
     if near:
-        hint = f"; did you mean {', '.join(map(repr, near))}? If so: rename={{{near[0]!r}: {missing[0]!r}}}"
+        hint = f"; did you mean {', '.join(map(repr, near))}?"
+        hint += advice(" If so: {}", f"rename={{{near[0]!r}: {missing[0]!r}}}", f"--rename {near[0]}={missing[0]}")
     else:
         columns = ", ".join(map(repr, recording.position_names[:10])) or "none"
         hint = f"; it has {columns}"
@@ -87,10 +107,15 @@ def _missing(recording: Recording, robot: Robot, missing: list[str]) -> Recordin
             column=missing[0],
         )
     locked = ", ".join(map(repr, missing))
+    flags = " ".join(f"--lock {name}" for name in missing)
     return recording.refusal(
         "missing-joint",
-        f"nothing is recorded for joint {shown} of robot {robot.name!r}{hint}. A joint that does not move in the "
-        f"recordings can be locked: load_robot(..., locked=[{locked}]), or --lock {missing[0]} on the command line",
+        f"nothing is recorded for joint {shown} of robot {robot.name!r}{hint}"
+        + advice(
+            ". A joint that does not move in the recordings can be locked: {}",
+            f"load_robot(..., locked=[{locked}])",
+            flags,
+        ),
         column=missing[0],
     )
 
@@ -115,8 +140,8 @@ def _unknown(recording: Recording, robot: Robot, name: str) -> RecordingError:
     hint = f" (near: {', '.join(map(repr, near))})" if near else f" (it has {', '.join(robot.joint_names)})"
     return recording.refusal(
         "unknown-column",
-        f"no joint of robot {robot.name!r} matches this column{hint}: correct the name, or pass "
-        f"ignore_columns=({name!r},) (--ignore-column {name})",
+        f"no joint of robot {robot.name!r} matches this column{hint}: correct the name"
+        + advice(", or pass {}", f"ignore_columns=[{name!r}]", f"--ignore-column {name}"),
         column=name,
     )
 
@@ -152,11 +177,12 @@ def _velocities(recording: Recording, robot: Robot) -> tuple[Float[np.ndarray, "
         return None, ["recorded velocities are not used: those of objects and joints are derived alike from positions"]
     absent = [j for j in robot.joint_names if j not in names]
     if absent:
-        ignored = ", ".join(repr(j + "_velocity") for j in there[:3])
+        columns = [j + "_velocity" for j in there]
+        flags = " ".join(f"--ignore-column {c}" for c in columns)
         raise recording.refusal(
             "partial-velocity",
             f"velocities are recorded for {len(there)} of {robot.nv} joints, not {', '.join(map(repr, absent[:3]))}: "
-            f"record all, or none (ignore_columns=({ignored}, ...))",
+            f"record all, or none{advice(': {}', f'ignore_columns={columns}', flags)}",
             column=absent[0],
         )
     return recording.velocities[:, [names.index(j) for j in robot.joint_names]], []

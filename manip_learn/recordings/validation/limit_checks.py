@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
+from manip_learn.errors import advice
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.validation.object_poses import object_coordinates
@@ -76,15 +77,13 @@ def _refuse_degrees(
     i = int(np.argmax(np.where(suspects, largest, 0.0)))
     sample = int(np.argmax(np.abs(q[:, i])))
     whole_file = 2 * np.count_nonzero(largest[angular] > np.pi) >= np.count_nonzero(angular)
-    advice = (
-        "pass degrees=True (--degrees), or convert the file to radians"
-        if whole_file
-        else "convert this column to radians"
-    )
+    fix = "convert this column to radians"
+    if whole_file:
+        fix = advice("pass {}, or ", "degrees=True", "--degrees") + "convert the file to radians"
     raise recording.refusal(
         "degrees",
         f"positions look like degrees: {q[sample, i]:.6g} where the limits are [{robot.position_lower[i]:.4g}, "
-        f"{robot.position_upper[i]:.4g}] rad; {advice}",
+        f"{robot.position_upper[i]:.4g}] rad; {fix}",
         sample=sample,
         column=robot.joint_names[i],
     )
@@ -112,8 +111,8 @@ def _refuse_far(recording: Recording, request: ReadRequest, q: Float[np.ndarray,
         "outside-limits",
         f"{q[sample, i]:.6g} is outside the limits [{lower:.4g}, {upper:.4g}] of robot {robot.name!r} at "
         f"{np.count_nonzero(outside > 0)} of {q.shape[0]} samples: "
-        f"{guess or 'wrong units, columns with the wrong names, or another robot?'} Correct the file, or pass "
-        "outside_limits='note' if it is right",
+        f"{guess or 'wrong units, columns with the wrong names, or another robot?'} Correct the file"
+        + advice(", or pass {} if it is right", "outside_limits='note'", "--outside-limits note"),
         sample=sample,
         column=robot.joint_names[i],
     )

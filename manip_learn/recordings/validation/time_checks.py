@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.errors import RecordingError
+from manip_learn.errors import RecordingError, advice
 from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 
@@ -31,6 +31,7 @@ def time_in_seconds(recording: Recording, request: ReadRequest) -> Float[np.ndar
     if recording.in_seconds:
         return time
     if request.time_unit is not None:
+        request.uses.use("time_unit")
         return time * SECONDS[request.time_unit]
     largest = float(np.max(np.abs(time)))
     unit = next((u for u, start in EPOCHS if largest > start), None)
@@ -66,8 +67,9 @@ def unit_refusal(recording: Recording, unit: str, evidence: str) -> RecordingErr
     """The refusal of stamps that are not in seconds."""
     return recording.refusal(
         "time-unit",
-        f"time looks like {UNIT_WORDS[unit]}: {evidence}; seconds are needed: convert the column, or pass "
-        f"time_unit={unit!r} (time_unit='s' if they are seconds)",
+        f"time looks like {UNIT_WORDS[unit]}: {evidence}; seconds are needed: convert the column"
+        + advice(", or pass {}", f"time_unit={unit!r}", f"--time-unit {unit}")
+        + advice(" ({} if they are seconds)", "time_unit='s'", "--time-unit s"),
         column="time",
     )
 

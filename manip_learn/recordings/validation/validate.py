@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.errors import advice
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.pose_velocities import continuous_rotation_vectors
 from manip_learn.recordings.readers.read_request import ReadRequest
@@ -96,6 +97,11 @@ def _in_radians(
     u: Float[np.ndarray, "T nv"] | None,
 ) -> tuple[Float[np.ndarray, "T nv"], Float[np.ndarray, "T nv"] | None, list[str]]:
     robot, angular = request.robot, angular_coordinates(request.robot)
+    if recording.trusted and request.units not in (None, "radians"):
+        python, flag = f"units={request.units!r}", f"--units {request.units}"
+        raise recording.refusal(
+            "units", f"a rollout of this library is in radians and metres{advice('; leave {} out', python, flag)}"
+        )
     if request.units == "degrees":
         factor = np.where(angular, np.pi / 180, 1.0)
         lengths = [n for n, a in zip(robot.joint_names, angular, strict=True) if not a]

@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float
 
+from manip_learn.errors import advice
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.validation.time_checks import GAP_FACTOR, unit_refusal
 
@@ -113,8 +114,10 @@ def _refuse_slope(recording: Recording, name: str, angular: bool, slope: float) 
     if angular and _near(size, DEGREE):
         raise recording.refusal(
             "degrees",
-            f"positions look like degrees: {evidence}; radians are needed: convert the position columns (degrees=True "
-            "is for files whose positions and velocities are both in degrees)",
+            f"positions look like degrees: {evidence}; radians are needed: convert the position columns"
+            + advice(
+                " ({} is for files whose positions and velocities are both in degrees)", "degrees=True", "--degrees"
+            ),
             column=name,
         )
     if angular and _near(size, 1 / DEGREE):

@@ -8,7 +8,7 @@ import stat
 from pathlib import Path
 from xml.parsers.expat import ExpatError
 
-from manip_learn.errors import MissingExtraError, RobotError
+from manip_learn.errors import MissingExtraError, RobotError, advice
 
 MAX_BYTES = 10_000_000
 
@@ -88,7 +88,10 @@ def expanded_xacro(path: Path, *, allowed: bool) -> bytes:
     if not allowed:
         raise RobotError(
             f"{path}: a xacro file is not expanded unless you ask, since it runs expressions and includes other files; "
-            "if you trust it, load_robot(..., xacro=True)",
+            + (
+                advice("if you trust it: {}", "load_robot(..., xacro=True)", "--xacro")
+                or "if you trust it: xacro robot.xacro > robot.urdf"
+            ),
             code="xacro",
             path=path,
         )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import final
 
-from manip_learn.errors import RobotError
+from manip_learn.errors import RobotError, advice
 from manip_learn.robot.description.diagnostics import Diagnostics, shortened
 
 MAX_ELEMENTS = 200_000
@@ -181,7 +181,7 @@ def _parsed(text: str, node: XmlNode, attribute: str, where: str, log: Diagnosti
             where,
             seen,
             "a number is expected",
-            "this is xacro, not URDF: name the file *.xacro and load it with xacro=True",
+            "this is xacro, not URDF: name the file *.xacro" + advice(" and load it with {}", "xacro=True", "--xacro"),
         )
     if text.lower().lstrip("+-") in ("nan", "inf", "infinity", "1.#inf", "1.#qnan"):
         fix = 'for a joint without limits write type="continuous"' if node.tag == "limit" else "write the true value"

@@ -1,0 +1,156 @@
+"""Reading options: one that matches nothing is an error with near matches, and errors advise what the caller can do."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recording_corpus import HEADER, TABLE, csv, write_corpus
+from test_cli import DRAWER, FRAME
+from typer.main import get_command
+
+from manip_learn.cli import app, main
+from manip_learn.commands.read_options import flags_of
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.errors import RecordingError, advice, advice_for_command
+from manip_learn.learning import ConstraintLearner
+from manip_learn.learning.audit import audit_episodes
+from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.recording_source import RecordingSource
+from manip_learn.robot import Robot, load_robot
+
+UNMATCHED = {
+    "rename an unknown column": ({"rename": {"jiont1": "joint1"}}, "'jiont1'.*did you mean 'joint1'"),
+    "rename to an unknown joint": ({"rename": {"extra": "jiont1"}}, "no joint 'jiont1'.*did you mean 'joint1'"),
+    "ignore an unknown column": ({"ignore_columns": ["ti"]}, "nothing in the recordings is called 'ti'.*'time'"),
+    "a topic of a table": ({"topics": ["/joint_states"]}, "none of the recordings is one"),
+    "names beside a header": ({"joint_names": ["a", "b", "c"]}, "name their columns or joints themselves"),
+    "a rate beside time stamps": ({"rate": 100.0}, "have time stamps"),
+}
+
+
+@pytest.fixture(scope="module")
+def planar3() -> Robot:
+    """The shipped three-joint arm."""
+    return load_robot("planar3")
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    """A text table with a header."""
+    path = tmp_path / "demo.csv"
+    path.write_text(csv(TABLE))
+    return path
+
+
+@pytest.mark.parametrize("case", UNMATCHED)
+def test_an_option_that_matches_nothing_is_an_error(case: str, planar3: Robot, table: Path) -> None:
+    """A misspelt name must not pass as if it had been obeyed."""
+    options, wanted = UNMATCHED[case]
+    with pytest.raises(RecordingError, match=wanted) as caught:
+        load_demonstrations(table, planar3, **options)
+    assert caught.value.code == "option"
+
+
+def test_an_option_may_match_in_one_file_only(planar3: Robot, tmp_path: Path) -> None:
+    """A renaming that one file of a set needs is no mistake in the others, however they are read."""
+    (tmp_path / "demo_1.csv").write_text(csv(TABLE))
+    (tmp_path / "demo_2.csv").write_text(csv(TABLE, HEADER.replace("joint2", "elbow")))
+    options = {"rename": {"elbow": "joint2"}}
+    assert len(load_demonstrations(tmp_path, planar3, **options)) == 2
+    source = RecordingSource(tmp_path, planar3, **options)
+    assert sum(len(list(source.part(i))) for i in range(source.n_parts)) == 2
+
+
+def in_parts(source: RecordingSource) -> RecordingSource:
+    """The same files, each a part of its own, as large files are."""
+    source._parts = [[path] for part in source._parts for path in part]  # noqa: SLF001
+    return source
+
+
+@pytest.mark.parametrize("option", [{"rename": {"nope": "right_j0"}}, {"ignore_columns": ["nope"]}, {"rate": 50.0}])
+def test_recordings_read_in_parts_are_judged_together(option: dict) -> None:
+    """Recordings larger than memory: refused if no part had a use for the option, learning and auditing alike."""
+    sawyer = load_robot("sawyer")
+    features = FrameJacobian(sawyer, FRAME[1], "xyz", "world")
+    with pytest.raises(RecordingError, match="nope|rate") as caught:
+        ConstraintLearner(features, n_constraints=2).fit(in_parts(RecordingSource(DRAWER, sawyer, **option)))
+    assert caught.value.code == "option"
+    with pytest.raises(RecordingError, match="nope|rate"):
+        audit_episodes(Constraint([[1.0, 0, 0]], features), in_parts(RecordingSource(DRAWER, sawyer, **option)))
+
+
+def test_a_header_may_be_missing_if_names_are_given(planar3: Robot, tmp_path: Path) -> None:
+    """A table of bare numbers is read with the caller's names, first line included; their number must fit."""
+    path = tmp_path / "bare.csv"
+    path.write_text(csv(TABLE).split("\n", 1)[1])
+    (demo,) = load_demonstrations(path, planar3, joint_names=["time", "joint3", "joint2", "joint1"])
+    with_header = tmp_path / "named.csv"
+    with_header.write_text(csv(TABLE))
+    np.testing.assert_array_equal(demo.q, load_demonstrations(with_header, planar3)[0].q[:, ::-1])
+    assert len(demo) == len(TABLE)
+    with pytest.raises(RecordingError, match="4 fields and 3 column names"):
+        load_demonstrations(path, planar3, joint_names=["joint1", "joint2", "joint3"])
+    with pytest.raises(RecordingError, match="no column 'time'"):
+        load_demonstrations(path, planar3, joint_names=["t0", "joint1", "joint2", "joint3"])
+
+
+def test_columns_are_ignored_in_every_format(planar3: Robot, tmp_path: Path) -> None:
+    """An ignored joint is as good as not recorded, in an archive too."""
+    path = tmp_path / "demo.npz"
+    np.savez(path, time=TABLE[:, 0], q=TABLE[:, [1, 2, 3, 3]], joint_names=["joint1", "joint2", "joint3", "copy"])
+    with pytest.raises(RecordingError, match="no joint of robot 'planar3' matches this column"):
+        load_demonstrations(path, planar3)
+    assert len(load_demonstrations(path, planar3, ignore_columns=["copy"])) == 1
+    with pytest.raises(RecordingError, match="nothing is recorded for joint 'joint1'"):
+        load_demonstrations(path, planar3, ignore_columns=["copy", "joint1"])
+
+
+def test_advice_is_in_the_words_of_the_caller() -> None:
+    """A Python argument in Python, a flag on the command line, nothing where the command lacks the flag."""
+    assert advice("; pass {}", "rate=10", "--rate 10") == "; pass rate=10"
+    with advice_for_command(["--rate"]):
+        assert advice("; pass {}", "rate=10", "--rate 10") == "; pass --rate 10"
+        assert advice("; pass {}", "x=1", "--x 1") == ""
+    assert advice("name {a} {}", "x", "--x") == "name {a} x"
+
+
+COMMANDS = {
+    "learn": ("learn", "planar3", "{}", "--frame", "tip", "--axes", "x y"),
+    "replay": ("replay", "planar3", "{}", "--html", "{out}"),
+    "audit": ("audit", "planar3", "{constraint}", "{}"),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_errors_name_only_flags_of_the_command(command: str, planar3: Robot, tmp_path: Path, capsys) -> None:
+    """Every flag in the text of an error exists for the command that printed it, and Python's words are not used."""
+    corpus = tmp_path / "corpus"
+    write_corpus(corpus)
+    constraint = tmp_path / "line.json"
+    Constraint([[0.0, 1.0]], FrameJacobian(planar3, "tip", "x y", "world")).save(constraint)
+    flags = flags_of(get_command(app), [command])
+    named = set()
+    for path in sorted(corpus.rglob("*")):
+        if path.is_dir():
+            continue
+        words = [w.format(path, out=tmp_path / "page.html", constraint=constraint) for w in COMMANDS[command]]
+        if main(words) == 0:
+            continue
+        said = capsys.readouterr().err
+        found = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", said))
+        assert found <= flags, f"{path.name}: {sorted(found - flags)} in {said!r}"
+        assert not re.search(r"\w=\[|\w=\{|\w='|=True", said), said
+        named |= found
+    assert {"--rename", "--time-unit", "--outside-limits", "--degrees"} <= named
+
+
+def test_flags_that_match_nothing_leave_the_command_line_with_one_sentence(table: Path, capsys) -> None:
+    """As a user meets it: exit code 2, the flag as typed, the near match."""
+    code = main(["learn", "planar3", str(table), "--frame", "tip", "--rename", "jiont1=joint1"])
+    said = capsys.readouterr().err
+    assert code == 2
+    assert "--rename jiont1=joint1: nothing in the recordings is called 'jiont1'; did you mean 'joint1'" in said
