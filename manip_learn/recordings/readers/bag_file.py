@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import bz2
 import contextlib
+import functools
 import sqlite3
 import struct
 import tempfile
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, final
+from typing import Any, final
 
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings.readers.joint_state_layout import JointStateLayout, cdr_layout, ros1_layout
@@ -17,19 +19,23 @@ from manip_learn.recordings.readers.recording import reason
 
 try:
     import apsw
-    import lz4.frame
     from rosbags import rosbag1, rosbag2
     from rosbags.rosbag2.storage_mcap import McapReader
     from rosbags.serde import SerdeError
     from rosbags.typesys import Stores, get_typestore
     from ruamel.yaml.error import YAMLError
+
+    from manip_learn.recordings.readers.bag_counts import (
+        refuse_other_counts,
+        refuse_side_files,
+        ros1_counts,
+        sqlite_counts,
+    )
+    from manip_learn.recordings.readers.mcap_contents import McapContents, mcap_contents
+    from manip_learn.recordings.readers.packed_size import BoundedDecompressor, check_zstd, unpacked_message
 except ImportError as error:
     raise MissingExtraError("reading ROS bags", "ros") from error
 
-ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200  # bytes, and how much smaller packed
-MCAP_MAGIC = b"\x89MCAP0\r\n"
-MCAP_CHUNK = 0x06
-BLOCK = 1 << 20
 JOINT_STATE = "sensor_msgs/msg/JointState"
 LARGEST_METADATA = 10_000_000
 # what the library was seen to raise on damaged bags, next to its own errors
@@ -54,97 +60,22 @@ DAMAGE = (
 )
 
 
-class _Decompressor(Protocol):
-    def decompress(self, data: bytes, max_length: int = -1) -> bytes: ...
-
-
-def most_bytes(packed: int) -> int:
-    """Bytes that a packed block may unpack to."""
-    return max(ALWAYS_FINE, BOMB_RATIO * packed)
-
-
 @final
-class BoundedDecompressor:
-    """Unpacks one block of a ROS 1 bag, but never more than is plausible."""
+@dataclass(frozen=True, eq=False)
+class BagPart:
+    """One file of a bag.
 
-    def __init__(self, path: Path, compression: str):
-        self._path, self._compression = path, compression
-
-    def __call__(self, data: bytes) -> bytes:
-        """The unpacked block.
-
-        Raises:
-            RecordingError: It unpacks to more than 200 times its size and more than 50 MB.
-        """
-        most = most_bytes(len(data))
-        tool: _Decompressor = bz2.BZ2Decompressor() if self._compression == "bz2" else lz4.frame.LZ4FrameDecompressor()
-        content = tool.decompress(data, max_length=most + 1)
-        if len(content) > most:
-            raise bomb(self._path, f"a block of {len(data):,} bytes unpacks to more than {most:,}")
-        return content
-
-
-def check_mcap(path: Path) -> None:
-    """Refuse an MCAP file whose blocks unpack, or claim to unpack, to far more than their size.
-
-    Raises:
-        RecordingError: A bomb.
+    Attributes:
+        path: The file as the caller knows it.
+        reader: The library's reader of this file.
+        counts: Topic -> number of its messages in the file, counted without the library.
+        packed: True if every message is compressed by itself.
     """
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        file.seek(len(MCAP_MAGIC))
-        while file.tell() + 9 <= size:
-            code, length = struct.unpack("<BQ", file.read(9))
-            start = file.tell()
-            if code == MCAP_CHUNK:
-                head = file.read(min(length, 32 + 4 + 64))
-                if len(head) < 40:
-                    return  # cut off: the reader says so
-                (unpacked,) = struct.unpack_from("<Q", head, 16)
-                if unpacked > most_bytes(length):
-                    raise bomb(path, f"a block of {length:,} bytes claims to unpack to {unpacked:,}")
-                (name_length,) = struct.unpack_from("<I", head, 28)
-                compression = head[32 : 32 + name_length]
-                if compression in (b"lz4", b"zstd"):
-                    file.seek(start + 40 + name_length)
-                    _check_claim(path, compression, file.read(max(length - 40 - name_length, 0)), unpacked)
-            file.seek(start + length)
 
-
-def _check_claim(path: Path, compression: bytes, packed: bytes, unpacked: int) -> None:
-    """Refuse a block that unpacks to more than it claims; the library believes the claim."""
-    from rosbags.rosbag2.reader import zstd
-
-    tool: _Decompressor = lz4.frame.LZ4FrameDecompressor() if compression == b"lz4" else zstd.ZstdDecompressor()
-    content = tool.decompress(packed, max_length=unpacked + 1)
-    # a second frame behind the first would be unpacked as well
-    if len(content) > unpacked or getattr(tool, "unused_data", b""):
-        raise bomb(path, f"a block of {len(packed):,} bytes claims to unpack to {unpacked:,}, but there is more in it")
-
-
-def check_zstd(path: Path) -> None:
-    """Refuse a zstd file that unpacks to far more than its size.
-
-    Raises:
-        RecordingError: A bomb.
-    """
-    from rosbags.rosbag2.reader import zstd  # the standard library's from Python 3.14 on, a package before
-
-    most, total = most_bytes(path.stat().st_size), 0
-    with zstd.open(path, "rb") as file:
-        while block := file.read(BLOCK):
-            total += len(block)
-            if total > most:
-                raise bomb(path, f"its {path.stat().st_size:,} bytes unpack to more than {most:,}")
-
-
-def bomb(path: Path, evidence: str) -> RecordingError:
-    """The refusal of a file that unpacks to far too much."""
-    return RecordingError(
-        f"{path.name}: {evidence}: no recorded motion packs so well; if it is real, unpack it yourself first",
-        code="bomb",
-        path=path,
-    )
+    path: Path
+    reader: Any
+    counts: Counter[str]
+    packed: bool = False
 
 
 @final
@@ -156,27 +87,46 @@ class BagFile:
         is_ros1: True for ROS 1.
         topics: Topic -> message type, all of them.
         joint_topics: Topics with JointState messages.
+        notes: What was noticed when it was opened.
     """
 
-    def __init__(self, path: Path, reader: Any, *, is_ros1: bool):
+    def __init__(
+        self, path: Path, parts: list[BagPart], stated: dict[str, int] | None = None, notes: tuple[str, ...] = ()
+    ):
         self.path = path
-        self.is_ros1 = is_ros1
-        self._reader = reader
-        self._connections = [c for c in reader.connections if c.msgtype == JOINT_STATE]
-        self.topics: dict[str, str] = {c.topic: c.msgtype for c in reader.connections}
-        self.joint_topics: tuple[str, ...] = tuple(dict.fromkeys(c.topic for c in self._connections))
-        self._types = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
+        self.is_ros1 = any(isinstance(p.reader, rosbag1.Reader) for p in parts)
+        self.notes = notes
+        self._parts = parts
+        self._stated = stated
+        connections = [c for p in parts for c in p.reader.connections]
+        self.topics: dict[str, str] = {c.topic: c.msgtype for c in connections}
+        self.joint_topics = tuple(dict.fromkeys(c.topic for c in connections if c.msgtype == JOINT_STATE))
+        self._types = _typestore(is_ros1=self.is_ros1)
 
     def messages(self, topics: tuple[str, ...]) -> Iterator[tuple[str, str, int, bytes]]:
-        """Topic, publisher, stamp of the recorder [ns] and bytes of every message, in the order of these stamps.
+        """Topic, publisher, stamp of the recorder [ns] and bytes of every message, file by file in order of the stamps.
 
         The publisher is the caller of a ROS 1 connection; of an MCAP file it is the channel, where the channels of a
         topic differ in their metadata; else it is empty.
+
+        Raises:
+            RecordingError: At the end, if there were more or fewer messages than the bag states.
         """
-        wanted = [c for c in self._connections if c.topic in topics]
-        publishers = {c.id: _publisher(c, self._reader) for c in wanted}
-        for connection, stamp, raw in self._reader.messages(connections=wanted):
-            yield connection.topic, publishers[connection.id], stamp, raw
+        total: Counter[str] = Counter()
+        for part in self._parts:
+            found: Counter[str] = Counter()
+            wanted = [c for c in part.reader.connections if c.topic in topics and c.msgtype == JOINT_STATE]
+            publishers = {c.id: _publisher(c, part.reader) for c in wanted}
+            for connection, stamp, raw in part.reader.messages(wanted) if wanted else ():
+                found[connection.topic] += 1
+                content = unpacked_message(part.path, raw) if part.packed else raw
+                yield connection.topic, publishers[connection.id], stamp, content
+            asked = {c.topic: part.counts[c.topic] for c in wanted}
+            refuse_other_counts(part.path, found, asked, "its content")
+            total += found
+        if self._stated is not None:
+            asked = {t: n for t, n in self._stated.items() if t in topics}
+            refuse_other_counts(self.path, total, asked, "metadata.yaml")
 
     def layout(self, raw: bytes) -> JointStateLayout:
         """Where the numbers are in a message; checked against the library's own reading of it.
@@ -207,13 +157,17 @@ class BagFile:
             raise ValueError("the stamp of a message is read differently by the library")
 
 
+@functools.cache  # it takes longer to build than a small bag to read
+def _typestore(*, is_ros1: bool) -> Any:
+    return get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
+
+
 def _publisher(connection: Any, reader: Any) -> str:
     if isinstance(reader, rosbag1.Reader):
         return connection.ext.callerid or ""
-    storage = reader.storage
-    if not isinstance(storage, McapReader):
+    if not isinstance(reader, McapReader):
         return ""
-    of_topic = {i: c.metadata for i, c in storage.channels.items() if c.topic == connection.topic}
+    of_topic = {i: c.metadata for i, c in reader.channels.items() if c.topic == connection.topic}
     first = min(i for i, metadata in of_topic.items() if metadata == of_topic[connection.id])
     return f"channel {first}" if len(set(of_topic.values())) > 1 else ""
 
@@ -247,40 +201,77 @@ def _zstd_error() -> type[Exception]:
 
 def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
     if path.is_dir():
-        _check_folder(path)
-        reader: Any = rosbag2.Reader(path)
-    else:
-        with path.open("rb") as file:
-            head = file.read(16)
-        if head.startswith(b"#ROSBAG"):
-            reader1 = rosbag1.Reader(path)
-            stack.callback(lambda: reader1.close() if reader1.bio is not None else None)
-            reader1.open()
-            for position, chunk in reader1.chunks.items():
-                name = getattr(chunk.decompressor, "__module__", "") or ""
-                if "bz2" in name or "lz4" in name:
-                    bounded = BoundedDecompressor(path, "bz2" if "bz2" in name else "lz4")
-                    reader1.chunks[position] = chunk._replace(decompressor=bounded)
-            return BagFile(path, reader1, is_ros1=True)
-        is_mcap = head.startswith(b"\x89MCAP")
-        if is_mcap:
-            check_mcap(path)
-        # the library goes by the extension, and its SQLite address cannot hold every character of a path
-        folder = stack.enter_context(tempfile.TemporaryDirectory())
-        link = Path(folder) / ("bag.mcap" if is_mcap else "bag.db3")
-        link.symlink_to(path.resolve())
-        reader = rosbag2.Reader(link)
+        return _folder(path, stack)
+    with path.open("rb") as file:
+        head = file.read(16)
+    if head.startswith(b"#ROSBAG"):
+        return _ros1(path, stack)
+    is_mcap = head.startswith(b"\x89MCAP")
+    contents = mcap_contents(path) if is_mcap else None
+    if not is_mcap:
+        refuse_side_files(path)
+    # the library goes by the extension, and its SQLite address cannot hold every character of a path
+    folder = stack.enter_context(tempfile.TemporaryDirectory())
+    link = Path(folder) / ("bag.mcap" if is_mcap else "bag.db3")
+    link.symlink_to(path.resolve())
+    reader: Any = rosbag2.Reader(link)
     reader.open()
     stack.callback(reader.close)
-    return BagFile(path, reader, is_ros1=False)
+    counts = sqlite_counts(link, path, alone=True) if contents is None else contents.by_topic()
+    return BagFile(path, [BagPart(path, reader.storage, counts)], notes=_checksum_notes([contents]))
 
 
-def _check_folder(path: Path) -> None:
+def _ros1(path: Path, stack: contextlib.ExitStack) -> BagFile:
+    reader = rosbag1.Reader(path)
+    stack.callback(lambda: reader.close() if reader.bio is not None else None)
+    reader.open()
+    for position, chunk in reader.chunks.items():
+        name = getattr(chunk.decompressor, "__module__", "") or ""
+        if "bz2" in name or "lz4" in name:
+            bounded = BoundedDecompressor(path, "bz2" if "bz2" in name else "lz4")
+            reader.chunks[position] = chunk._replace(decompressor=bounded)
+    counts = ros1_counts(path, {c.id: c.topic for c in reader.connections})
+    return BagFile(path, [BagPart(path, reader, counts)])
+
+
+def _folder(path: Path, stack: contextlib.ExitStack) -> BagFile:
     metadata = path / "metadata.yaml"
     if metadata.stat().st_size > LARGEST_METADATA:
         raise RecordingError(f"{metadata}: larger than {LARGEST_METADATA:,} bytes", code="too-large", path=metadata)
+    contents: dict[Path, McapContents] = {}
     for file in path.iterdir():
         if file.suffix == ".zstd":
             check_zstd(file)
         elif file.suffix == ".mcap":
-            check_mcap(file)
+            contents[file] = mcap_contents(file)
+        elif file.suffix == ".db3":
+            refuse_side_files(file)
+    reader: Any = rosbag2.Reader(path)
+    reader.open()
+    stack.callback(reader.close)
+    whole = reader.storage
+    parts = []
+    for storage in whole.storages:
+        shown = path / storage.path.name
+        if isinstance(storage, McapReader):
+            if shown not in contents:
+                contents[shown] = mcap_contents(Path(str(storage.path)))
+            counts = contents[shown].by_topic()
+        else:
+            counts = sqlite_counts(Path(str(storage.path)), shown, alone=False)
+        parts.append(BagPart(shown, storage, counts, packed=whole.metadata.compression_mode == "message"))
+    stated: Counter[str] = Counter()
+    for connection in whole.connections:
+        stated[connection.topic] += connection.msgcount
+    return BagFile(path, parts, dict(stated), _checksum_notes(contents.values()))
+
+
+def _checksum_notes(contents: Iterable[McapContents | None]) -> tuple[str, ...]:
+    found = [c for c in contents if c is not None]
+    unchecked, chunks = sum(c.unchecked for c in found), sum(c.chunks for c in found)
+    notes = []
+    if unchecked:
+        notes.append(f"{unchecked} of {chunks} chunks have no checksum: numbers that were damaged are not noticed")
+    if any(c.stated is None for c in found):
+        notes.append("the file states no number of messages: lost ones are not noticed")
+    return tuple(notes)

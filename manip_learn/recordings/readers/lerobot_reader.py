@@ -181,14 +181,20 @@ def _joined(parts: list[Episode]) -> Episode:
 def _parts(file: Path, dataset: LeRobotDataset, request: ReadRequest) -> Iterator[Episode]:
     """Runs of samples with the same episode number, batch by batch; only the needed columns are read."""
     try:
-        with pq.ParquetFile(file) as parquet:
+        with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
             there = parquet.schema_arrow.names
             if STATE not in there:
                 raise _refusal(file, "no-state", f"there is no column {STATE!r}, there is {', '.join(there[:12])}")
             columns = [c for c in (STATE, VELOCITY, "timestamp", "frame_index", "episode_index") if c in there]
-            _refuse_bomb(file, parquet.metadata.num_rows)
+            stated, found = parquet.metadata.num_rows, 0
+            _refuse_bomb(file, stated)
             for batch in parquet.iter_batches(batch_size=BATCH, columns=columns):
+                found += batch.num_rows
                 yield from _split(file, batch, dataset, request)
+            groups = sum(parquet.metadata.row_group(i).num_rows for i in range(parquet.num_row_groups))
+            if not found == stated == groups:
+                text = f"{found} samples are there, it states {stated}, in parts {groups}: download it again"
+                raise _refusal(file, "lost-samples", text)
     except RecordingError:
         raise
     except DAMAGE as error:

@@ -44,8 +44,13 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
                 )
             names = _names(path, request)
             rate, note = _rate(path, data, request)
+            _refuse_lost(path, "data", len(demos), "demonstrations", data, "num_demos")
+            total = 0
             for name in demos:
-                yield _recording(path, data, name, names, rate, note)
+                recording = _recording(path, data, name, names, rate, note)
+                total += len(recording.time)
+                yield recording
+            _refuse_lost(path, "data", total, "samples", data, "total")
     except RecordingError:
         raise
     except DAMAGE as error:
@@ -68,6 +73,7 @@ def _recording(path: Path, data: Any, name: str, names: tuple[str, ...], rate: f
         raise _refusal(
             path, "shape", f"{name}/obs/{POSITION} has {positions.shape[1]} columns for {len(names)} joint names"
         )
+    _refuse_lost(path, f"data/{name}", positions.shape[0], "samples", demo, "num_samples")
     velocities = None
     if VELOCITY in obs:
         velocities = _matrix(path, _member(path, obs, VELOCITY, h5py.Dataset), f"{name}/obs/{VELOCITY}")
@@ -87,6 +93,18 @@ def _recording(path: Path, data: Any, name: str, names: tuple[str, ...], rate: f
         in_seconds=True,
         notes=(note,),
     )
+
+
+def _refuse_lost(path: Path, where: str, found: int, what: str, group: Any, attribute: str) -> None:
+    """Refuse a group that states another number than what was found in it."""
+    stated = group.attrs.get(attribute)
+    if isinstance(stated, int | np.integer) and int(stated) != found:
+        raise _refusal(
+            path,
+            "lost-samples",
+            f"{found} {what} are there, the attribute {attribute!r} of {where!r} states {int(stated)}: the file is "
+            "damaged or was edited; download it again, or correct the attribute",
+        )
 
 
 def _member(path: Path, group: Any, name: str, kind: type) -> Any:

@@ -26,6 +26,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     with open_bag(path) as bag:
         topics = _topics(bag, request)
         streams, notes = joint_state_streams(bag, topics)
+        notes = [*bag.notes, *notes]
     streams = [_renamed(s, request) for s in streams]
     joints = request.robot.joint_names
     try:
