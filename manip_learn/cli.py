@@ -161,7 +161,7 @@ def control(
     dt: Annotated[float, typer.Option(help="Time step [s].")] = 0.01,
     inverse: Annotated[str, typer.Option(help="damped, exact or truncated.")] = "damped",
     tolerance: Annotated[float, typer.Option(help="Final error that counts as reached [m or rad].")] = 0.01,
-    out: Annotated[Path | None, typer.Option(help="Rollout file to write (NPZ).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Rollout file to write: .npz, .csv, .jsonl or .mcap.")] = None,
     package_dir: shared.Packages = None,
     objects: shared.Objects = None,
     as_json: shared.Json = False,

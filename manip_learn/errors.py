@@ -7,12 +7,22 @@ attributes, so that a program need not parse the sentence.
 from __future__ import annotations
 
 import difflib
+import lzma
+import struct
+import tokenize
+import zipfile
+import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from typing import final
 
+# what Python, NumPy and zipfile raise for files that are broken, cut short, or of another kind
+DAMAGE: tuple[type[Exception], ...] = (
+    *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError, RuntimeError, SyntaxError),
+    *(TypeError, ValueError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError),
+)
 # flags of the command that runs; None where the library is called from Python
 _FLAGS: ContextVar[frozenset[str] | None] = ContextVar("flags of the command", default=None)
 

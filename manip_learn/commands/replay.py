@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from manip_learn.commands.robot_loading import load_for_joints, robot_of_constraint
+from manip_learn.commands.robot_loading import load_for_files, robot_of_constraint
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
@@ -16,8 +14,8 @@ from manip_learn.playback import replay as write_replay
 from manip_learn.playback.phase_bands import phases_from_json
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.load_demonstrations import ReadOptions
+from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.robot import Robot, load_robot
 
 
 def replay(
@@ -33,36 +31,38 @@ def replay(
     options: ReadOptions | None = None,
     constraint_file: Path | None = None,
 ) -> ReplayResult:
-    """Write a replay of rollouts (NPZ of `control`) or of recordings.
+    """Write a replay of rollouts (of `control`) or of recordings.
 
-    With a constraint file, the phases and the mechanism that were learnt with it are shown, and the joints are locked
-    that were locked then.
+    The joints are locked that were locked when the rollouts were made. With a constraint file, the phases and the
+    mechanism that were learnt with it are shown, and the joints are locked that were locked then.
 
     Raises:
-        RecordingError: No files, files that are neither rollouts nor recordings, or phases of other recordings.
+        RecordingError: No files, files that are neither rollouts nor recordings, rollouts of another robot or with
+            other joints locked, or phases of other recordings.
         ConstraintMismatchError: A constraint file of another robot, or none at all.
         ManipLearnError: Anything else that is wrong with the robot or the output.
     """
     dirs = package_dirs or []
-    named: dict[str, Rollout | Trajectory] = {}
-    robot: Robot | None = None
+    if not files:
+        raise RecordingError("name at least one rollout file; `manip-learn control ... --out rollout.npz` writes one")
     learnt: dict[str, Any] = {}
     if constraint_file is not None:
         robot = robot_of_constraint(robot_name, str(constraint_file), dirs, objects)
         constraint = Constraint.load(constraint_file, robot)
         learnt = constraint.provenance
         tip = tip or getattr(constraint.features, "frame", None)
+    else:
+        robot = load_for_files(robot_name, files, locked or (), dirs, objects or ())
+    named: dict[str, Rollout | Trajectory] = {}
+    notes: list[str] = []
     for file in files:
         if _is_rollout(Path(file)):
-            rollout = Rollout.load(file)
-            robot = robot or load_for_joints(robot_name, rollout.joint_names, locked or (), dirs, objects or ())
+            rollout, said = Rollout.load_with_notes(file, robot)
             named[_unique(Path(file).stem, named)] = rollout
+            notes += [f"{Path(file).name}: {note}" for note in said]
         else:
-            robot = robot or load_robot(robot_name, dirs, locked or (), objects=objects or ())
             for trajectory in load_demonstrations(file, robot, **(options or {})):
                 named[_unique(trajectory.name, named)] = trajectory
-    if robot is None or not named:
-        raise RecordingError("name at least one rollout file; `manip-learn control ... --out rollout.npz` writes one")
     return write_replay(
         robot,
         named,
@@ -71,19 +71,17 @@ def replay(
         open_browser=open_browser,
         phases=phases_from_json(learnt.get("phases") or []),
         mechanism=learnt.get("mechanism"),
+        notes=notes,
     )
 
 
 def _is_rollout(path: Path) -> bool:
-    if not path.is_file():
-        if path.exists():
-            return False
+    if not path.exists():
         raise RecordingError(f"rollout file {path} does not exist", code="missing", path=path)
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
-            return "format" in content
-    except (OSError, ValueError, EOFError, AttributeError):
+    if not path.is_file():
         return False
+    header = file_header(path)
+    return header is not None and header.kind == "rollout"
 
 
 def _unique(name: str, taken: dict[str, Rollout | Trajectory]) -> str:

@@ -11,7 +11,11 @@ from manip_learn.errors import ConstraintMismatchError, ManipLearnError, Recordi
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import ReadOptions
+from manip_learn.recordings.readers.recording_files import recording_files
+from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.recording_source import RecordingSource
+from manip_learn.recordings.saved_motion import FileHeader
+from manip_learn.recordings.validation.joint_matching import unmoved_joint_names
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.tips import likely_tips
 
@@ -58,7 +62,7 @@ def load_for_recordings(
     def loaded(robot: Robot) -> Demonstrations:
         return load_demonstrations(recordings, robot, **(options or {}))
 
-    return _locking(name, frame, locked, package_dirs, objects, relative_to, loaded)
+    return _locking(name, recordings, frame, locked, package_dirs, objects, relative_to, loaded)
 
 
 def source_for_recordings(
@@ -82,11 +86,12 @@ def source_for_recordings(
         next(source.part(0))
         return source
 
-    return _locking(name, frame, locked, package_dirs, objects, relative_to, opened)
+    return _locking(name, recordings, frame, locked, package_dirs, objects, relative_to, opened)
 
 
 def _locking(
     name: str,
+    recordings: Sequence[str],
     frame: str | None,
     locked: Sequence[str],
     package_dirs: Sequence[str],
@@ -95,8 +100,8 @@ def _locking(
     read: Callable[[Robot], Read],
 ) -> tuple[Robot, Read, str, list[str]]:
     """Robot, what was read for it, frame and notes, with the joints locked for which nothing is recorded."""
-    held = list(locked)
-    robot = load_robot(name, package_dirs, held, objects=objects)
+    robot = load_for_files(name, recordings, locked, package_dirs, objects)
+    held: dict[str, float | None] = {**dict.fromkeys(locked), **robot.locked}
     chosen = choose_frame(robot, frame)
     frames = [chosen] if relative_to is None else [chosen, robot.frame(relative_to).name]
     notes: list[str] = []
@@ -111,11 +116,60 @@ def _locking(
                 or any(robot.moves(joint, f) for f in frames)
             ):
                 raise
-            held.append(joint)
-            robot = load_robot(name, package_dirs, held, objects=objects)
+            held[joint] = None
+            robot = load_robot(name, package_dirs, held, objects=robot.objects)
             notes.append(
                 f"joint {joint!r} is not recorded and does not move {' or '.join(map(repr, frames))}: it was locked"
             )
+
+
+def load_for_files(
+    name: str,
+    files: Sequence[str],
+    locked: Sequence[str] = (),
+    package_dirs: Sequence[str] = (),
+    objects: Sequence[str] = (),
+) -> Robot:
+    """The robot with the joints locked that were locked when the files were made, where they say so.
+
+    Rollouts and exported recordings do; those of earlier versions name the joints that moved: the others are locked.
+
+    Raises:
+        RecordingError: A file of another robot, or other joints or objects than it says; or a damaged one.
+        ManipLearnError: Anything that is wrong with the robot.
+    """
+    header, file = _first_header(files)
+    if header is None:
+        return load_robot(name, package_dirs, locked, objects=objects)
+    made_with = header.robot
+    if made_with is None:
+        if header.kind == "rollout" and header.schema == 1:
+            return load_for_joints(name, header.joint_names, locked, package_dirs, objects)
+        return load_robot(name, package_dirs, locked, objects=objects)
+    plain = load_robot(name, package_dirs, locked, objects=objects or made_with.objects)
+    known = {*plain.joint_names, *plain.locked, *unmoved_joint_names(plain)}
+    free = [j for j in locked if j not in made_with.locked]
+    if free or not known >= {*made_with.joint_names, *made_with.locked} or plain.objects != made_with.objects:
+        made_with.refuse_another(plain, file.name, file)
+    robot = load_robot(name, package_dirs, made_with.locked, objects=made_with.objects)
+    made_with.refuse_another(robot, file.name, file)
+    return robot
+
+
+def _first_header(files: Sequence[str]) -> tuple[FileHeader | None, Path]:
+    """The first header that a file of the library has, of the paths given or the first file in each folder."""
+    for file in files:
+        path = Path(file)
+        if path.is_dir():
+            try:
+                inner = recording_files(path)[0][0].path
+            except RecordingError:  # reading says what is wrong with the folder
+                continue
+            path = inner if inner.is_file() else path
+        header = file_header(path) if path.is_file() else None
+        if header is not None:
+            return header, path
+    return None, Path()
 
 
 def load_for_joints(

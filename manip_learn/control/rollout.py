@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
-import zlib
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import final
@@ -12,19 +10,16 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.control.status import Status
 from manip_learn.errors import RecordingError
+from manip_learn.recordings.readers.saved_reader import read_saved
+from manip_learn.recordings.saved_motion import FileHeader, SavedMotion, check_robot
 from manip_learn.recordings.trajectory import Trajectory
-
-FORMAT = "manip_learn.rollout"
-# what NumPy and zipfile raise for files that are broken, cut short, or of another kind
-DAMAGE = (
-    *(OSError, ValueError, KeyError, AttributeError, TypeError, EOFError, NotImplementedError, RuntimeError),
-    *(MemoryError, zipfile.BadZipFile, zlib.error),
-)
+from manip_learn.recordings.writers.write_motion import write_motion
+from manip_learn.robot.identity import RobotIdentity
+from manip_learn.robot.robot import Robot
 
 
 @final
@@ -42,6 +37,7 @@ class Rollout:
         task_error: shape (T,), distance to the task's goal along the constrained rows [m or rad]; NaN if the controller
             has no `task_error`.
         frame: Frame that the constraint holds, whose path a replay draws; empty if its features have no frame.
+        robot: Which robot it was made with, and which joints were locked where; None for a system without a robot.
     """
 
     time: Float[np.ndarray, " T"]
@@ -52,6 +48,7 @@ class Rollout:
     joint_names: tuple[str, ...]
     task_error: Float[np.ndarray, " T"]
     frame: str = ""
+    robot: RobotIdentity | None = None
 
     def __post_init__(self) -> None:
         for name in ("time", "q", "u", "manipulability", "task_error"):
@@ -80,49 +77,74 @@ class Rollout:
         return np.array([manipulability(constraint, q) for q in self.q])
 
     def save(self, path: str | Path) -> Path:
-        """Write an NPZ file, whole or not at all; `Rollout.load` and `load_demonstrations` read it.
+        """Write a file, whole or not at all; `Rollout.load` and `load_demonstrations` read it, bit for bit.
+
+        Args:
+            path: Its ending says the format: `.npz` (NumPy), `.csv` (text table), `.jsonl` (lines of JSON) or `.mcap`
+                (JointState messages for ROS, and the exact samples on the topic `/rollout`).
 
         Raises:
-            OutputError: It cannot be written.
+            OutputError: It cannot be written, or has another ending.
         """
-        stream = io.BytesIO()
-        np.savez_compressed(
-            stream,
-            format=np.array(FORMAT),
-            time=self.time,
-            q=self.q,
-            u=self.u,
-            manipulability=self.manipulability,
-            status=np.array(self.status),
-            joint_names=np.array(self.joint_names),
-            task_error=self.task_error,
-            frame=np.array(self.frame),
-        )
-        return write_atomically(path, stream.getvalue())
+        header = FileHeader("rollout", self.joint_names, self.robot, self.frame, nq=self.q.shape[1])
+        words = tuple(str(word) for word in self.status)
+        motion = SavedMotion(header, self.time, self.q, self.u, self.manipulability, self.task_error, words)
+        return write_motion(path, motion)
 
     @staticmethod
-    def load(path: str | Path) -> Rollout:
+    def load(path: str | Path, robot: Robot | None = None) -> Rollout:
         """Read what `save` wrote.
 
+        Args:
+            path: The file.
+            robot: The robot that it will be used with: another one, or other locked joints, are refused. Without one
+                the rollout still knows its own: `load_robot(name, locked=rollout.robot.locked)` is that robot.
+
         Raises:
-            RecordingError: No such file, or another kind of file.
+            RecordingError: No such file, another kind of file, or another robot.
+
+        Warns:
+            UserWarning: The file does not say which robot it was made with, as those of earlier versions.
         """
-        try:
-            # opened here: np.load leaves a damaged file open
-            with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as content:
-                if "format" not in content or str(content["format"]) != FORMAT:
-                    raise RecordingError(f"{path} is no rollout; `manip-learn control ... --out FILE.npz` writes one")
-                return Rollout(
-                    content["time"],
-                    content["q"],
-                    content["u"],
-                    content["manipulability"],
-                    tuple(Status(s) for s in content["status"]),
-                    tuple(str(n) for n in content["joint_names"]),
-                    content["task_error"],
-                    str(content["frame"]) if "frame" in content else "",
-                )
-        except FileNotFoundError as error:
-            raise RecordingError(f"rollout file {path} does not exist", code="missing") from error
-        except DAMAGE as error:
-            raise RecordingError(f"{path} is no rollout file: {error}", code="not-a-rollout") from error
+        rollout, notes = Rollout.load_with_notes(path, robot)
+        for note in notes:
+            warnings.warn(f"{Path(path).name}: {note}", UserWarning, stacklevel=2)
+        return rollout
+
+    @staticmethod
+    def load_with_notes(path: str | Path, robot: Robot | None = None) -> tuple[Rollout, tuple[str, ...]]:
+        """As `load`, but what it warns of is returned, in sentences.
+
+        Raises:
+            RecordingError: No such file, another kind of file, or another robot.
+        """
+        path = Path(path)
+        motion = read_saved(path)
+        header = motion.header
+        if motion.u is None or motion.manipulability is None or motion.task_error is None:
+            raise RecordingError(
+                f"{path.name} is a recording, no rollout: load_demonstrations reads it", code="not-a-rollout", path=path
+            )
+        notes = check_robot(path, header, robot) if robot is not None or header.schema == 1 else ()
+        if robot is not None and header.joint_names != robot.joint_names:
+            raise RecordingError(
+                f"{path.name} was made with the joints {', '.join(header.joint_names)}, robot {robot.name!r} has "
+                f"{', '.join(robot.joint_names)}: load the robot that it was made with, with the same locked joints",
+                code="other-robot",
+                path=path,
+            )
+        status = _status(path, motion.status)
+        numbers = motion.time, motion.q, motion.u, motion.manipulability
+        return Rollout(*numbers, status, header.joint_names, motion.task_error, header.frame, header.robot), notes
+
+
+def _status(path: Path, words: tuple[str, ...]) -> tuple[Status, ...]:
+    known = {str(s): s for s in Status}
+    unknown = next((i for i, word in enumerate(words) if word not in known), None)
+    if unknown is not None:
+        raise RecordingError(
+            f"{path.name} sample {unknown}: the status is {words[unknown]!r:.40}, it must be one of {', '.join(known)}",
+            code="status",
+            path=path,
+        )
+    return tuple(known[word] for word in words)

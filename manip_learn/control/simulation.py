@@ -20,6 +20,7 @@ from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.errors import ConfigurationError
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.batch.postures import checked_postures, positions_of
+from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
 COMPILED_FROM = 5_000  # commands of a table of starts: fewer take less time one by one than loading numba does
@@ -130,6 +131,7 @@ def _integrated(
         robot.joint_names if robot is not None else tuple(f"q{i}" for i in range(u.shape[1])),
         errors,
         _frame_of(controller),
+        None if robot is None else RobotIdentity.of(robot),
     )
 
 
@@ -182,7 +184,8 @@ def _compiled_rollout(
     run = controller.rollout(positions_of(robot, start[None])[0], steps, dt, method)
     q = run.q if start.shape[0] == robot.nv else np.array([robot.configuration(x) for x in run.q])
     time, frame = np.arange(steps + 1) * dt, _frame_of(controller)
-    return Rollout(time, q, run.u, run.mu, run.status, robot.joint_names, run.error, frame)
+    names, made_with = robot.joint_names, RobotIdentity.of(robot)
+    return Rollout(time, q, run.u, run.mu, run.status, names, run.error, frame, made_with)
 
 
 def _frame_of(controller: Controller) -> str:

@@ -75,9 +75,12 @@ def recorded_motion(
         phases: Bands on the recording's own clock.
 
     Raises:
-        RecordingError: No samples, shapes that do not fit, time that does not increase, NaN, joints of another robot.
+        RecordingError: No samples, shapes that do not fit, time that does not increase, NaN, another robot, or other
+            joints locked.
         ConfigurationError: A posture of the wrong size.
     """
+    if isinstance(recording, Rollout) and recording.robot is not None:
+        recording.robot.refuse_another(robot, f"rollout {name!r}")
     time = _finite(name, "time", recording.time, 1)
     if time.size == 0:
         raise RecordingError(f"rollout {name!r} has no samples: there is nothing to replay", code="empty")

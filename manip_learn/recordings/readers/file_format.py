@@ -15,6 +15,8 @@ from manip_learn.errors import RecordingError
 from manip_learn.recordings.readers.csv_dialect import CsvDialect, sniff_dialect
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, reason
+from manip_learn.recordings.readers.saved_reader import file_header
+from manip_learn.recordings.writers.csv_writer import MARK
 
 Read = Callable[[Path, ReadRequest], Iterator[Recording]]
 
@@ -48,6 +50,7 @@ NPZ = FileFormat("npz", "NumPy archives (.npz)", "manip_learn.recordings.readers
 ROSBAG = FileFormat("rosbag", "ROS bags", "manip_learn.recordings.readers.rosbag_reader")
 LEROBOT = FileFormat("lerobot", "LeRobot data", "manip_learn.recordings.readers.lerobot_reader")
 ROBOMIMIC = FileFormat("robomimic", "robomimic HDF5", "manip_learn.recordings.readers.robomimic_reader")
+SAVED = FileFormat("saved", "files of manip_learn", "manip_learn.recordings.readers.saved_reader")
 FORMATS = (CSV, NPZ, ROSBAG, LEROBOT, ROBOMIMIC)
 
 MAGIC: tuple[tuple[bytes, FileFormat], ...] = (
@@ -119,6 +122,8 @@ def recognise(path: Path) -> FileFormat:
         head = file.read(4096)
     if not head.strip():
         raise RecordingError(f"{path.name}: the file is empty", code="empty", path=path)
+    if _may_be_saved(path, head) and file_header(path) is not None:
+        return SAVED
     for magic, known in MAGIC:
         if head.startswith(magic):
             return known
@@ -128,6 +133,13 @@ def recognise(path: Path) -> FileFormat:
     if head.startswith(b"PK\x03\x04"):
         return _archive(path)
     return _text(path, head)
+
+
+def _may_be_saved(path: Path, head: bytes) -> bool:
+    """Whether the library may have written it: text with its mark, an MCAP file or a NumPy archive."""
+    if head.startswith(b"PK\x03\x04"):
+        return _archive(path) is NPZ
+    return head.startswith((b"\x89MCAP0\r\n", MARK.encode())) or b'{"format": "manip_learn.' in head[:64]
 
 
 def _archive(path: Path) -> FileFormat:

@@ -27,7 +27,7 @@ def locked_positions(urdf: UrdfFile, mimics: Mimics, locked: Locked) -> dict[str
     A joint locked by name alone stands at zero, or at the limit nearest to zero.
 
     Returns:
-        Joint name -> position [rad or m], in file order; 0 for floating and planar joints.
+        Joint name -> position [rad or m], in file order; 0 for floating and planar joints, which is accepted again.
 
     Raises:
         UnknownNameError: A name that is no joint.
@@ -63,7 +63,7 @@ def _position(joint: UrdfJoint, value: float | None) -> float:
         lower, upper = (limit.lower, limit.upper) if limit.lower <= limit.upper else (lower, upper)
     if value is None:
         return min(max(0.0, lower), upper)
-    if joint.nv != 1:
+    if joint.nv != 1 and value != 0.0:
         raise RobotError(
             f"joint {joint.name!r} is {joint.type} and can be locked only where it is: give no position",
             code="locked-position",

@@ -1,0 +1,167 @@
+"""A motion as the library's own files hold it: the same content in every format."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.errors import RecordingError
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot import Robot
+from manip_learn.robot.identity import RobotIdentity, names_from
+
+Kind = Literal["rollout", "recording"]
+PREFIX = "manip_learn."
+SCHEMA = 2
+UNKNOWN_ROBOT = (
+    "the file does not say which robot and which locked joints it was made with (rollouts saved by earlier versions do "
+    "not): only the names of the joints were compared; save it again"
+)
+
+
+@final
+@dataclass(frozen=True)
+class FileHeader:
+    """What a file says about itself; one JSON object in every format.
+
+    Attributes:
+        kind: Rollout (with manipulability, task error and status) or recording.
+        joint_names: One name per velocity.
+        robot: Robot that it was made with, or None.
+        frame: Frame that a rollout's constraint holds, or empty.
+        nq: Columns of the postures.
+        schema: Version of the file format; 1 has no robot.
+    """
+
+    kind: Kind
+    joint_names: tuple[str, ...]
+    robot: RobotIdentity | None
+    frame: str = ""
+    nq: int | None = None
+    schema: int = SCHEMA
+
+    def to_json(self) -> str:
+        """One line."""
+        return json.dumps(
+            {
+                "format": PREFIX + self.kind,
+                "schema": self.schema,
+                "joint_names": list(self.joint_names),
+                "nq": self.nq,
+                "frame": self.frame,
+                "robot": None if self.robot is None else self.robot.to_dict(),
+            },
+            allow_nan=False,
+        )
+
+    @staticmethod
+    def from_json(text: str | bytes) -> FileHeader:
+        """What `to_json` gave.
+
+        Raises:
+            ValueError: Something else, or a newer version.
+        """
+        content = json.loads(text)
+        named = content.get("format") if isinstance(content, Mapping) else None
+        if named not in (PREFIX + "rollout", PREFIX + "recording"):
+            raise ValueError(f"the header must have the format {PREFIX}rollout or {PREFIX}recording, not {named!r:.40}")
+        if content.get("schema") != SCHEMA:
+            raise ValueError(f"the file has schema {content.get('schema')!r:.40}, this version reads {SCHEMA}")
+        nq, frame, robot = content.get("nq"), content.get("frame", ""), content.get("robot")
+        if not isinstance(frame, str):
+            raise ValueError(f"the frame must be a name, it is {frame!r:.40}")
+        if nq is not None and (not isinstance(nq, int) or isinstance(nq, bool)):
+            raise ValueError(f"nq must be a number of columns, it is {nq!r:.40}")
+        return FileHeader(
+            "rollout" if named.endswith("rollout") else "recording",
+            names_from(content.get("joint_names"), "joint_names"),
+            None if robot is None else RobotIdentity.from_dict(robot),
+            frame,
+            nq,
+        )
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class SavedMotion:
+    """Content of one file.
+
+    Attributes:
+        header: What the file says about itself.
+        time: shape (T,) [s].
+        q: shape (T, nq).
+        u: shape (T, nv), or None [rad/s or m/s].
+        manipulability: shape (T,), of rollouts; else None.
+        task_error: shape (T,), of rollouts; else None.
+        status: One word per sample, of rollouts; else empty.
+        name: What messages call it.
+    """
+
+    header: FileHeader
+    time: Float[np.ndarray, " T"]
+    q: Float[np.ndarray, "T nq"]
+    u: Float[np.ndarray, "T nv"] | None
+    manipulability: Float[np.ndarray, " T"] | None = None
+    task_error: Float[np.ndarray, " T"] | None = None
+    status: tuple[str, ...] = ()
+    name: str = "motion"
+
+
+def motion_of_trajectory(trajectory: Trajectory, robot: Robot) -> SavedMotion:
+    """A demonstration of a robot, ready to be written."""
+    header = FileHeader("recording", trajectory.joint_names, RobotIdentity.of(robot), nq=trajectory.q.shape[1])
+    return SavedMotion(header, trajectory.time, trajectory.q, trajectory.u, name=trajectory.name)
+
+
+def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
+    """The motion, if its arrays fit together.
+
+    Raises:
+        RecordingError: Says which array does not fit, its shape, and the shape that is needed.
+    """
+    header, rows, nv = motion.header, motion.time.shape[0], len(motion.header.joint_names)
+    if not nv:
+        raise refusal(path, "no-joint-names", "the file names no joint")
+    if len(set(header.joint_names)) != nv:
+        raise refusal(path, "duplicate-column", "two joints have the same name: keep one")
+    width = header.nq or (header.robot.nq if header.robot else nv)
+    needed = {"q": (motion.q, (rows, width)), "u": (motion.u, (rows, nv))}
+    needed |= {"manipulability": (motion.manipulability, (rows,)), "task_error": (motion.task_error, (rows,))}
+    if header.kind == "recording":
+        needed = {"q": needed["q"]} | ({} if motion.u is None else {"u": needed["u"]})
+    for name, (array, shape) in needed.items():
+        if array is None or array.shape != shape:
+            there = "is missing" if array is None else f"has shape {array.shape}"
+            raise refusal(
+                path, "shape", f"{name} {there}, {shape} is needed: {rows} times, {nv} joints, {width} columns of q"
+            )
+    if header.robot is not None and width not in (nv, header.robot.nq):
+        raise refusal(path, "shape", f"q has {width} columns for {nv} joints of a robot with nq = {header.robot.nq}")
+    if header.kind == "rollout" and len(motion.status) != rows:
+        raise refusal(path, "shape", f"there are {len(motion.status)} status words for {rows} times")
+    return motion
+
+
+def check_robot(path: Path, header: FileHeader, robot: Robot | None) -> tuple[str, ...]:
+    """Notes on what could not be compared.
+
+    Raises:
+        RecordingError: The file was made with another robot, or with other joints locked.
+    """
+    if header.robot is None:
+        return (UNKNOWN_ROBOT,)
+    if robot is not None:
+        header.robot.refuse_another(robot, path.name, path)
+    return ()
+
+
+def refusal(path: Path, code: str, text: str, **where: Any) -> RecordingError:
+    """The error that refuses a file."""
+    line = where.get("line")
+    return RecordingError(f"{path.name}{'' if line is None else f':{line}'}: {text}", code=code, path=path, **where)

@@ -1,0 +1,121 @@
+"""Messages of ROS 2 in CDR, the encoding of its bags: JointState, and one sample of a rollout."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from manip_learn.errors import OutputError
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+ROLLOUT_SAMPLE = "manip_learn_msgs/msg/RolloutSample"
+LAST_STAMP = 2**31 * 1_000_000_000  # [ns] seconds are int32 in ROS
+# definitions as MCAP wants them: the message, then what it refers to
+DEFINITIONS = {
+    JOINT_STATE: "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
+    + "=" * 80
+    + "\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+    + "=" * 80
+    + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n",
+    ROLLOUT_SAMPLE: "float64 time\nfloat64 manipulability\nfloat64 task_error\n"
+    "float64[] q\nfloat64[] u\nstring status\n",
+}
+CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+
+
+def nanoseconds(time: Float[np.ndarray, " T"], *, from_first: bool) -> Int[np.ndarray, " T"]:
+    """Times as whole nanoseconds.
+
+    Args:
+        time: [s].
+        from_first: Count from the first sample; otherwise from zero, or from the first sample where a stamp could not
+            hold that.
+
+    Raises:
+        OutputError: Two samples are less than a nanosecond apart, or the motion is longer than a stamp can say.
+    """
+    if not np.all(np.isfinite(time)):
+        raise OutputError("the motion has times that are not finite: they cannot be written as stamps")
+    start = float(time[0]) if time.size else 0.0
+    relative = from_first or start < 0.0 or float(np.max(time, initial=0.0)) * 1e9 >= LAST_STAMP
+    stamps = np.rint((time - start if relative else time) * 1e9)
+    if np.any(np.diff(stamps) <= 0) or np.max(stamps, initial=0.0) >= LAST_STAMP:
+        raise OutputError(
+            "the times cannot be written as stamps of whole nanoseconds: they must increase by a nanosecond or more, "
+            "over less than 68 years; write NPZ or CSV"
+        )
+    return stamps.astype(np.int64)
+
+
+def joint_state_encoder(names: tuple[str, ...]) -> Callable[[int, np.ndarray, np.ndarray], bytes]:
+    """A function (stamp [ns], positions, velocities) -> message; either array may be empty."""
+    head = b"\x01\x00\x00\x00\x00"  # frame_id: empty
+    body = bytearray(struct.pack("<I", len(names)))
+    for name in names:
+        _align(body, 4, 8 + len(head) + 3)
+        text = name.encode() + b"\x00"
+        body += struct.pack("<I", len(text)) + text
+    middle = head + b"\x00" * 3 + bytes(body)
+
+    def encode(stamp: int, positions: np.ndarray, velocities: np.ndarray) -> bytes:
+        message = bytearray(struct.pack("<iI", *divmod(stamp, 1_000_000_000)) + middle)
+        for values in (positions, velocities, positions[:0]):
+            _append_doubles(message, values)
+        return CDR_LITTLE_ENDIAN + bytes(message)
+
+    return encode
+
+
+def rollout_sample(numbers: tuple[float, float, float], q: np.ndarray, u: np.ndarray, status: str) -> bytes:
+    """One sample: (time, manipulability, task error), posture, velocities, status."""
+    message = bytearray(struct.pack("<3d", *numbers))
+    _append_doubles(message, q)
+    _append_doubles(message, u)
+    _align(message, 4)
+    text = status.encode() + b"\x00"
+    return CDR_LITTLE_ENDIAN + bytes(message) + struct.pack("<I", len(text)) + text
+
+
+def rollout_sample_values(message: bytes) -> tuple[tuple[float, float, float], np.ndarray, np.ndarray, str]:
+    """What `rollout_sample` was given.
+
+    Raises:
+        ValueError: Another message.
+        struct.error: Too short.
+    """
+    if message[:4] != CDR_LITTLE_ENDIAN:
+        raise ValueError(f"a sample starts with {message[:4]!r}, plain CDR is needed")
+    content = message[4:]
+    numbers = struct.unpack_from("<3d", content, 0)
+    at, arrays = 24, []
+    for _ in range(2):
+        at += -at % 4
+        (count,) = struct.unpack_from("<I", content, at)
+        at += 4
+        at += -at % 8 if count else 0
+        if at + 8 * count > len(content):
+            raise ValueError(f"an array of {count} numbers ends after its message")
+        arrays.append(np.frombuffer(content, "<f8", count, at))
+        at += 8 * count
+    at += -at % 4
+    (length,) = struct.unpack_from("<I", content, at)
+    text = content[at + 4 : at + 4 + length]
+    if len(text) != length or at + 4 + length != len(content):
+        raise ValueError("the status of a sample does not end with its message")
+    return (numbers[0], numbers[1], numbers[2]), arrays[0], arrays[1], text.rstrip(b"\x00").decode()
+
+
+def _append_doubles(message: bytearray, values: np.ndarray) -> None:
+    _align(message, 4)
+    message += struct.pack("<I", len(values))
+    if len(values):
+        _align(message, 8)
+        message += np.ascontiguousarray(values, dtype="<f8").tobytes()
+
+
+def _align(message: bytearray, size: int, before: int = 0) -> None:
+    """CDR aligns numbers to their size, counted from the start of the message."""
+    message += b"\x00" * (-(before + len(message)) % size)

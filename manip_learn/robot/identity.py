@@ -1,0 +1,148 @@
+"""Which robot a file was made with: enough to refuse another one, and to lock the same joints again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, final
+
+from manip_learn.errors import RecordingError
+from manip_learn.robot.robot import Robot
+
+SHOWN = 8
+
+
+@final
+@dataclass(frozen=True)
+class RobotIdentity:
+    """Which robot, with which joints locked where.
+
+    Attributes:
+        name: Name of the robot.
+        fingerprint: `Robot.fingerprint`: hash of its kinematics and masses, with the locked joints.
+        nq: Size of a configuration.
+        joint_names: One name per degree of freedom.
+        locked: Joints that are held still, and where [rad or m]; as `load_robot(..., locked=...)` takes them.
+        objects: Names of things whose pose is recorded; as `load_robot(..., objects=...)` takes them.
+    """
+
+    name: str
+    fingerprint: str
+    nq: int
+    joint_names: tuple[str, ...]
+    locked: Mapping[str, float] = field(default_factory=dict)
+    objects: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(robot: Robot) -> RobotIdentity:
+        """That of a loaded robot."""
+        return RobotIdentity(
+            robot.name, robot.fingerprint, robot.nq, robot.joint_names, dict(robot.locked), robot.objects
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "name": self.name,
+            "fingerprint": self.fingerprint,
+            "nq": self.nq,
+            "joint_names": list(self.joint_names),
+            "locked": dict(self.locked),
+            "objects": list(self.objects),
+        }
+
+    @staticmethod
+    def from_dict(content: object) -> RobotIdentity:
+        """What `to_dict` gave.
+
+        Raises:
+            ValueError: Something else.
+        """
+        if not isinstance(content, Mapping):
+            raise ValueError(f"the robot must be an object, it is {type(content).__name__}")
+        locked, nq = content.get("locked", {}), content.get("nq")
+        if not isinstance(locked, Mapping):
+            raise ValueError(f"the locked joints must be an object, they are {type(locked).__name__}")
+        if not isinstance(nq, int) or isinstance(nq, bool) or not 0 <= nq < 100_000:
+            raise ValueError(f"the robot's nq must be a number, it is {nq!r:.40}")
+        return RobotIdentity(
+            _text("name", content.get("name")),
+            _text("fingerprint", content.get("fingerprint")),
+            nq,
+            names_from(content.get("joint_names"), "the robot's joint_names"),
+            {_text("locked joint", name): _position(name, value) for name, value in locked.items()},
+            names_from(content.get("objects", []), "the robot's objects"),
+        )
+
+    def differences(self, robot: Robot) -> tuple[str, ...]:
+        """What distinguishes it from a loaded robot, one sentence part each; empty if it is the same."""
+        other, found = RobotIdentity.of(robot), []
+        if self.joint_names != other.joint_names:
+            found.append(f"its joints are {_listed(self.joint_names)}, not {_listed(other.joint_names)}")
+        if dict(self.locked) != dict(other.locked):
+            mine, theirs = self.locked, other.locked
+            changed = [j for j in dict.fromkeys([*mine, *theirs]) if mine.get(j) != theirs.get(j)]
+            parts = [f"{j!r} is {_held(mine.get(j))}, not {_held(theirs.get(j))}" for j in changed[:SHOWN]]
+            found.append("; ".join(parts) + (f" and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""))
+        if self.objects != other.objects:
+            found.append(f"its objects are {_listed(self.objects)}, not {_listed(other.objects)}")
+        if not found and self.fingerprint != other.fingerprint:
+            found.append(
+                f"the description has changed (kinematics or masses; hash {self.fingerprint[:12]!r}, not "
+                f"{other.fingerprint[:12]!r})"
+            )
+        return tuple(found)
+
+    def refuse_another(self, robot: Robot, where: str, path: Path | None = None) -> None:
+        """Nothing, if it is this robot.
+
+        Raises:
+            RecordingError: Another robot, or other joints locked; code `other-robot`.
+        """
+        found = self.differences(robot)
+        if not found:
+            return
+        how = (
+            f"load_robot(..., locked={dict(self.locked)!r})" if self.locked else "load_robot(...) with no joint locked"
+        )
+        raise RecordingError(
+            f"{where} was made with robot {self.name!r}, the robot loaded is {robot.name!r}: {'; '.join(found)}. Load "
+            f"the robot that it was made with, {how}; the command line locks the same joints by itself",
+            code="other-robot",
+            path=path,
+        )
+
+
+def names_from(value: object, what: str) -> tuple[str, ...]:
+    """Names as JSON holds them.
+
+    Raises:
+        ValueError: Not a list of texts.
+    """
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+        raise ValueError(f"{what} must be a list of names, it is {value!r:.60}")
+    return tuple(value)
+
+
+def _text(what: str, value: object) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"the robot's {what} must be text, it is {value!r:.40}")
+    return value
+
+
+def _position(name: str, value: object) -> float:
+    number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+    if not math.isfinite(number):
+        raise ValueError(f"joint {name!r} is locked at {value!r:.40}, a finite number is needed")
+    return number
+
+
+def _held(position: float | None) -> str:
+    return "free to move" if position is None else f"locked at {position:.6g}"
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    shown = ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
+    return shown or "none"

@@ -1,0 +1,198 @@
+"""Files that the library writes: they know their robot, come back bit for bit, and are refused for any other robot."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manip_learn.cli import main
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.rollout import Rollout
+from manip_learn.control.simulation import simulate
+from manip_learn.control.tasks import Hold
+from manip_learn.errors import OutputError, RecordingError
+from manip_learn.playback import replay
+from manip_learn.recordings import load_demonstrations
+from manip_learn.robot import Robot, load_robot
+from manip_learn.robot.identity import RobotIdentity
+
+FORMATS = ("npz", "csv", "jsonl", "mcap")
+ARRAYS = ("time", "q", "u", "manipulability", "task_error")
+# a robot in a URDF of three joints, one of which may be locked
+URDF = """<robot name="{name}"><link name="base"/><link name="a"/><link name="b"/><link name="tip"/>
+{joints}</robot>"""
+JOINT = """<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>
+<origin xyz="{length} 0 0"/><axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="2" effort="1"/></joint>"""
+
+
+def arm(path: Path, name: str = "arm", length: float = 1.0, joints: tuple[str, ...] = ("j1", "j2", "j3")) -> Path:
+    """A planar arm; its name, its lengths and the names of its joints are what a mistake would confuse."""
+    links = ("base", "a", "b", "tip")
+    parts = [
+        JOINT.format(name=n, parent=links[i], child=links[i + 1], length=length if i else 0.0)
+        for i, n in enumerate(joints)
+    ]
+    path.write_text(URDF.format(name=name, joints="".join(parts)), encoding="utf-8")
+    return path
+
+
+def rollout_of(robot: Robot, seconds: float = 0.5) -> Rollout:
+    """A motion that moves every joint."""
+    constraint = Constraint([[1.0, 0.0, 0.0]], FrameJacobian(robot, "tip"))
+    controller = ResolvedRateController(constraint, Hold())
+    made = simulate(robot, controller, np.full(robot.nv, 0.4), seconds, 0.01)
+    q = 0.4 + 0.1 * np.sin(made.time[:, None] + np.arange(robot.nv)) / 3.0
+    u = 0.1 * np.cos(made.time[:, None] + np.arange(robot.nv)) / 3.0
+    error = np.where(made.time < 0.1, np.inf, 1.0 / (3.0 + made.time))
+    error[5:8] = np.nan, -np.inf, -0.0
+    return dataclasses.replace(made, q=q, u=u, task_error=error)
+
+
+@pytest.fixture(scope="module")
+def arms(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("arms")
+    arm(folder / "arm.urdf")
+    arm(folder / "longer.urdf", length=1.1)
+    arm(folder / "renamed.urdf", name="other")
+    arm(folder / "joints.urdf", joints=("j1", "j2", "wrist"))
+    return folder
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_rollout_comes_back_bit_for_bit(suffix: str, arms: Path, tmp_path: Path) -> None:
+    """Every array, NaN and infinity, word, name, frame and the robot, in each format; as a demonstration too."""
+    if suffix == "mcap":
+        pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
+    robot = load_robot(arms / "arm.urdf", locked={"j2": 1.2})
+    rollout = rollout_of(robot)
+    path = rollout.save(tmp_path / f"run.{suffix}")
+    for loaded in (Rollout.load(path), Rollout.load(path, robot)):
+        for name in ARRAYS:
+            assert getattr(loaded, name).tobytes() == getattr(rollout, name).tobytes()
+        assert (loaded.status, loaded.joint_names, loaded.frame) == (rollout.status, rollout.joint_names, "tip")
+        assert loaded.robot == RobotIdentity.of(robot) and loaded.robot.locked == {"j2": 1.2}
+    demonstration = load_demonstrations(path, robot)[0]
+    for name in ("time", "q", "u"):
+        assert getattr(demonstration, name).tobytes() == getattr(rollout, name).tobytes()
+    assert load_demonstrations(path, robot).notes == ()
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_configurations_come_back_bit_for_bit(suffix: str, robot_of, rng, tmp_path: Path) -> None:
+    """Postures with more columns than velocities (continuous joints as cosine and sine) are kept as they are."""
+    robot = robot_of("wrist")
+    q = np.array([robot.random_configuration(rng) for _ in range(5)])
+    time, u = 0.1 * np.arange(5), rng.standard_normal((5, robot.nv))
+    rollout = Rollout(time, q, u, time, ("ok",) * 5, robot.joint_names, time, robot=RobotIdentity.of(robot))
+    loaded = Rollout.load(rollout.save(tmp_path / f"run.{suffix}"), robot)
+    assert loaded.q.tobytes() == q.tobytes() and loaded.u.tobytes() == u.tobytes()
+
+
+def wrong_robots(arms: Path) -> list[tuple[str, dict, str, dict]]:
+    """(made with, locked; used with, locked): ten mistakes, each of which the same names could hide."""
+    a, longer, renamed, joints = (str(arms / f"{n}.urdf") for n in ("arm", "longer", "renamed", "joints"))
+    return [
+        (a, {}, longer, {}),
+        (longer, {}, a, {}),
+        (a, {"j3": 1.2}, longer, {"j3": 1.2}),
+        (a, {}, renamed, {}),
+        (renamed, {"j1": 0.3}, a, {"j1": 0.3}),
+        (a, {}, joints, {}),
+        (a, {}, a, {"j2": None}),
+        (a, {"j2": 1.2}, a, {}),
+        (a, {"j2": 1.2}, a, {"j2": None}),
+        (a, {"j2": 1.2}, a, {"j3": None}),
+    ]
+
+
+@pytest.mark.parametrize("suffix", ["npz", "csv"])
+@pytest.mark.parametrize("case", range(10))
+def test_no_file_is_used_with_another_robot_in_silence(
+    case: int, suffix: str, arms: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """20 files, each with a robot or locked joints that are not its own: Python refuses to load, learn from or replay
+    them and names both robots; the command line restores the locked joints, or refuses too.
+    """
+    made_with, locked, used_with, used_locked = wrong_robots(arms)[case]
+    own, other = load_robot(made_with, locked=locked), load_robot(used_with, locked=used_locked)
+    rollout = rollout_of(own)
+    path = rollout.save(tmp_path / f"run.{suffix}")
+    page = tmp_path / "page.html"
+    for use in (
+        lambda: Rollout.load(path, other),
+        lambda: load_demonstrations(path, other),
+        lambda: replay(other, {"a": Rollout.load(path)}, page, open_browser=False),
+    ):
+        with pytest.raises(RecordingError, match=repr(own.name)) as caught:
+            use()
+        assert caught.value.code == "other-robot" and repr(other.name) in str(caught.value)
+    locks = [x for joint in used_locked for x in ("--lock", joint)]
+    same_description = made_with == used_with and not set(used_locked) - set(locked)
+    learnt = tmp_path / "c.json"
+    commands = (
+        ["replay", used_with, str(path), "--html", str(page), *locks],
+        ["learn", used_with, str(path), "--frame", "tip", "--axes", "x", "--out", str(learnt), *locks],
+    )
+    for command in commands:
+        code, said = main(command), capsys.readouterr()
+        assert "internal error" not in said.err
+        if not same_description:
+            assert code == 2 and repr(own.name) in said.err and "was made with robot" in said.err
+            assert not page.exists() and not learnt.exists()
+    if same_description:
+        assert page.exists()
+        if learnt.exists():  # there may be too little motion to learn from
+            assert json.loads(learnt.read_text())["robot"]["locked"] == locked
+
+
+def test_replay_draws_the_tip_where_it_was(arms: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """With a joint locked at 1.2 rad, `replay` shows the path that the rollout had, not that of the joint at zero."""
+    robot = load_robot(arms / "arm.urdf", locked={"j2": 1.2})
+    rollout = rollout_of(robot)
+    html = tmp_path / "page.html"
+    assert main(["replay", str(arms / "arm.urdf"), str(rollout.save(tmp_path / "run.npz")), "--html", str(html)]) == 0
+    direct = tmp_path / "direct.html"
+    replay(robot, {"run": rollout}, direct, open_browser=False)
+    assert html.read_bytes() == direct.read_bytes()
+
+
+def test_files_of_earlier_versions_are_read_with_a_warning(arms: Path, tmp_path: Path) -> None:
+    """An NPZ without robot loads, warns, and is still refused where the joints have other names."""
+    robot = load_robot(arms / "arm.urdf")
+    rollout = rollout_of(robot)
+    path = tmp_path / "old.npz"
+    arrays = {name: getattr(rollout, name) for name in ARRAYS}
+    np.savez_compressed(
+        path, format="manip_learn.rollout", status=np.array(rollout.status), joint_names=np.array(rollout.joint_names),
+        frame="tip", **arrays,
+    )  # fmt: skip
+    with pytest.warns(UserWarning, match="which robot"):
+        loaded = Rollout.load(path, robot)
+    assert loaded.q.tobytes() == rollout.q.tobytes() and loaded.robot is None
+    assert "which robot" in " ".join(load_demonstrations(path, robot).notes)
+    with pytest.raises(RecordingError, match="wrist"):
+        Rollout.load(path, load_robot(arms / "joints.urdf"))
+
+
+def test_another_ending_is_refused(arms: Path, tmp_path: Path) -> None:
+    """The ending says the format; one that says nothing is an error that lists the formats."""
+    with pytest.raises(OutputError, match=r"\.npz, \.csv, \.mcap, \.jsonl"):
+        rollout_of(load_robot(arms / "arm.urdf")).save(tmp_path / "run.xyz")
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_the_content_says_the_format(suffix: str, arms: Path, tmp_path: Path) -> None:
+    """A file under a misleading name is read for what it is, and its robot is still compared."""
+    robot = load_robot(arms / "arm.urdf")
+    path = rollout_of(robot).save(tmp_path / f"run.{suffix}")
+    odd = shutil.copy(path, tmp_path / "a b.txt")
+    assert Rollout.load(odd, robot).q.tobytes() == Rollout.load(path).q.tobytes()
+    with pytest.raises(RecordingError, match="'arm'"):
+        load_demonstrations(odd, load_robot(arms / "longer.urdf"))
