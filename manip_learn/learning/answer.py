@@ -20,6 +20,7 @@ from manip_learn.learning.estimators.estimate import CLEAR_GAP
 from manip_learn.learning.evidence.recombination import recombination_test
 from manip_learn.learning.evidence.row_evidence import RowEvidence
 from manip_learn.learning.mechanisms.find_mechanism import MechanismFit
+from manip_learn.learning.phases.result import Stretch
 from manip_learn.learning.place_rows import all_held, mechanism_of, place_rows
 from manip_learn.recordings.demonstrations import Demonstrations
 
@@ -43,6 +44,7 @@ class Answer:
         evidence: Evidence for each row; None where the demonstrator moves the rows (b unknown).
         mechanism: What the hand's path says of the mechanism; None if it was not asked for.
         warnings: Doubts beside those of the candidate and of the mechanism.
+        left_out: Stretches of trajectories in which the mechanism of the others does not hold, not in `part`.
     """
 
     part: Part
@@ -51,6 +53,7 @@ class Answer:
     evidence: RowEvidence | None
     mechanism: MechanismFit | None
     warnings: tuple[str, ...]
+    left_out: tuple[Stretch, ...] = ()
 
     @property
     def odd(self) -> tuple[tuple[int, str], ...]:
@@ -58,10 +61,7 @@ class Answer:
         if self.mechanism is None or self.mechanism.mechanism is None:
             return ()
         name = self.mechanism.mechanism.name
-        return tuple(
-            (self.part.stretches[i].trajectory, f"the others agree on a {name} that does not hold in it")
-            for i in self.mechanism.odd
-        )
+        return tuple((s.trajectory, f"the others agree on a {name} that does not hold in it") for s in self.left_out)
 
 
 def find_answer(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
@@ -81,22 +81,28 @@ def find_answer(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
         NotIdentifiableError: The part determines no constraint.
     """
     answer = _learnt(part, settings, fit)
-    if not answer.odd or answer.mechanism is None:
-        return answer
-    kept = [i for i in range(len(part.demonstrations)) if i not in answer.mechanism.odd]
-    rest = dataclasses.replace(
-        part,
-        demonstrations=Demonstrations([part.demonstrations[i] for i in kept], part.demonstrations.notes),
-        stretches=tuple(part.stretches[i] for i in kept),
-    )
-    try:
-        again = _learnt(rest, settings, fit)
-    except NotIdentifiableError:
-        return answer
-    if again.mechanism is None or again.mechanism.mechanism is None:
-        return answer
-    odd = sorted({*answer.mechanism.odd, *(kept[i] for i in again.mechanism.odd)})
-    return dataclasses.replace(again, part=part, mechanism=dataclasses.replace(again.mechanism, odd=tuple(odd)))
+    kept, odd = list(range(len(part.demonstrations))), _odd(answer)
+    while odd:
+        fewer = [i for k, i in enumerate(kept) if k not in odd]
+        rest = dataclasses.replace(
+            part,
+            demonstrations=Demonstrations([part.demonstrations[i] for i in fewer], part.demonstrations.notes),
+            stretches=tuple(part.stretches[i] for i in fewer),
+        )
+        try:
+            again = _learnt(rest, settings, fit)
+        except NotIdentifiableError:
+            break
+        if again.mechanism is None or again.mechanism.mechanism is None:
+            break
+        left_out = tuple(s for i, s in enumerate(part.stretches) if i not in fewer)
+        answer, kept, odd = dataclasses.replace(again, left_out=left_out), fewer, _odd(again)
+    return answer
+
+
+def _odd(answer: Answer) -> tuple[int, ...]:
+    """Trajectories of its part that its mechanism leaves out."""
+    return () if answer.mechanism is None or answer.mechanism.mechanism is None else answer.mechanism.odd
 
 
 def _learnt(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:

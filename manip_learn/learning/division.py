@@ -12,6 +12,7 @@ import numpy as np
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.learning.agreement.agreement import Agreement, judge_agreement
+from manip_learn.learning.agreement.edges import held_part, is_chance
 from manip_learn.learning.agreement.interruption import interruptions
 from manip_learn.learning.agreement.reason import reason
 from manip_learn.learning.phases.decoding import TRIM
@@ -196,22 +197,43 @@ def _all_of(number: int, trajectory: Trajectory) -> Stretch:
 
 def _by_phases(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap], found: PhaseResult) -> Division:
     """One part for each constraint that the phases show, without the stretches that do not agree."""
-    parts, odd, apart = [], dict[int, str](), list[Stretch]()
+    parts, odd, apart, free = [], dict[int, str](), list[Stretch](), list(found.free)
     for number, constraint in enumerate(found.constraints, start=1):
         features = feature_maps[constraint.features]
-        cut = [(s, c) for s in constraint.stretches if (c := _trimmed(demonstrations[s.trajectory], s)) is not None]
-        if len(cut) > 2:
-            agreement = judge_agreement(features, [c for _, c in cut], constraint.n_rows)
-            odd |= {cut[i][0].trajectory: why for i, why in agreement.odd}
-            apart += [cut[i][0] for i, _ in agreement.odd]
-            cut = [cut[i] for i in agreement.members]
+        cut, others, loose = _agreeing(demonstrations, features, constraint)
+        odd |= {s.trajectory: why for s, why in others}
+        apart += [s for s, _ in others]
+        free += loose
         odd |= _missing(demonstrations, features, constraint, number)
-        slips = interruptions(features, demonstrations.trajectories, constraint)
+        elsewhere = [s for c in found.constraints if c is not constraint for s in c.stretches]
+        slips = interruptions(features, demonstrations.trajectories, constraint, elsewhere)
         odd |= {i: why for i, why in slips.items() if i not in odd}
         members = Demonstrations([c for _, c in cut], demonstrations.notes)
         parts.append(Part(members, tuple(s for s, _ in cut), (features,), constraint.n_rows, True))
     unlearnt = (*((s, DISAGREES) for s in apart), *_of_one(found.unsupported))
-    return Division(tuple(parts), found.free, tuple(sorted(odd.items())), False, found.warnings, unlearnt)
+    free.sort(key=lambda s: (s.trajectory, s.start))
+    return Division(tuple(parts), tuple(free), tuple(sorted(odd.items())), False, found.warnings, unlearnt)
+
+
+def _agreeing(
+    demonstrations: Demonstrations, features: FeatureMap, constraint: PhaseConstraint
+) -> tuple[list[tuple[Stretch, Trajectory]], list[tuple[Stretch, str]], list[Stretch]]:
+    """The stretches of a constraint that agree, those that do not and why, and those that are free motion after all."""
+    cut = [(s, c) for s in constraint.stretches if (c := _trimmed(demonstrations[s.trajectory], s)) is not None]
+    if len(cut) <= 2:
+        return cut, [], []
+    agreement = judge_agreement(features, [c for _, c in cut], constraint.n_rows)
+    members, odd, free = [cut[i] for i in agreement.members], list[tuple[Stretch, str]](), list[Stretch]()
+    for i, why in agreement.odd:
+        stretch, motion = cut[i]
+        held = held_part(features, motion, [cut[k][1] for k in agreement.members], agreement.selection)
+        if is_chance(stretch, [s for s, _ in members]):
+            free.append(stretch)
+        elif held is not None and (c := _trimmed(motion, Stretch(stretch.trajectory, *held))) is not None:
+            members.append((Stretch(stretch.trajectory, *held), c))
+        else:
+            odd.append((stretch, why))
+    return sorted(members, key=lambda m: (m[0].trajectory, m[0].start)), odd, free
 
 
 def _of_one(contacts: Sequence[Stretch]) -> tuple[tuple[Stretch, str], ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Literal, final
@@ -13,7 +12,8 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import FeatureError, NotIdentifiableError, NumberOfConstraintsError
 from manip_learn.learning.advice import advise, advise_in_general
-from manip_learn.learning.answer import Answer, Fit, find_answer
+from manip_learn.learning.all_answers import find_answers
+from manip_learn.learning.answer import Answer
 from manip_learn.learning.bootstrap import bootstrap_angle_deg
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
 from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, check_joints
@@ -176,13 +176,12 @@ class ConstraintLearner:
             check_fastest(everything.u, everything, demonstrations.joint_names)
             division = self._divide(demonstrations)
             try:
-                answers, refusals = self._answers(division, fit)
+                answers, division = find_answers(division, demonstrations, self._settings, fit)
             except NotIdentifiableError as refusal:
                 raise advise(refusal, demonstrations, self._feature_maps, division, phases=self.phases) from refusal
-            warnings = (*division.warnings, *refusals)
             if progress is not None and client is None:
                 progress("learning", 1.0)
-            self._conclude(answers, dataclasses.replace(division, warnings=warnings), demonstrations, started)
+            self._conclude(answers, division, demonstrations, started)
 
     def _divide(self, demonstrations: Demonstrations) -> Division:
         if self.estimator in ("joint", "separate"):
@@ -190,23 +189,6 @@ class ConstraintLearner:
         rng = np.random.default_rng(self.seed)
         mechanisms = self.mechanism == "auto" and self.n_constraints is None
         return divide(demonstrations, self._feature_maps, rng, phases=self.phases == "auto", mechanisms=mechanisms)
-
-    def _answers(self, division: Division, fit: Fit) -> tuple[list[Answer], list[str]]:
-        """An answer for each part that determines a constraint, and why the others do not.
-
-        Raises:
-            NotIdentifiableError: None does; the reason for the first.
-        """
-        answers: list[Answer] = []
-        refusals: list[NotIdentifiableError] = []
-        for part in division.parts:
-            try:
-                answers.append(find_answer(part, self._settings, fit))
-            except NotIdentifiableError as refusal:
-                refusals.append(refusal)
-        if not answers:
-            raise refusals[0]
-        return answers, [f"a further constraint is not learnt: {refusal}" for refusal in refusals]
 
     def _fit_stream(self, source: TrajectorySource, client: Any, progress: Progress | None) -> None:
         """One constraint from recordings that are not held in memory together."""

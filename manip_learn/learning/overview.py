@@ -68,10 +68,7 @@ class RecordingOverview:
             constraint = None if part is None else number.get(id(division.parts[part]))
             reason = NO_ANSWER if part is not None and constraint is None else why
             phases.append(Phase(names[s.trajectory], s.start, s.end, constraint, reason))
-        odd = {i: why for i, why in division.odd}
-        for answer in answers:
-            for i, why in answer.odd:
-                odd.setdefault(i, why)
+        odd = dict(division.odd)
         warnings = [*division.warnings, *lone_contacts(division, names)]
         if odd:
             listed = "; ".join(f"{names[i]}: {why}" for i, why in sorted(odd.items()))

@@ -9,7 +9,7 @@ import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.learning.agreement.reason import reason, way_along
-from manip_learn.learning.phases.result import PhaseConstraint
+from manip_learn.learning.phases.result import PhaseConstraint, Stretch
 from manip_learn.recordings.trajectory import Trajectory
 
 # longest interruption: who lets go for longer does so on purpose [s]
@@ -19,7 +19,10 @@ FACTOR, LEAST = 5.0, 2e-3
 
 
 def interruptions(
-    features: FeatureMap, trajectories: Sequence[Trajectory], constraint: PhaseConstraint
+    features: FeatureMap,
+    trajectories: Sequence[Trajectory],
+    constraint: PhaseConstraint,
+    others: Sequence[Stretch] = (),
 ) -> dict[int, str]:
     """Trajectories in which motion along the held rows interrupts a contact that most others show in one piece.
 
@@ -27,6 +30,7 @@ def interruptions(
         features: Phi of the constraint.
         trajectories: Whole recordings with velocities.
         constraint: With the stretches in which it holds.
+        others: Stretches of other constraints: what lies between two contacts is no slip if another holds there.
 
     Returns:
         Number of the trajectory -> what happens when, in words.
@@ -38,7 +42,9 @@ def interruptions(
     out = {}
     for i, parts in spans.items():
         for a, b in pairwise(parts if len(parts) > usual else ()):
-            between = trajectories[i][a.end : b.start] if b.start - a.end <= LONGEST else None
+            else_held = any(s.trajectory == i and s.start < b.start and s.end > a.end for s in others)
+            near = b.start - a.end <= LONGEST and not else_held
+            between = trajectories[i][a.end : b.start] if near else None
             if between is not None and _extent(features, between, constraint) > max(FACTOR * held, LEAST):
                 why = reason(features, [*whole, between], constraint.selection, len(whole), range(len(whole)))
                 out[i] = f"its contact is interrupted from {a.end:.2f} s to {b.start:.2f} s, as by a slip: {why}"

@@ -113,11 +113,13 @@ class Choice:
         fit: The best candidate; None if none is confirmed.
         rival: Its bent form, where the motion is too short to tell the two apart.
         table: All candidates, best first.
+        unlike: Whether a few trajectories are unlike the others in how tightly it holds them.
     """
 
     fit: Fit | None
     rival: Fit | None
     table: tuple[Alternative, ...]
+    unlike: bool = False
 
 
 def choose(paths: TipPaths, recombined: TipPaths | None) -> Choice:
@@ -129,7 +131,7 @@ def choose(paths: TipPaths, recombined: TipPaths | None) -> Choice:
     scales = Scales.of(paths, recombined)
     chosen: Fit | None = None
     rival: Fit | None = None
-    table = []
+    unlike, table = False, []
     for value, fit in ranked(paths, fit_all(paths), scales):
         c, least, ratio = fit.candidate, float(np.min(margins(fit, scales))), None
         verdict = _objection(paths, fit, least)
@@ -141,12 +143,12 @@ def choose(paths: TipPaths, recombined: TipPaths | None) -> Choice:
             ratio = None if recombined is None else recombination_ratio(fit, paths, recombined)
             if ratio is not None and ratio < ENOUGH:
                 verdict = REPEATED if ratio > 0.0 else "the arm cannot move otherwise"
-            elif len(paths.starts) > 1 and disagreement(paths, fit) > DISAGREE:
-                verdict = APART
             else:
-                verdict, chosen = "chosen", fit
+                apart, unlike = disagreement(paths, fit) if len(paths.starts) > 1 else (1.0, False)
+                verdict = APART if apart > DISAGREE else "chosen"
+                chosen = None if verdict == APART else fit
         table.append(Alternative(c.name, c.n_rows, c.n_unknowns, 1.0 / least, value, ratio, verdict))
-    return Choice(chosen, rival, tuple(table))
+    return Choice(chosen, rival, tuple(table), unlike)
 
 
 def _rivals(chosen: Fit, other: Fit) -> bool:

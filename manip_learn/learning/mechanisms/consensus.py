@@ -2,50 +2,99 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from manip_learn.learning.mechanisms.evidence import DISAGREE, HELD, UNEVEN, Scales, margins, residual_rows, unevenness
+from manip_learn.learning.mechanisms.evidence import (
+    DISAGREE,
+    HELD,
+    LEVER,
+    UNEVEN,
+    Scales,
+    margins,
+    residual_rows,
+    unevenness,
+)
 from manip_learn.learning.mechanisms.fits import SMALLEST, Fit, fit_candidate
 from manip_learn.learning.mechanisms.kinds import MECHANISM_KINDS, MechanismKind
 from manip_learn.learning.mechanisms.residuals import QUANTITIES
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 
 LEAST = 3  # trajectories that must agree
+EXPLAINED = 0.7  # share of the trajectories that obey one of the two most obeyed places, where no majority obeys one
+AS_TIGHT = 3.0  # residuals of two mechanisms are alike up to this factor
+SETTLING = 4  # fits to those that agree, until they stay the same
 TRIED = ("line, not turning", "hinge, firm", "screw, firm", "line", "hinge")  # one way to go: seen in one trajectory
 
 
 def agreeing(paths: TipPaths, rows: int, scales: Scales) -> tuple[int, ...]:
-    """Numbers of the trajectories that agree on a mechanism with more rows than these; all if none is found.
+    """Numbers of the trajectories that agree on a mechanism with more rows than these; all if none is found."""
+    found = consensus(paths, rows, scales)
+    return tuple(range(len(paths.starts))) if found is None else found[1]
 
-    Each trajectory by itself proposes a place, and the proposal that most others obey wins, if more than half do.
+
+def consensus(paths: TipPaths, rows: int, scales: Scales) -> tuple[Fit, tuple[int, ...]] | None:
+    """A mechanism with more rows than these, and the trajectories that obey it; None if not enough of them do.
+
+    Each trajectory by itself proposes a place. The proposal that most others obey wins, if more than half do, or if
+    most of the rest agree on another place; it is fitted to all that obey it, for what a single short arc says of
+    another one may be far off.
     """
     n = len(paths.starts)
-    everyone = tuple(range(n))
     if n <= LEAST:
-        return everyone
-    parts = [paths.alone(i) for i in everyone]
+        return None
+    parts = [paths.alone(i) for i in range(n)]
+    found: list[tuple[float, Fit, tuple[int, ...]]] = []
     for candidate in (c for name in TRIED for c in MECHANISM_KINDS if c.name == name and c.n_rows > rows):
-        supporters = max(_supporters(parts, candidate, scales), key=len, default=())
-        if len(supporters) >= max(LEAST, n // 2 + 1):
-            return supporters
-    return everyone
+        proposals = _supporters(parts, candidate, scales)
+        proposal = max(proposals, key=len, default=())
+        other = max((p for p in proposals if not set(p) & set(proposal)), key=len, default=())
+        if len(proposal) >= LEAST and (len(proposal) > n // 2 or len(proposal) + len(other) >= EXPLAINED * n):
+            found.append(_settled(paths, candidate, proposal))
+    # short arcs are lines, too, but not as tightly
+    tightest = min((size for size, *_ in found), default=0.0)
+    tight = [(fit, members) for size, fit, members in found if size <= AS_TIGHT * tightest]
+    return max(tight, key=lambda x: len(x[1]), default=None)
+
+
+def obeying(paths: TipPaths, fit: Fit, among: Sequence[int]) -> tuple[int, ...]:
+    """Numbers of the trajectories that obey a fit as those do to which it was fitted."""
+    parts = [residual_rows(paths.alone(i), fit) for i in range(len(paths.starts))]
+    usual = usual_residuals([parts[i] for i in among])
+    return tuple(i for i, part in enumerate(parts) if _within(part, usual))
+
+
+def _settled(
+    paths: TipPaths, candidate: MechanismKind, proposal: tuple[int, ...]
+) -> tuple[float, Fit, tuple[int, ...]]:
+    """The residual that is usual among those that obey a fit to all of them [m], the fit, and their numbers."""
+    members, fit = proposal, fit_candidate(paths.chosen(proposal), candidate)
+    for _ in range(SETTLING):
+        now = obeying(paths, fit, members)
+        if now == members or len(now) < LEAST:
+            break
+        members, fit = now, fit_candidate(paths.chosen(now), candidate)
+    usual = usual_residuals([residual_rows(paths.alone(i), fit) for i in members])
+    size = max(float(np.max(x)) * (LEVER if QUANTITIES[name].unit == "rad" else 1.0) for name, x in usual.items())
+    return size, fit, members
 
 
 def _supporters(parts: list[TipPaths], candidate: MechanismKind, scales: Scales) -> list[tuple[int, ...]]:
-    """For each trajectory that the candidate holds by itself: those that obey its place."""
+    """Those that obey the place of each trajectory that the candidate holds by itself, and are held so, too."""
     alone = [fit_candidate(part, candidate) for part in parts]
-    own = [residual_rows(part, fit) for part, fit in zip(parts, alone, strict=True)]
-    held = [float(np.min(margins(fit, scales))) > HELD and unevenness(fit) < UNEVEN for fit in alone]
-    out = []
-    for i, fit in enumerate(alone):
-        if held[i]:
-            out.append(tuple(j for j, part in enumerate(parts) if held[j] and _obeys(part, fit, own[j])))
-    return out
+    held = [i for i, fit in enumerate(alone) if float(np.min(margins(fit, scales))) > HELD and unevenness(fit) < UNEVEN]
+    usual = usual_residuals([residual_rows(parts[i], alone[i]) for i in held])
+    return [tuple(j for j in held if _within(residual_rows(parts[j], alone[i]), usual)) for i in held]
 
 
-def _obeys(part: TipPaths, fit: Fit, own: dict[str, np.ndarray]) -> bool:
-    there = residual_rows(part, fit)
-    return all(
-        bool(np.all(there[name] <= DISAGREE * np.maximum(own[name], 5.0 * SMALLEST[QUANTITIES[name].unit])))
-        for name in fit.candidate.holds
-    )
+def usual_residuals(residuals: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Of each held row the median over trajectories, no less than noise makes."""
+    names = residuals[0] if residuals else ()
+    floors = {name: 5.0 * SMALLEST[QUANTITIES[name].unit] for name in names}
+    return {name: np.maximum(np.median([r[name] for r in residuals], axis=0), floors[name]) for name in names}
+
+
+def _within(there: dict[str, np.ndarray], usual: dict[str, np.ndarray]) -> bool:
+    """Whether residuals are no larger than those that are usual, by much."""
+    return all(bool(np.all(there[name] <= DISAGREE * size)) for name, size in usual.items())

@@ -17,6 +17,7 @@ LEVER = 0.5  # [m/rad] to compare rotations with positions
 PRICE = 0.15  # of a parameter, in logarithms of a residual
 ENOUGH = 2.5  # recombined residuals over the data's: 1 is no evidence, free motion reaches 2.1
 DISAGREE = 10.0  # residuals of all trajectories together over those of each alone
+UNLIKE = 3.0  # residual of one trajectory in the common fit over that by itself
 FARTHEST = 3.0  # [m] beyond this an axis or a centre is not told from a line or a plane
 BENT = 5e-5  # [m] by which a path must leave a simpler mechanism: rails wobble
 CLEARLY = 5.0  # radius or pitch over its standard deviation
@@ -84,23 +85,24 @@ def unevenness(fit: Fit) -> float:
     return float(max(s.max() for s in sizes) / min(s.min() for s in sizes))
 
 
-def disagreement(paths: TipPaths, fit: Fit) -> float:
-    """Median over trajectories: residual in the common fit over that of the trajectory by itself.
+def disagreement(paths: TipPaths, fit: Fit) -> tuple[float, bool]:
+    """Median over trajectories: residual in the common fit over that of the trajectory by itself; and whether a few of
+    them are unlike the others in that, or in how tightly they are held by themselves.
 
-    One door shared gives about 1; a door that stands elsewhere each time fits each trajectory alone much better.
+    One door shared gives about 1; a door that stands elsewhere each time fits each trajectory alone much better; a grip
+    that slips in one of them spoils the common fit, and its own.
     """
-    ratios = []
+    ratios, sizes = [], []
     for i in range(len(paths.starts)):
         part = paths.alone(i)
         alone = residual_rows(part, fit_candidate(part, fit.candidate, [fit.place]))
         together = residual_rows(part, fit)
-        worst = [
-            float(np.max(np.hypot(together[n], floor) / np.hypot(alone[n], floor)))
-            for n in fit.candidate.holds
-            for floor in [5.0 * SMALLEST[QUANTITIES[n].unit]]
-        ]
-        ratios.append(max(worst))
-    return float(np.median(ratios))
+        floors = {n: 5.0 * SMALLEST[QUANTITIES[n].unit] for n in fit.candidate.holds}
+        own = {n: np.hypot(alone[n], floor) for n, floor in floors.items()}
+        ratios.append(max(float(np.max(np.hypot(together[n], floor) / own[n])) for n, floor in floors.items()))
+        sizes.append(max(float(np.max(own[n])) / floor for n, floor in floors.items()))
+    unlike = max(ratios) > UNLIKE or max(sizes) > DISAGREE * float(np.median(sizes))
+    return float(np.median(ratios)), unlike
 
 
 def radius_of(paths: TipPaths, fit: Fit) -> tuple[float, float] | None:

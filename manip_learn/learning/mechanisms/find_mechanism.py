@@ -135,7 +135,7 @@ def _compared(
         raise NotIdentifiableError("the hand does not move in these trajectories", code="no-motion")
     choice, scales, everyone = choose(paths, mixed), Scales.of(paths, mixed), tuple(range(len(postures)))
     soft = choice.fit is not None and float(np.min(margins(choice.fit, scales))) < 1.0 / SOFT
-    rows = 0 if choice.fit is None else choice.fit.candidate.n_rows - soft
+    rows = 0 if choice.fit is None else choice.fit.candidate.n_rows - (soft or choice.unlike)
     together = agreeing(paths, rows, scales)
     if len(together) < len(everyone):
         stricter = choose(*_paths(robot, tip, [postures[i] for i in together], rng))

@@ -76,6 +76,16 @@ class TipPaths:
         rows = self.part(number)
         return TipPaths(self.p[rows], self.R[rows], np.zeros(1, dtype=int))
 
+    def chosen(self, numbers: Sequence[int]) -> TipPaths:
+        """Some of the trajectories, in this order."""
+        parts = [self.part(i) for i in numbers]
+        lengths = [rows.stop - rows.start for rows in parts]
+        return TipPaths(
+            np.concatenate([self.p[rows] for rows in parts]),
+            np.concatenate([self.R[rows] for rows in parts]),
+            np.cumsum([0, *lengths[:-1]]),
+        )
+
     def part(self, number: int) -> slice:
         """Rows of one trajectory."""
         return slice(int(self.starts[number]), int(self.starts[number] + self.counts[number]))

@@ -17,6 +17,7 @@ SHORTEST = 0.3
 # left out at both ends of a stretch before rows are fitted: velocities are smoothed over the change [s]
 TRIM = 0.1
 REFITS = 3
+KEPT = 0.9  # least share of the evidence that a fit keeps
 # ends of a stretch that may have left it [s], and how many times as far from where it is held as its inner part
 EDGE, FAR = 0.3, 3.0
 
@@ -51,16 +52,24 @@ def supports(motion: PhaseMotion, found: Sequence[Found]) -> Float[np.ndarray, "
 
 
 def refitted(motion: PhaseMotion, found: Sequence[Found]) -> list[Found]:
-    """All constraints fitted to the samples that each explains best."""
-    now = list(found)
-    for _ in range(REFITS):
-        states = decoded(motion, now)
-        for k, f in enumerate(now):
+    """All constraints fitted to the samples that each explains best; those before a fit that loses evidence.
+
+    A recording in which the hand slips can make a fit soft; what is soft then takes in free motion, and becomes softer.
+    """
+    best, now, most = list(found), list(found), -np.inf
+    for turn in range(REFITS + 1):
+        values = evidences(motion, now)
+        states = best_states(values, motion.first)
+        total = float(values[np.arange(len(motion)), states - 1][states > 0].sum())
+        if total < KEPT * most:
+            return best
+        best, most = list(now), max(most, total)
+        for k, f in enumerate(now if turn < REFITS else ()):
             held = trimmed(motion, states == k + 1)
             if np.count_nonzero(held & motion.moving) >= 3 * f.rows.shape[1]:
                 rows = refit(motion, held, f.n_rows, f.scale)
                 now[k] = Found(rows, scale_of(motion, rows, held), f.support, f.gains)
-    return now
+    return best
 
 
 def finally_fitted(motion: PhaseMotion, found: Found, stretches: Sequence[Stretch]) -> Found:

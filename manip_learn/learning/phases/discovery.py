@@ -37,6 +37,8 @@ LEAST = 40.0
 MARGIN, SOFT_MARGIN = 1.4, 2.0
 # share of the best support from which a hypothesis with more rows is tried first
 NESTED_SHARE = 0.4
+# a hypothesis so much firmer with so much of the best support is the contact: a short arc has soft rows besides
+FIRMER, FIRMER_SUPPORT = 0.15, 0.6
 # strength that rows need that are not held firmly
 SOFT_STRENGTH = CLEAR_STRENGTH
 
@@ -106,7 +108,9 @@ class PhaseDiscovery:
         self._update_chance()
         # rows that hold in several contacts hide those contacts' own rows; a curved path has no rows as firm
         good = [f for f in best if f.support > max(self.needed(f), NESTED_SHARE * best[0].support)]
-        good = [f for f in good if f.scale.share <= best[0].scale.share]
+        firmest = min((f.scale.share for f in good if f.support > FIRMER_SUPPORT * best[0].support), default=np.inf)
+        firm = best[0].scale.share if firmest > FIRMER * best[0].scale.share else firmest
+        good = [f for f in good if f.scale.share <= firm]
         candidate = max(good, key=lambda f: (f.n_rows, f.support)) if good else best[0]
         needed = self.needed(candidate)
         trial = refitted(self.thin, [*self.found, candidate])
@@ -117,6 +121,10 @@ class PhaseDiscovery:
             self.refused.append(candidate)
             return bool(good)
         kept = supports(self.thin, trial) > np.array([*self.least, needed])
+        if not kept.any() and self.found:
+            # each takes from the other what supports it: the one that was there stays
+            self.refused.append(candidate)
+            return True
         marks, least = [*self.marks, mark], [*self.least, needed]
         self.marks = [m for m, k in zip(marks, kept, strict=True) if k]
         self.least = [x for x, k in zip(least, kept, strict=True) if k]
