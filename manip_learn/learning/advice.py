@@ -85,8 +85,8 @@ def _several_phases(division: Division, phases: str, n: int) -> list[str]:
         return ["no single constraint fits the recording as a whole: cut it with --from and --until"]
     return [
         "no stretch of the recordings obeys a constraint that several of them confirm: this looks like free motion. A "
-        "contact without any constant direction, e.g. with a tether, is learnt from recordings that are cut to it "
-        "(--from, --until)"
+        "contact without any constant direction, other than with a tether, is learnt from recordings that are cut to "
+        "it (--from, --until)"
     ]
 
 

@@ -17,7 +17,9 @@ from manip_learn.learning.agreement.interruption import interruptions
 from manip_learn.learning.agreement.reason import reason
 from manip_learn.learning.phases.decoding import TRIM
 from manip_learn.learning.phases.find_phases import find_phases, one_constraint_fits, too_short
+from manip_learn.learning.phases.find_tethers import find_tethers
 from manip_learn.learning.phases.result import PhaseConstraint, PhaseResult, Stretch
+from manip_learn.learning.phases.search import FIRM
 from manip_learn.learning.place_rows import one_mechanism_fits
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -127,11 +129,20 @@ def divide(
         return undivided(demonstrations, feature_maps)
     if phases:
         found = find_phases(usable, demonstrations, rng)
+        soft = all(c.softness > FIRM for c in found.constraints)
+        tethers = find_tethers(usable, demonstrations, rng) if mechanisms and soft else None
+        if tethers is not None and _support(tethers[1]) > _support(found):
+            return _by_phases(demonstrations, (tethers[0],), tethers[1], usable)
         if found.constraints:
             return _by_phases(demonstrations, usable, found)
         lone = _of_one(found.unsupported)
         return Division(undivided(demonstrations, feature_maps).parts, one_fits=False, unlearnt=lone)
     return Division(undivided(demonstrations, feature_maps).parts, one_fits=False)
+
+
+def _support(found: PhaseResult) -> float:
+    """Evidence for all constraints [nats]; parts of a sphere pass for soft planes, with little of it."""
+    return sum(c.support for c in found.constraints)
 
 
 def _held_elsewhere(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> tuple[str, ...]:
@@ -195,8 +206,20 @@ def _all_of(number: int, trajectory: Trajectory) -> Stretch:
     return Stretch(number, float(trajectory.time[0]), float(trajectory.time[-1]))
 
 
-def _by_phases(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap], found: PhaseResult) -> Division:
-    """One part for each constraint that the phases show, without the stretches that do not agree."""
+def _by_phases(
+    demonstrations: Demonstrations,
+    feature_maps: Sequence[FeatureMap],
+    found: PhaseResult,
+    asked_for: tuple[FeatureMap, ...] | None = None,
+) -> Division:
+    """One part for each constraint that the phases show, without the stretches that do not agree.
+
+    Args:
+        demonstrations: Whole recordings.
+        feature_maps: Those that the phases were found in.
+        found: The phases.
+        asked_for: Candidates for Phi where the phases were found in other rows, whose number says nothing of theirs.
+    """
     parts, odd, apart, free = [], dict[int, str](), list[Stretch](), list(found.free)
     for number, constraint in enumerate(found.constraints, start=1):
         features = feature_maps[constraint.features]
@@ -209,7 +232,8 @@ def _by_phases(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap
         slips = interruptions(features, demonstrations.trajectories, constraint, elsewhere)
         odd |= {i: why for i, why in slips.items() if i not in odd}
         members = Demonstrations([c for _, c in cut], demonstrations.notes)
-        parts.append(Part(members, tuple(s for s, _ in cut), (features,), constraint.n_rows, True))
+        maps, rows = (asked_for, None) if asked_for else ((features,), constraint.n_rows)
+        parts.append(Part(members, tuple(s for s, _ in cut), maps, rows, True))
     unlearnt = (*((s, DISAGREES) for s in apart), *_of_one(found.unsupported))
     free.sort(key=lambda s: (s.trajectory, s.start))
     return Division(tuple(parts), tuple(free), tuple(sorted(odd.items())), False, found.warnings, unlearnt)

@@ -65,10 +65,17 @@ def one_mechanism_fits(
 def place_rows(
     found: MechanismFit | None, feature_maps: Sequence[FeatureMap], demonstrations: Demonstrations
 ) -> MechanismRows | None:
-    """The rows of a mechanism that depend on the place, in the axes asked for and in which the arm can move."""
-    if found is None or found.mechanism is None or not isinstance(found.features, MechanismRows):
+    """The rows of a mechanism that depend on the place, in the axes asked for and in which the arm can move.
+
+    Rows across the axis about which alone the hand may turn are constant, but the path of the hand tells that axis
+    better than its velocity does where the hand sways: what sways to and fro has a large rate and a small angle.
+    """
+    if found is None or found.mechanism is None or found.features is None:
         return None
-    features, units = found.features, {unit for f in feature_maps for unit in f.row_units}
+    features = found.features if isinstance(found.features, MechanismRows) else _turning(found.features, found)
+    if features is None:
+        return None
+    units = {unit for f in feature_maps for unit in f.row_units}
     names = tuple(n for n, unit in zip(features.row_names, features.row_units, strict=True) if unit in units)
     if units == {"m/s"}:
         names = POSITION_ROWS.get(found.mechanism.type, ())
@@ -76,6 +83,16 @@ def place_rows(
         movable = _movable(_only(features, names), demonstrations)
         names = tuple(n for n, moves in zip(names, movable, strict=True) if moves)
     return _only(features, names) if names else None
+
+
+def _turning(features: FeatureMap, found: MechanismFit) -> MechanismRows | None:
+    """The rows across the axis of a held orientation; None of anything else."""
+    mechanism = found.mechanism
+    if mechanism is None or mechanism.type != "held-orientation" or mechanism.axis is None:
+        return None
+    if not isinstance(features, FrameJacobian):
+        return None
+    return MechanismRows(features.robot, features.frame.name, ("turn-1", "turn-2"), axis=mechanism.axis)
 
 
 def _only(features: MechanismRows, names: tuple[str, ...]) -> MechanismRows:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.learning.phases.hypotheses import Propose, window_hypotheses
 from manip_learn.learning.phases.motion import PhaseMotion
 from manip_learn.learning.phases.search import best_supports
 from manip_learn.recordings.trajectory import Trajectory
@@ -55,6 +56,7 @@ def chance_support(
     largest: int,
     n: int,
     rng: np.random.Generator,
+    propose: Propose = window_hypotheses,
 ) -> Float[np.ndarray, "s 2"]:
     """Support [nats] that is hardly exceeded by chance, for each number of rows: of any hypothesis and of firm ones.
 
@@ -62,9 +64,9 @@ def chance_support(
     the larger of the two.
     """
     thin = thin.thinned(RATE)
-    kinds = [[best_supports(turned(thin, rng), largest) for _ in range(n)]]
+    kinds = [[best_supports(turned(thin, rng), largest, propose) for _ in range(n)]]
     if trajectories and all(t.q.shape[1] == features.nv for t in trajectories):
         made = (PhaseMotion.collect(features, recombined(features, trajectories, rng)) for _ in range(n))
-        kinds.append([best_supports(motion, largest) for motion in made])
+        kinds.append([best_supports(motion, largest, propose) for motion in made])
     table = np.array(kinds)
     return (table.mean(axis=1) + 3.0 * table.std(axis=1)).max(axis=0)

@@ -22,6 +22,7 @@ from manip_learn.learning.phases.decoding import (
     stretches_of,
     supports,
 )
+from manip_learn.learning.phases.hypotheses import Propose, window_hypotheses
 from manip_learn.learning.phases.motion import PhaseMotion
 from manip_learn.learning.phases.result import PhaseConstraint, PhaseResult, Stretch
 from manip_learn.learning.phases.search import Found, candidates, similar
@@ -53,6 +54,8 @@ class PhaseDiscovery:
         rng: For the comparison with chance.
         confirm: A second opinion.
         number: Of the feature map, counted from 0.
+        propose: Makes the hypotheses.
+        largest: Largest number of rows; by default one less than there are.
     """
 
     def __init__(
@@ -62,14 +65,16 @@ class PhaseDiscovery:
         rng: np.random.Generator,
         confirm: Confirm,
         number: int = 0,
+        propose: Propose = window_hypotheses,
+        largest: int | None = None,
     ):
         self.features, self.trajectories = features, trajectories
-        self.rng, self.confirm, self.number = rng, confirm, number
+        self.rng, self.confirm, self.number, self.propose = rng, confirm, number, propose
         self.found: list[Found] = []
         self.rejected: list[PhaseConstraint] = []
         self.motion = PhaseMotion.collect(self.features, self.trajectories)
         self.thin = self.motion.thinned()
-        self.largest = min(self.motion.rates.shape[1], self.features.nv) - 1
+        self.largest = min(self.motion.rates.shape[1], self.features.nv) - 1 if largest is None else largest
         self.marks: list[tuple[float, float]] = []
         self.least: list[float] = []
         self.refused: list[Found] = []
@@ -81,7 +86,7 @@ class PhaseDiscovery:
         rest = self.thin.chosen(states == 0)
         if np.all(np.diff(rest.first) > 1):
             whole = self.trajectories if not self.found else ()
-            self._chance = chance_support(self.features, whole, rest, self.largest, CHANCE_RUNS, self.rng)
+            self._chance = chance_support(self.features, whole, rest, self.largest, CHANCE_RUNS, self.rng, self.propose)
 
     def needed(self, found: Found) -> float:
         """Support that such a constraint must have [nats]."""
@@ -101,7 +106,7 @@ class PhaseDiscovery:
     def step(self) -> bool:
         """Look for one more constraint; False if there is no candidate."""
         baseline = explained(self.thin, self.found)
-        best = candidates(self.motion, self.thin, baseline, self.largest)
+        best = candidates(self.motion, self.thin, baseline, self.largest, propose=self.propose)
         best = [f for f in best if not any(similar(f, r) for r in self.refused)]
         if not best or best[0].support < LEAST:
             return False

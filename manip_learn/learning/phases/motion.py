@@ -24,6 +24,8 @@ LONGEST_STEP = 0.2
 NOISE_WINDOW = 0.6
 # samples this many times above the noise count as motion of the tip
 MOVING = 4.0
+# a direction in which the joints move less than this share of the liveliest is not used
+USED = 0.01
 
 
 @final
@@ -76,7 +78,7 @@ class PhaseMotion:
         free = np.einsum("ni,ni->n", rates, np.linalg.solve(regular, rates[:, :, None])[:, :, 0]) / len(W)
         lengths = [len(t) for t in trajectories]
         first = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-        noise = np.repeat([_noise(t) for t in trajectories], lengths)
+        noise = np.repeat([velocity_noise(t) for t in trajectories], lengths)
         return PhaseMotion(
             np.concatenate([t.time for t in trajectories]),
             np.concatenate([_weights(t.time) for t in trajectories]),
@@ -177,6 +179,13 @@ def broken_energy(motion: PhaseMotion, rows: Float[np.ndarray, "h s r"]) -> Floa
     return total
 
 
+def directions_used(u: Float[np.ndarray, "n nv"], noise: float) -> int:
+    """Number of directions in which the joints move, beyond the variance of their noise."""
+    sizes = np.linalg.svd(u, compute_uv=False)
+    floor = max(USED * float(np.max(sizes, initial=0.0)), 2.0 * np.sqrt(noise * len(u)))
+    return int(np.count_nonzero(sizes > floor))
+
+
 def _whitening(Phi: Float[np.ndarray, "n p nv"], features: FeatureMap) -> Float[np.ndarray, "r p"]:
     S = np.tensordot(Phi, Phi, axes=([0, 2], [0, 2])) / len(Phi)
     size = np.sqrt(np.diag(S))
@@ -195,7 +204,7 @@ def _weights(time: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
     return 0.5 * (np.append(steps, steps[-1]) + np.insert(steps, 0, steps[0]))
 
 
-def _noise(trajectory: Trajectory) -> float:
+def velocity_noise(trajectory: Trajectory) -> float:
     """Variance of a joint velocity's noise: what is left in short windows beside the few directions of a smooth motion.
 
     A motion as smooth as a cubic fills four directions of a window; where there are fewer joints than that, the least

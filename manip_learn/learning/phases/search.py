@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.learning.phases.hypotheses import MOST, fitted_rows, window_hypotheses
+from manip_learn.learning.phases.hypotheses import MOST, Propose, fitted_rows, window_hypotheses
 from manip_learn.learning.phases.motion import PhaseMotion, broken_energy
 from manip_learn.learning.phases.segmentation import HeldScale, best_gains, evidence, held_samples
 
@@ -73,6 +73,7 @@ def candidates(
     most: int = MOST,
     kept: int = REFINED,
     refits: int = REFITS,
+    propose: Propose = window_hypotheses,
 ) -> list[Found]:
     """The best hypotheses beyond what is explained already, best first.
 
@@ -84,9 +85,10 @@ def candidates(
         most: Hypotheses of each number of rows that are scored.
         kept: Hypotheses of each number of rows that are refitted.
         refits: How often.
+        propose: Makes the hypotheses.
     """
     starts: list[np.ndarray] = []
-    for h in window_hypotheses(motion, largest, most):
+    for h in propose(motion, largest, most):
         s = h.rows.shape[1]
         values = evidence(thin, broken_energy(thin, h.rows), s, [FIRST_SCALE] * len(h.rows))
         gains = best_gains(values - baseline[:, None], thin.first)
@@ -101,12 +103,12 @@ def supports_of(gains: Float[np.ndarray, "g h"]) -> Float[np.ndarray, " h"]:
     return gains.sum(axis=0) - (gains.max(axis=0) if len(gains) > 1 else 0.0)
 
 
-def best_supports(thin: PhaseMotion, largest: int) -> Float[np.ndarray, "s 2"]:
+def best_supports(thin: PhaseMotion, largest: int, propose: Propose = window_hypotheses) -> Float[np.ndarray, "s 2"]:
     """Support of the best hypothesis of each number of rows [nats], of any and of firm ones.
 
     By a search that looks less closely.
     """
-    found = candidates(thin, thin, np.zeros(len(thin)), largest, FEWER, FEWER_REFINED, FEWER_REFITS)
+    found = candidates(thin, thin, np.zeros(len(thin)), largest, FEWER, FEWER_REFINED, FEWER_REFITS, propose)
     out = np.zeros((largest, 2))
     for f in found:
         best = out[f.n_rows - 1]

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.learning.phases.chance import RATE, recombined
 from manip_learn.learning.phases.decoding import stretches_of
-from manip_learn.learning.phases.motion import PhaseMotion
+from manip_learn.learning.phases.motion import PhaseMotion, directions_used
 from manip_learn.learning.phases.result import Stretch
 from manip_learn.learning.phases.search import FEWER, FEWER_REFINED, FEWER_REFITS, Found, candidates, evidence_of
 from manip_learn.learning.phases.segmentation import held_samples
@@ -21,8 +21,8 @@ FIRM_ALONE = 0.01
 # least evidence [nats], and how many times that of the best recording without a contact
 LEAST_ALONE, MARGIN_ALONE = 60.0, 1.5
 # a few joints, or one after the other, move the hand on circles and in planes: only where the joints move in so many
-# directions, each by this share of the liveliest, does it take a contact to keep them on one
-DIRECTIONS, USED = 5, 0.01
+# directions does it take a contact to keep them on one
+DIRECTIONS = 5
 # versions of the recordings without a contact that are searched for comparison
 CHANCE_RUNS = 3
 # evidence against what is explained already [nats/s]
@@ -62,17 +62,12 @@ def contacts_of_one(
             alone = motion.alone(i)
             values = evidence_of(alone, found) - _explained(alone, i, taken)
             held = held_samples(values[:, None], alone.first)[:, 0]
-            if _directions(np.asarray(trajectories[i].u)[held], float(alone.noise[0])) >= min(DIRECTIONS, features.nv):
+            if directions_used(np.asarray(trajectories[i].u)[held], float(alone.noise[0])) >= min(
+                DIRECTIONS, features.nv
+            ):
                 stretches = stretches_of(alone, held.astype(np.int64), 1)
                 out += [(found.support, Stretch(i, s.start, s.end)) for s in stretches]
     return out
-
-
-def _directions(u: Float[np.ndarray, "n nv"], noise: float) -> int:
-    """Number of directions in which the joints move, beyond the variance of their noise."""
-    sizes = np.linalg.svd(u, compute_uv=False)
-    floor = max(USED * float(np.max(sizes, initial=0.0)), 2.0 * np.sqrt(noise * len(u)))
-    return int(np.count_nonzero(sizes > floor))
 
 
 def _firmest(thin: PhaseMotion, baseline: Float[np.ndarray, " n"], largest: int) -> Found | None:
