@@ -142,7 +142,7 @@ def _read_record(path: Path, found: McapContents, kind: int, content: bytes) -> 
         if found.topics.setdefault(channel, topic) != topic:
             raise _damaged(path, f"channel {channel} is called {found.topics[channel]!r} and {topic!r}")
     elif kind == STATISTICS:
-        total, found.stated_chunks, length = struct.unpack_from("<Q10xI16xI", content)
+        total, found.stated_chunks, length = struct.unpack_from("<Q14xI16xI", content)
         found.stated = dict(_pairs(content[46 : 46 + length]))
         if sum(found.stated.values()) != total and found.stated:
             raise _damaged(path, f"its statistics state {total} messages, by channel {sum(found.stated.values())}")
