@@ -9,7 +9,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.manipulability import manipulability_gradient
+from manip_learn.control.compiled_controller import why_not
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.errors import RobotError
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.description.catalogue import example_robots
 from manip_learn.robot.description.mimic import Mimic
 from manip_learn.robot.loading import load_robot
@@ -199,3 +206,53 @@ def test_no_real_robot_ignores_its_mimics(name, rng):
     for m in robot.mimics:
         x, leader = (full[model.joints[model.getJointId(n)].idx_q] for n in (m.joint, m.leader))
         assert x == pytest.approx(m.multiplier * leader + m.offset, abs=1e-15)
+
+
+def test_followers_beside_the_chain_change_nothing(rng):
+    """A gripper that mimics costs the arm nothing: same batch, same gradient, compiled as without it."""
+    arm, whole = (load_robot("panda", locked=locked) for locked in (("panda_finger_joint1",), ()))
+    assert whole.mimics and not arm.mimics
+    built = []
+    for robot in (arm, whole):
+        features = FrameJacobian(robot, "panda_hand_tcp", "xyz", "world")
+        constraint = Constraint([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]], features)
+        kinematics = batch_kinematics(robot, robot.frame("panda_hand_tcp"))
+        assert kinematics.public_columns is not None
+        controller = ResolvedRateController(constraint, null_policy=ManipulabilityAscent(constraint))
+        assert why_not(controller) is None
+        built.append((constraint, kinematics))
+    for _ in range(5):
+        q = arm.random_configuration(rng)
+        both = np.append(q, 0.02)
+        (small, table), (large, whole_table) = built
+        np.testing.assert_allclose(
+            manipulability_gradient(large, both), np.append(manipulability_gradient(small, q), 0.0), atol=1e-12
+        )
+        np.testing.assert_allclose(whole_table.jacobian(both[None])[0][:, :7], table.jacobian(q[None])[0], atol=1e-13)
+        assert not np.any(whole_table.jacobian(both[None])[0][:, 7])
+
+
+def test_a_follower_in_the_chain_without_its_leader_is_no_free_joint(rng):
+    """One that copies its leader exactly, alone in the chain, moves with the leader's column."""
+    robot = load({"c": ("d", 1.0, 0.0)})
+    frame = robot.frame("l3")  # a, b and the follower c; the leader d is beyond it
+    kinematics = batch_kinematics(robot, frame)
+    q = robot.random_configuration(rng)
+    np.testing.assert_allclose(kinematics.jacobian(q[None])[0], robot.jacobian(q, frame), atol=1e-12)
+    assert np.any(robot.jacobian(q, frame)[:, robot.joint_index("d")])
+
+
+@pytest.mark.parametrize("reference", ["world", "local"])
+def test_the_vector_jacobian_product_sees_followers(reference, rng):
+    """Product of weights with dA/dq, followers in the chain, against central differences."""
+    robot = load({"b": ("a", 0.5, 0.1), "d": ("c", -1.5, 0.0)})
+    frame, selection = robot.frame("l4"), np.linalg.qr(rng.normal(size=(6, 2)))[0].T
+    q, weights, h = robot.random_configuration(rng), rng.normal(size=(2, robot.nv)), 1e-6
+    A, product = robot.weighted_jacobian_vjp(q, frame, reference, selection)
+    np.testing.assert_allclose(A, selection @ robot.jacobian(q, frame, reference), atol=1e-12)
+
+    def along(q: np.ndarray) -> float:
+        return float(np.sum(weights * (selection @ robot.jacobian(q, frame, reference))))
+
+    slopes = [(along(q + e) - along(q - e)) / (2 * h) for e in h * np.eye(robot.nv)]
+    np.testing.assert_allclose(product(weights), slopes, atol=1e-8)

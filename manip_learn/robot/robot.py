@@ -118,6 +118,7 @@ class Robot:
         self.blocks = tuple(blocks)
         self.nq, self.nv = nq, nv
         self.joint_names: tuple[str, ...] = tuple(n for b in blocks for n in b.coordinate_names)
+        self._places = np.concatenate([[], *(np.arange(b.pin_q.start, b.pin_q.stop) for b in blocks)]).astype(np.int64)
         self._coupling, self._followers = build_coupling(model, blocks, self.mimics)
         # a plain robot's configuration IS Pinocchio's: the hot path skips all conversions
         self._plain = nq == nv == model.nq and self._coupling is None
@@ -278,9 +279,10 @@ class Robot:
 
     def random_configuration(self, rng: np.random.Generator) -> Float[np.ndarray, " nq"]:
         """A configuration sampled uniformly within the limits; unlimited joints within half a turn or 1 m."""
-        lower = np.where(np.isfinite(self.position_lower), self.position_lower, -np.pi)
-        upper = np.where(np.isfinite(self.position_upper), self.position_upper, np.pi)
-        positions = rng.uniform(lower, upper)
+        below, above = np.isfinite(self.position_lower), np.isfinite(self.position_upper)
+        ends = np.where(above, self.position_upper - 2 * np.pi, -np.pi)  # limited on one side: within a turn of it
+        lower = np.where(below, self.position_lower, ends)
+        positions = rng.uniform(lower, np.where(above, self.position_upper, lower + 2 * np.pi))
         for b in self.blocks:
             if b.kind in ("floating", "planar"):
                 positions[b.v] = rng.uniform(-1.0, 1.0, b.v.stop - b.v.start)
@@ -364,8 +366,7 @@ class Robot:
         if self._coupling is None:
             return q
         full = np.empty(self._model.nq)
-        for b in self.blocks:
-            full[b.pin_q] = q[b.q]
+        full[self._places] = q
         everything = self._coupling.lift @ (self.positions(q) if positions is None else positions)
         everything += self._coupling.offset
         for row, place in self._followers:
@@ -458,7 +459,7 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        if not self._fast_hessian or self._coupling is not None:
+        if not self._fast_hessian:
             J, H = self.jacobian_and_derivative(q, frame, reference)
             flat = H.reshape(6 * self.nv, self.nv)
             return selection.dot(J), lambda weights: selection.T.dot(weights).reshape(-1).dot(flat)
@@ -470,8 +471,11 @@ class Robot:
         pin.updateFramePlacement(model, data, index)
         J = pin.getFrameJacobian(model, data, index, ref)
         # Pinocchio's buffer as it lies in memory is [k, j, i] (see `reordered`)
-        by_joint = pin.getFrameKinematicHessian(model, data, index, ref).reshape(self.nv, -1)
+        by_joint = pin.getFrameKinematicHessian(model, data, index, ref).reshape(model.nv, -1)
         A = selection.dot(J) if J.ndim == 2 else selection.dot(J.reshape(6, 1))  # nv == 1
+        if self._coupling is not None:
+            lift = self._coupling.lift
+            return A.dot(lift), lambda w: by_joint.dot(lift.dot(w.T).dot(selection).reshape(-1)).dot(lift)
         return A, lambda weights: by_joint.dot(weights.T.dot(selection).reshape(-1))
 
     @property

@@ -191,7 +191,7 @@ class BatchKinematics:
 
     @property
     def public_columns(self) -> Int[np.ndarray, " j"] | None:
-        """Public column of each joint that carries the frame, base first; None with mimic joints or a loop."""
+        """Public column of each joint that carries the frame, base first; None if a mimic joint does, or of a loop."""
         return self._columns.public if self.fast else None
 
     def chain_table(self, reference: Reference) -> Float[np.ndarray, "rows 12"]:

@@ -175,7 +175,7 @@ class ChainColumns:
 
     Attributes:
         full: True if every public joint moves the chain, so that no column of a Jacobian is zero by construction.
-        public: Public column of each joint of the chain, shape (j,); None with mimic joints.
+        public: Public column of each joint of the chain, shape (j,); None where mimic joints are among them.
     """
 
     def __init__(self, robot: Robot, chain: Chain):
@@ -184,14 +184,16 @@ class ChainColumns:
         self.public: np.ndarray | None = None
         self._select: slice | np.ndarray = slice(0, 0)
         coupling = robot.coupling
-        if coupling is not None:
+        columns = None if coupling is None else coupling.columns_of(chain.columns)
+        if coupling is not None and columns is None:
             # mimic joints: the chain's joints are an affine map of the public ones
             self._lift = np.ascontiguousarray(coupling.lift[chain.columns])
             self._offset = coupling.offset[chain.columns][:, None]
             self.full = False
             return
-        public = {block.pin_v.start: block.v.start for block in robot.blocks}
-        columns = np.array([public[int(c)] for c in chain.columns], dtype=np.int64)
+        if columns is None:
+            public = {block.pin_v.start: block.v.start for block in robot.blocks}
+            columns = np.array([public[int(c)] for c in chain.columns], dtype=np.int64)
         self.public = columns
         self.full = len(columns) == robot.nv
         contiguous = np.array_equal(columns, np.arange(columns[0], columns[0] + len(columns)))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from manip_learn.errors import RobotError, closest_names
 from manip_learn.robot.description.diagnostics import Diagnostics, quoted
@@ -45,6 +45,13 @@ class Coupling:
     def __post_init__(self) -> None:
         self.lift.setflags(write=False)
         self.offset.setflags(write=False)
+
+    def columns_of(self, rows: Int[np.ndarray, " j"]) -> Int[np.ndarray, " j"] | None:
+        """Independent joint of each of these joints, given by their rows; None if one of them follows another."""
+        lift = self.lift[rows]
+        columns = np.argmax(lift, axis=1)
+        alone = np.array_equal(lift, np.eye(lift.shape[1])[columns]) and len(set(columns.tolist())) == len(columns)
+        return columns if alone and not np.any(self.offset[rows]) else None
 
 
 @final

@@ -231,7 +231,7 @@ def check_limits(joint: UrdfJoint, log: Diagnostics) -> None:
     """Refuse limits that cannot be intended, warn about those without effect.
 
     Raises:
-        RobotError: Codes `limit-missing`, `limit-order`, `limit-degrees`, `velocity-limit`.
+        RobotError: Codes `limit-order`, `limit-degrees`.
     """
     if joint.type in ("revolute", "prismatic"):
         _check_range(joint, log)
@@ -244,10 +244,12 @@ def _check_range(joint: UrdfJoint, log: Diagnostics) -> None:
     otherwise = ', or type="continuous"' if joint.type == "revolute" else ""
     limit = joint.limit
     if limit is None or limit.lower is None or limit.upper is None:
-        missing = "no <limit>" if limit is None else f"no {'lower' if limit.lower is None else 'upper'} limit"
-        fix = f'write <limit lower="..." upper="..."/>{otherwise}, or lock the joint'
+        # a default of 0, which the specification has, would be a limit that nobody stated
+        neither = limit is None or (limit.lower is None and limit.upper is None)
+        missing = "limits" if neither or limit is None else "lower limit" if limit.lower is None else "upper limit"
         line = joint.line if limit is None else limit.line
-        raise log.refusal("limit-missing", line, where, f"it has {missing}", f"a {joint.type} joint needs both", fix)
+        log.warn(line, f"{where}: it has no {missing}, which a {joint.type} joint should; none is taken")
+        return
     if limit.lower >= limit.upper:
         seen = f"its limits are {limit.lower:g} ... {limit.upper:g} {unit}"
         fix = f'swap or correct them{otherwise}, or type="fixed", or lock the joint'
@@ -278,11 +280,8 @@ def _check_velocity(joint: UrdfJoint, log: Diagnostics) -> None:
         return
     if limit.velocity <= 0.0:
         unit = "m/s" if joint.type == "prismatic" else "rad/s"
-        raise log.refusal(
-            "velocity-limit",
+        log.warn(
             limit.line,
-            where,
-            f"its velocity limit is {limit.velocity:g} {unit}",
-            "a positive number is expected",
-            "write the true limit, or leave velocity out for none, or lock the joint",
+            f"{where}: its velocity limit of {limit.velocity:g} {unit} is taken for none stated, so its velocity is "
+            "not limited",
         )
