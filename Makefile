@@ -21,11 +21,11 @@ QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli compiled_control
 	npz_reader robomimic_reader rosbag_reader))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types check lowest package docs bench fuzz proofs format clean distclean
+.PHONY: help demo test lint types check lowest package docs bench fuzz proofs vulnerabilities format clean distclean
 
 help:
 	@sed -n '1,4s/^# \{0,1\}//p' Makefile
-	@echo "Also: make lint, types, format, docs, lowest, package, bench, fuzz, proofs, clean, distclean"
+	@echo "Also: make lint, types, format, docs, lowest, package, bench, fuzz, proofs, vulnerabilities, clean, distclean"
 
 # ---- installing -------------------------------------------------------------------------------------------------
 
@@ -84,6 +84,7 @@ package: $(VENV)/dev
 	$(BIN)/python -m build --outdir dist .
 	@folder=$$(mktemp -d) && wheel=$$(ls "$$PWD"/dist/*.whl) && trap 'rm -rf "$$folder"' EXIT && \
 	$(BIN)/python -m venv "$$folder/venv" && mkdir "$$folder/empty" && cd "$$folder/empty" && \
+	"$$folder/venv/bin/python" -m zipfile --list "$$wheel" | grep -q 'licenses/LICENSES/Apache-2.0.txt' && \
 	"$$folder/venv/bin/python" -m pip --disable-pip-version-check install --quiet "$$wheel" && \
 	env -u PYTHONPATH "$$folder/venv/bin/manip-learn" demo --no-browser --json >"$$folder/demo.json" && \
 	test -s demo_out/replay.html && echo "the wheel's own demo works"
@@ -100,6 +101,11 @@ fuzz: $(VENV)/dev
 
 proofs: $(VENV)/dev
 	CHECK_SHAPES=0 $(PYTEST) -n 2 --dist worksteal --benchmark-disable -m slow --timeout 3600 $(ARGS)
+
+# known vulnerabilities of what is installed; asks the database of its index, so it needs the network
+vulnerabilities: $(VENV)/dev
+	$(PIP) install --quiet --editable '.[vulnerabilities]'
+	$(BIN)/pip-audit --skip-editable
 
 clean:
 	rm -rf build dist out demo_out docs/_build .pytest_cache .ruff_cache .hypothesis .benchmarks

@@ -5,12 +5,17 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from xml.parsers.expat import ExpatError
 
 from manip_learn.errors import MissingExtraError, RobotError, advice
 
 MAX_BYTES = 10_000_000
+_EXPANDING = threading.Lock()
 
 
 def read_regular_file(path: Path, most: int) -> bytes:
@@ -95,15 +100,15 @@ def expanded_xacro(path: Path, *, allowed: bool) -> bytes:
             code="xacro",
             path=path,
         )
-    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-        raise RobotError(f"{path}: a <!DOCTYPE> is not read; delete it", code="doctype", path=path)
+    _refuse_doctype(content, path)
     try:
         from xacro import XacroException
         from xacrodoc import XacroDoc
     except ImportError as error:
         raise MissingExtraError(f"the xacro file {path}", "xacro") from error
     try:
-        return XacroDoc.from_file(str(path)).to_urdf_string().encode()
+        with _includes_from(path.parent):
+            return XacroDoc.from_file(str(path)).to_urdf_string().encode()
     except (XacroException, ExpatError, OSError, ValueError, LookupError, RuntimeError) as error:
         said = " ".join(str(error).split())[:300]
         raise RobotError(
@@ -111,3 +116,34 @@ def expanded_xacro(path: Path, *, allowed: bool) -> bytes:
             code="xacro-failed",
             path=path,
         ) from error
+
+
+def _refuse_doctype(content: bytes, path: Path) -> None:
+    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+        raise RobotError(f"{path}: a <!DOCTYPE> is not read; delete it", code="doctype", path=path)
+
+
+@contextmanager
+def _includes_from(folder: Path) -> Iterator[None]:
+    """Within it, xacro looks for relative includes in a folder, and refuses one with a DOCTYPE like the top file.
+
+    xacro keeps the file at hand in a global variable, so that one thread at a time expands.
+    """
+    import xacro
+
+    parse, root = xacro.parse, xacro.root_dir
+
+    def checked(inp: Any, filename: str | None = None) -> Any:
+        if inp is None and filename is not None:
+            place = Path(xacro.root_dir) / filename
+            if place.is_file():  # otherwise xacro says what is missing
+                _refuse_doctype(read_description(place), place)
+        return parse(inp, filename)
+
+    with _EXPANDING:
+        xacro.parse, xacro.root_dir = checked, str(folder)
+        xacro.init_stacks(None)  # an expansion that failed leaves its files behind
+        try:
+            yield
+        finally:
+            xacro.parse, xacro.root_dir = parse, root
