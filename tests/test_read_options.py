@@ -109,6 +109,17 @@ def test_columns_are_ignored_in_every_format(planar3: Robot, tmp_path: Path) -> 
         load_demonstrations(path, planar3, ignore_columns=["copy", "joint1"])
 
 
+def test_a_replay_reads_its_recordings_together(tmp_path: Path, capsys) -> None:
+    """A renaming for one of the files is no mistake in the other; for rollouts there is nothing to rename."""
+    (tmp_path / "demo_1.csv").write_text(csv(TABLE))
+    (tmp_path / "demo_2.csv").write_text(csv(TABLE, HEADER.replace("joint2", "elbow")))
+    files = [str(tmp_path / f"demo_{i}.csv") for i in (1, 2)]
+    page = ["--html", str(tmp_path / "page.html")]
+    assert main(["replay", "planar3", *files, *page, "--rename", "elbow=joint2"]) == 0
+    assert main(["replay", "planar3", *files[:1], *page, "--rename", "elbow=joint2"]) == 2
+    assert "nothing in the recordings is called 'elbow'" in capsys.readouterr().err
+
+
 def test_advice_is_in_the_words_of_the_caller() -> None:
     """A Python argument in Python, a flag on the command line, nothing where the command lacks the flag."""
     assert advice("; pass {}", "rate=10", "--rate 10") == "; pass rate=10"

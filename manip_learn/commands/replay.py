@@ -55,14 +55,18 @@ def replay(
         robot = load_for_files(robot_name, files, locked or (), dirs, objects or ())
     named: dict[str, Rollout | Trajectory] = {}
     notes: list[str] = []
-    for file in files:
-        if _is_rollout(Path(file)):
-            rollout, said = Rollout.load_with_notes(file, robot)
-            named[_unique(Path(file).stem, named)] = rollout
-            notes += [f"{Path(file).name}: {note}" for note in said]
-        else:
-            for trajectory in load_demonstrations(file, robot, **(options or {})):
-                named[_unique(trajectory.name, named)] = trajectory
+    rollouts = [file for file in files if _is_rollout(Path(file))]
+    recordings = [file for file in files if file not in rollouts]
+    if options and not recordings:
+        asked = ", ".join("--" + name.replace("_", "-").removesuffix("s") for name in options)
+        raise RecordingError(f"rollouts are read as they were written, so {asked} has no use: leave it out")
+    for file in rollouts:
+        rollout, said = Rollout.load_with_notes(file, robot)
+        named[_unique(Path(file).stem, named)] = rollout
+        notes += [f"{Path(file).name}: {note}" for note in said]
+    # together, since an option may be meant for one of them
+    for trajectory in load_demonstrations(recordings, robot, **(options or {})) if recordings else ():
+        named[_unique(trajectory.name, named)] = trajectory
     return write_replay(
         robot,
         named,
