@@ -150,7 +150,11 @@ def cases_of(study: str, sets: int, first_seed: int, kinds: list[str] | None) ->
         case "phases-pose":
             yield from of(("drawer_firm", "table_flat", "door_firm"))
         case "physics":
-            yield from of(PHASES, physics=True)
+            yield from of((*PHASES, "screw", "free"), physics=True)
+            lines = of(("drawer", "table", "door", "tether", "screw", "free_sticking"), physics=True, whole=False)
+            yield from ((f"{kind}, cut", cases) for kind, cases in lines)
+            lines = of(("door_other_place", "drawer_slip", "door_slip"), n=8, physics=True)
+            yield from ((f"{kind}, whole", cases) for kind, cases in lines)
         case "lone":
             yield from of(("drawer_then_table", "door_then_drawer"), lone=True)
         case "free":
@@ -176,7 +180,7 @@ def cases_of(study: str, sets: int, first_seed: int, kinds: list[str] | None) ->
                 where = "whole" if whole else "cut"
                 named = ("drawer_other_direction", "door_other_place", "drawer_slip", "door_slip")
                 yield from ((f"{kind}, {where}", cases) for kind, cases in of(named, n=8, whole=whole))
-                for mixed in (1, 2, 4):
+                for mixed in (1, 2, 3, 4):
                     lines = of(("drawer", "door"), n=8, mixed=mixed, whole=whole)
                     yield from ((f"{kind}, {mixed} of 8, {where}", cases) for kind, cases in lines)
         case "clean":
