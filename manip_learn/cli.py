@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from manip_learn.commands import arguments as shared
-from manip_learn.commands.output import answer, progress, waiting
+from manip_learn.commands.output import answer, progress, refused_by_system, waiting
 from manip_learn.commands.read_options import ReadOptions, flags_of, takes_read_options
 from manip_learn.commands.vectors import joined_vectors, vector
 from manip_learn.errors import ManipLearnError, advice_for_command
@@ -89,29 +89,11 @@ def learn(
 
     with progress(as_json) as report:
         learnt = run(
-            robot,
-            recordings,
-            frame=frame,
-            relative_to=relative_to,
-            axes=axes,
-            reference=reference,
-            n_constraints=constraints,
-            estimator=estimator,
-            out=out,
-            html=html,
-            locked=lock,
-            package_dirs=package_dir,
-            objects=objects,
-            seed=seed,
-            points=points,
-            phases=phases,
-            mechanism=mechanism,
-            start=start,
-            until=until,
-            options=options,
-            dask=dask,
-            progress=report,
-        )
+            robot, recordings, frame=frame, relative_to=relative_to, axes=axes, reference=reference,
+            n_constraints=constraints, estimator=estimator, out=out, html=html, locked=lock,
+            package_dirs=package_dir, objects=objects, seed=seed, points=points, phases=phases,
+            mechanism=mechanism, start=start, until=until, options=options, dask=dask, progress=report
+        )  # fmt: skip
     answer(as_json, learnt.to_dict(), "print_learnt", learnt)
 
 
@@ -134,16 +116,9 @@ def audit(
 
     with progress(as_json) as report:
         audited = run(
-            robot,
-            constraint,
-            recordings,
-            csv=csv,
-            package_dirs=package_dir,
-            objects=objects,
-            options=options,
-            dask=dask,
-            progress=report,
-        )
+            robot, constraint, recordings, csv=csv, package_dirs=package_dir, objects=objects, options=options,
+            dask=dask, progress=report
+        )  # fmt: skip
     answer(as_json, audited.to_dict(), "print_audit", audited)
 
 
@@ -171,23 +146,11 @@ def control(
 
     with progress(as_json) as report:
         result = run(
-            robot,
-            constraint,
-            start=vector("--start", start),
-            target=vector("--target", target),
-            policy=policy,
-            rest=vector("--rest", rest),
-            gain=gain,
-            task_gain=task_gain,
-            duration=duration,
-            dt=dt,
-            inverse=inverse,
-            tolerance=tolerance,
-            out=out,
-            package_dirs=package_dir,
-            objects=objects,
-            progress=report,
-        )
+            robot, constraint, start=vector("--start", start), target=vector("--target", target), policy=policy,
+            rest=vector("--rest", rest), gain=gain, task_gain=task_gain, duration=duration, dt=dt,
+            inverse=inverse, tolerance=tolerance, out=out, package_dirs=package_dir, objects=objects,
+            progress=report
+        )  # fmt: skip
     answer(as_json, result.to_dict(), "print_controlled", result)
 
 
@@ -212,19 +175,33 @@ def replay(
 
     with waiting(as_json, "writing the replay"):
         page = run(
-            robot,
-            rollouts,
-            html=html,
-            open_browser=open_browser,
-            tip=tip,
-            locked=lock,
-            package_dirs=package_dir,
-            objects=objects,
-            options=options,
-            constraint_file=constraint,
-        )
+            robot, rollouts, html=html, open_browser=open_browser, tip=tip, locked=lock,
+            package_dirs=package_dir, objects=objects, options=options, constraint_file=constraint
+        )  # fmt: skip
     content = {"html": str(page.html), "bytes": page.bytes, "notes": list(page.notes)}
     answer(as_json, content, "print_replayed", page)
+
+
+@app.command()
+@takes_read_options
+def export(
+    robot: shared.RobotName,
+    files: shared.Exported,
+    out: shared.ExportOut,
+    to: shared.ExportTo = None,
+    lock: shared.Lock = None,
+    package_dir: shared.Packages = None,
+    objects: shared.Objects = None,
+    *,
+    options: ReadOptions,
+    as_json: shared.Json = False,
+) -> None:
+    """Write recordings or rollouts as MCAP, CSV, LeRobot data, or as a JointTrajectory for a controller."""
+    from manip_learn.commands.export import export as run
+
+    with waiting(as_json, "writing"):
+        result = run(robot, files, out, to, lock, package_dir, objects, options)
+    answer(as_json, result.to_dict(), "print_exported", result)
 
 
 @app.command()
@@ -270,6 +247,7 @@ def _run(command: Callable[[], Any]) -> int:
     usage_error: Any = typer.BadParameter.__mro__[1]
     try:
         outcome = command()
+        sys.stdout.flush()
     except ManipLearnError as error:
         return _complain(str(error))
     except usage_error as error:
@@ -281,6 +259,8 @@ def _run(command: Callable[[], Any]) -> int:
         return 130
     except BrokenPipeError:
         return 1
+    except OSError as error:
+        return _complain(refused_by_system(error))
     except Exception as error:  # last resort: a sentence, not a traceback
         print(f"manip-learn: internal error ({type(error).__name__}: {error}); please report it", file=sys.stderr)
         return 1

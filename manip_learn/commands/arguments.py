@@ -17,6 +17,14 @@ Dask = Annotated[str | None, typer.Option(help="Scheduler address, or local: wor
 Objects = Annotated[
     list[str] | None, typer.Option("--object", help="Object whose pose is recorded (NAME.x ... NAME.rz); repeatable.")
 ]
+Exported = Annotated[list[str], typer.Argument(metavar="FILE...", help="Recordings or rollouts, or a folder of them.")]
+ExportOut = Annotated[
+    Path,
+    typer.Option(help="A file (.mcap, .csv, .yaml: a JointTrajectory), or a folder: LeRobot, or what --to says."),
+]
+ExportTo = Annotated[
+    str | None, typer.Option(help="mcap, csv, lerobot or trajectory: format of the files in a folder.")
+]
 Rollouts = Annotated[list[str], typer.Argument(metavar="ROLLOUT...", help="Written by `control --out`; or recordings.")]
 Start = Annotated[str | None, typer.Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the rest posture.")]
 Target = Annotated[str | None, typer.Option(help="Target position, one value per axis (default: hold still).")]

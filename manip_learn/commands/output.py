@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -68,3 +69,17 @@ def answer(as_json: bool, content: dict[str, Any], printer: str = "", value: Any
     from manip_learn.commands import tables
 
     getattr(tables, printer)(console(), value)
+
+
+def refused_by_system(error: OSError) -> str:
+    """A sentence about an error of the operating system, e.g. that the answer cannot be printed (a full disk).
+
+    What was not printed is given up, so that the interpreter does not complain of it once more at its end.
+    """
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if error.filename is None:
+        return f"the answer cannot be printed: {error.strerror or error}; send it to another file or disk"
+    return f"the system refuses: {error.strerror or error} ({error.filename})"

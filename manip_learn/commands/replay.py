@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from manip_learn.commands.robot_loading import load_for_files, robot_of_constraint
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
-from manip_learn.errors import RecordingError
+from manip_learn.errors import ConstraintMismatchError, RecordingError
 from manip_learn.playback import ReplayResult
 from manip_learn.playback import replay as write_replay
 from manip_learn.playback.phase_bands import phases_from_json
@@ -50,6 +51,10 @@ def replay(
         robot = robot_of_constraint(robot_name, str(constraint_file), dirs, objects)
         constraint = Constraint.load(constraint_file, robot)
         learnt = constraint.provenance
+        if not isinstance(learnt.get("mechanism") or {}, Mapping):
+            raise ConstraintMismatchError(
+                f"{constraint_file}: its mechanism must be an object, it is {learnt['mechanism']!r:.60}: save it again"
+            )
         tip = tip or getattr(constraint.features, "frame", None)
     else:
         robot = load_for_files(robot_name, files, locked or (), dirs, objects or ())
@@ -74,7 +79,7 @@ def replay(
         tip=tip,
         open_browser=open_browser,
         phases=phases_from_json(learnt.get("phases") or []),
-        mechanism=learnt.get("mechanism"),
+        mechanism=learnt.get("mechanism") or None,
         notes=notes,
     )
 

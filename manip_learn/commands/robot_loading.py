@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from manip_learn.errors import ConstraintMismatchError, ManipLearnError, RecordingError, UnknownNameError
+from manip_learn.errors import DAMAGE, ConstraintMismatchError, ManipLearnError, RecordingError, UnknownNameError
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import ReadOptions
@@ -160,13 +160,13 @@ def _first_header(files: Sequence[str]) -> tuple[FileHeader | None, Path]:
     """The first header that a file of the library has, of the paths given or the first file in each folder."""
     for file in files:
         path = Path(file)
-        if path.is_dir():
+        if path.is_dir() and file_header(path) is None:
             try:
                 inner = recording_files(path)[0][0].path
             except RecordingError:  # reading says what is wrong with the folder
                 continue
-            path = inner if inner.is_file() else path
-        header = file_header(path) if path.is_file() else None
+            path = inner
+        header = file_header(path) if path.exists() else None
         if header is not None:
             return header, path
     return None, Path()
@@ -208,7 +208,7 @@ def robot_of_constraint(
         described = json.loads(Path(constraint_file).read_bytes()).get("robot") or {}
         joints, locked = list(described["joint_names"]), dict(described.get("locked", {}))
         saved = [str(name) for name in described.get("objects", [])]
-    except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError):
+    except DAMAGE:
         # Constraint.load says what is wrong with the file
         return load_robot(robot_name, package_dirs, objects=objects or ())
     if objects and sorted(objects) != sorted(saved):

@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # so that printing one command's answer does not load the oth
     from manip_learn.commands.audit import Audited
     from manip_learn.commands.control import Controlled
     from manip_learn.commands.demo import Demo
+    from manip_learn.commands.export import Exported
     from manip_learn.commands.learn import Learnt
     from manip_learn.commands.reproduce import Reproduction
     from manip_learn.playback import ReplayResult
@@ -231,3 +232,12 @@ def print_reproduction(console: Console, reproduction: Reproduction) -> None:
 
 def _limit(value: float) -> str:
     return f"{value:.4g}" if math.isfinite(value) else "none"
+
+
+def print_exported(console: Console, exported: Exported) -> None:
+    """What was written, and what was noticed."""
+    for note in exported.notes:
+        console.print(f"note: {escape(note)}", highlight=False, soft_wrap=True)
+    for file in exported.files:
+        console.print(f"{exported.format}: {escape(str(file))}", highlight=False, soft_wrap=True)
+    console.print(f"{exported.trajectories} trajectories, {exported.samples} samples", highlight=False)

@@ -18,7 +18,7 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.features.stacked import Stacked
-from manip_learn.errors import ConstraintError, ConstraintMismatchError, ManipLearnError
+from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError
 from manip_learn.linalg import orthonormal_rows
 from manip_learn.robot.robot import Robot
 
@@ -183,7 +183,7 @@ class Constraint:
         try:
             features = _build(content["features"], robot)
             return Constraint(content["selection"], features, content.get("provenance"))
-        except (KeyError, TypeError, AttributeError) as error:
+        except DAMAGE as error:
             raise ConstraintMismatchError(f"{path}: the file is damaged ({error!r}); save it again") from error
         except ManipLearnError as error:
             raise ConstraintMismatchError(f"{path}: {error}") from error
@@ -196,7 +196,7 @@ class Constraint:
 def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
     try:
         matrix = np.array(selection, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ConstraintError(f"the selection matrix must be numbers in rows of equal length: {error}") from error
     p = features.n_rows
     if matrix.ndim == 1:

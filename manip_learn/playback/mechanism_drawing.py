@@ -162,7 +162,7 @@ def _vector(described: Mapping[str, Any], name: str) -> Float[np.ndarray, " 3"] 
         return None
     try:
         vector = np.array(described[name], dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise RecordingError(f"the mechanism's {name} must be three numbers: {error}", code="mechanism") from error
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise RecordingError(
@@ -176,7 +176,7 @@ def _number(described: Mapping[str, Any], name: str) -> float | None:
         return None
     try:
         number = float(described[name])
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise RecordingError(f"the mechanism's {name} must be a number: {error}", code="mechanism") from error
     if not np.isfinite(number):
         raise RecordingError(f"the mechanism's {name} must be finite, got {number}", code="mechanism")

@@ -122,7 +122,7 @@ def _checked(i: int, phase: Any) -> tuple[str, PhaseBand]:
     trajectory, start, end, constraint = phase[:4]
     try:
         start, end = float(start), float(end)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise RecordingError(f"phase {i}: start and end must be numbers: {error}", code="phases") from error
     if not (math.isfinite(start) and math.isfinite(end) and start <= end):
         raise RecordingError(

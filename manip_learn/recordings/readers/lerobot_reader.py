@@ -6,7 +6,7 @@ LeRobot does not store units, so the caller must state them.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
 
@@ -17,6 +17,8 @@ from manip_learn.recordings.readers.lerobot_dataset import STATE, VELOCITY, LeRo
 from manip_learn.recordings.readers.lerobot_episodes import episode_number
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, reason
+from manip_learn.recordings.readers.saved_reader import file_header
+from manip_learn.recordings.saved_motion import check_robot
 
 try:
     import pyarrow as pa
@@ -49,12 +51,16 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         RecordingError: Units or names not known, damaged, values missing.
     """
     dataset = open_dataset(path)
+    header = file_header(path) if path.is_dir() else None
+    if header is not None:  # an export of the library, which states its robot and is in radians
+        check_robot(path, header, request.robot)
+        request = replace(request, units=request.units or "radians")
     names: tuple[str, ...] | None = None
     for episode in _episodes(dataset, request):
         if names is None:
             names = _names(dataset, request, episode.state.shape[1])
             _refuse_unknown_units(dataset, request, names, episode.state)
-        yield _recording(dataset, request, names, episode)
+        yield replace(_recording(dataset, request, names, episode), trusted=header is not None)
 
 
 def _recording(dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], episode: Episode) -> Recording:

@@ -12,12 +12,21 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import DAMAGE, RecordingError
+from manip_learn.recordings.readers.joint_trajectory_reader import is_joint_trajectory, read_joint_trajectory
 from manip_learn.recordings.readers.npz_archive import NpzArchive
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, reason
 from manip_learn.recordings.readers.saved_mcap import mcap_header, read_saved_rollout
 from manip_learn.recordings.readers.saved_text import TEXT_READERS, first_line, header_text
-from manip_learn.recordings.saved_motion import PREFIX, FileHeader, SavedMotion, check_robot, checked_motion, refusal
+from manip_learn.recordings.saved_motion import (
+    DATASET_HEADER,
+    PREFIX,
+    FileHeader,
+    SavedMotion,
+    check_robot,
+    checked_motion,
+    refusal,
+)
 from manip_learn.robot import Robot
 
 ARRAYS = ("time", "q", "u", "manipulability", "task_error")
@@ -25,12 +34,15 @@ TEXTS = ("format", "header", "status", "joint_names", "frame")
 
 
 def file_header(path: Path) -> FileHeader | None:
-    """What a file of the library says about itself; None for any other file.
+    """What a file of the library, or a LeRobot data set that it wrote, says about itself; None for any other file.
 
     Raises:
         RecordingError: The header is damaged, or of a newer version.
     """
     with _refusing_damage(path):
+        if path.is_dir():
+            inner = path / DATASET_HEADER
+            return FileHeader.from_json(inner.read_bytes()) if inner.is_file() else None
         if path.exists() and not path.is_file():
             raise refusal(path, "not-a-file", "this is not a regular file; give a rollout or a recording")
         with path.open("rb") as file:
@@ -55,6 +67,8 @@ def read_saved(path: Path) -> SavedMotion:
             start = file.read(4).removeprefix(b"\xef\xbb\xbf")[:1].decode("latin-1")
         if start == "P":
             motion = _npz_motion(path, header)
+        elif start == "#" and is_joint_trajectory(path):
+            motion = read_joint_trajectory(path, header)
         elif start in TEXT_READERS:
             motion = TEXT_READERS[start](path, header)
         else:

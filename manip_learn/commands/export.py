@@ -1,0 +1,123 @@
+"""`manip-learn export`: recordings or rollouts -> MCAP, CSV, LeRobot data, or a JointTrajectory."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+from manip_learn.atomic_write import write_atomically
+from manip_learn.commands.robot_loading import load_for_files
+from manip_learn.errors import OutputError
+from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.load_demonstrations import ReadOptions
+from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajectory
+from manip_learn.recordings.writers.csv_writer import csv_bytes
+from manip_learn.recordings.writers.joint_trajectory_writer import joint_trajectory_bytes
+from manip_learn.recordings.writers.mcap_writer import mcap_bytes
+
+LEROBOT = "lerobot"
+# name on the command line -> endings, and the writer of one motion
+FORMATS: dict[str, tuple[tuple[str, ...], Callable[[SavedMotion], bytes]]] = {
+    "mcap": ((".mcap",), mcap_bytes),
+    "csv": ((".csv",), csv_bytes),
+    "trajectory": ((".yaml", ".yml", ".json"), joint_trajectory_bytes),
+}
+
+
+@final
+@dataclass(frozen=True)
+class Exported:
+    """What was written.
+
+    Attributes:
+        format: mcap, csv, lerobot or trajectory.
+        files: Files, or the folder of a LeRobot data set.
+        trajectories: Number of trajectories.
+        samples: Number of samples of all of them.
+        notes: What was noticed while reading.
+    """
+
+    format: str
+    files: tuple[Path, ...]
+    trajectories: int
+    samples: int
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON answer."""
+        return {
+            "format": self.format,
+            "files": [str(f) for f in self.files],
+            "trajectories": self.trajectories,
+            "samples": self.samples,
+            "notes": list(self.notes),
+        }
+
+
+def export(
+    robot_name: str,
+    recordings: list[str],
+    out: Path,
+    to: str | None = None,
+    locked: list[str] | None = None,
+    package_dirs: list[str] | None = None,
+    objects: list[str] | None = None,
+    options: ReadOptions | None = None,
+) -> Exported:
+    """Read recordings or rollouts, and write them in another format.
+
+    Args:
+        robot_name: Their robot; joints are locked as the files say.
+        recordings: Files, or a folder of them.
+        out: File for one trajectory; folder for several, or for LeRobot data.
+        to: Format of the files in a folder; of a file its ending says it.
+        locked: Joints to hold still.
+        package_dirs: Folders that contain mesh packages.
+        objects: Objects whose pose is recorded.
+        options: Keywords of `load_demonstrations`.
+
+    Raises:
+        OutputError: A format that is not known, several trajectories for one file, or it cannot be written.
+        ManipLearnError: Anything that is wrong with the robot or the recordings.
+    """
+    kind = _format(out, to)
+    robot = load_for_files(robot_name, recordings, locked or (), package_dirs or (), objects or ())
+    demonstrations = load_demonstrations(recordings, robot, **(options or {}))
+    motions = [motion_of_trajectory(t, robot) for t in demonstrations]
+    if kind == LEROBOT:
+        from manip_learn.recordings.writers.lerobot_writer import write_lerobot
+
+        files = (write_lerobot(out, motions),)
+    elif out.suffix.lower() in FORMATS[kind][0]:
+        if len(motions) > 1:
+            raise OutputError(
+                f"cannot write {len(motions)} trajectories to the one file {out}: name a folder, and --to {kind}"
+            )
+        files = (write_atomically(out, FORMATS[kind][1](motions[0])),)
+    else:
+        contents = {_file_name(m.name, i, len(motions)): FORMATS[kind][1](m) for i, m in enumerate(motions)}
+        ending = FORMATS[kind][0][0]
+        files = tuple(write_atomically(out / (name + ending), content) for name, content in contents.items())
+    return Exported(kind, files, len(motions), sum(len(m.time) for m in motions), demonstrations.notes)
+
+
+def _format(out: Path, to: str | None) -> str:
+    by_ending = next((name for name, (endings, _) in FORMATS.items() if out.suffix.lower() in endings), None)
+    kind = to or by_ending or LEROBOT
+    if kind not in (*FORMATS, LEROBOT):
+        raise OutputError(f"--to must be one of {', '.join([*FORMATS, LEROBOT])}, not {to!r}")
+    if (to is None and by_ending is None and out.suffix) or (by_ending is not None and kind != by_ending):
+        raise OutputError(
+            f"cannot write {str(out)!r} as {kind}: the ending says the format, .mcap, .csv, .yaml or .json; LeRobot "
+            "data and several files are written to a folder (a name without ending)"
+        )
+    return kind
+
+
+def _file_name(name: str, index: int, n: int) -> str:
+    """A file name made of a trajectory's name: `demo_01.csv` -> `0_demo_01`."""
+    safe = re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(name).stem if Path(name).suffix else name)[:80]
+    return f"{index:0{len(str(n - 1))}d}_{safe}" if n > 1 else safe

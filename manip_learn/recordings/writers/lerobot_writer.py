@@ -1,0 +1,153 @@
+"""Motions as a LeRobot v3.0 data set: one episode each, `observation.state` and `observation.velocity` in float64.
+
+Timestamps count from the first sample of each episode. Nothing that was not recorded is made up: there is no `action`.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manip_learn.atomic_write import write_atomically
+from manip_learn.errors import MissingExtraError, OutputError
+from manip_learn.recordings.saved_motion import DATASET_HEADER, SavedMotion
+
+try:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+except ImportError as error:
+    raise MissingExtraError("writing LeRobot data", "lerobot") from error
+
+STATE, VELOCITY = "observation.state", "observation.velocity"
+TASK = "recorded motion"
+FILE = "chunk-000/file-000.parquet"
+
+
+def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
+    """Write a data set into a folder that is new or empty.
+
+    Returns:
+        The folder.
+
+    Raises:
+        OutputError: The folder has files, it cannot be written, or only some motions have velocities.
+        MissingExtraError: pyarrow is not installed.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise OutputError(f"cannot write a LeRobot data set to {folder}: it exists; name a new or an empty folder")
+    if len({m.u is None for m in motions}) > 1:
+        raise OutputError("some trajectories have velocities and others not: export them to data sets of their own")
+    table = _samples(motions)
+    fps = _rate(motions)
+    write_atomically(folder / "data" / FILE, _parquet(table))
+    write_atomically(folder / "meta" / "episodes" / FILE, _parquet(_episodes(motions)))
+    tasks = pa.table({"task_index": pa.array([0], pa.int64()), "task": [TASK]})
+    write_atomically(folder / "meta" / "tasks.parquet", _parquet(_indexed(tasks, "task")))
+    write_atomically(folder / "meta" / "stats.json", json.dumps(_statistics(table), indent=2))
+    write_atomically(folder / "meta" / "info.json", json.dumps(_info(motions, fps, table), indent=2))
+    write_atomically(folder / DATASET_HEADER, motions[0].header.to_json() + "\n")
+    return folder.resolve()
+
+
+def _samples(motions: Sequence[SavedMotion]) -> Any:
+    lengths = [len(m.time) for m in motions]
+    columns = {STATE: _vectors([m.q for m in motions])}
+    if motions[0].u is not None:
+        columns[VELOCITY] = _vectors([m.u for m in motions if m.u is not None])
+    columns["timestamp"] = pa.array(np.concatenate([m.time - m.time[0] for m in motions]))
+    columns["frame_index"] = pa.array(np.concatenate([np.arange(n) for n in lengths]))
+    columns["episode_index"] = pa.array(np.repeat(np.arange(len(motions)), lengths))
+    columns["index"] = pa.array(np.arange(sum(lengths)))
+    columns["task_index"] = pa.array(np.zeros(sum(lengths), dtype=np.int64))
+    return pa.table(columns)
+
+
+def _vectors(arrays: list[np.ndarray]) -> Any:
+    table = np.concatenate(arrays)
+    return pa.FixedSizeListArray.from_arrays(pa.array(table.ravel()), table.shape[1])
+
+
+def _episodes(motions: Sequence[SavedMotion]) -> Any:
+    lengths = np.array([len(m.time) for m in motions])
+    ends, zeros = np.cumsum(lengths), np.zeros(len(motions), dtype=np.int64)
+    return pa.table(
+        {
+            "episode_index": np.arange(len(motions)),
+            "tasks": pa.array([[TASK]] * len(motions)),
+            "length": lengths,
+            "data/chunk_index": zeros,
+            "data/file_index": zeros,
+            "dataset_from_index": ends - lengths,
+            "dataset_to_index": ends,
+            "meta/episodes/chunk_index": zeros,
+            "meta/episodes/file_index": zeros,
+        }
+    )
+
+
+def _rate(motions: Sequence[SavedMotion]) -> float:
+    """Samples per second, by the median step; an integer where it is one but for rounding."""
+    step = float(np.median(np.concatenate([np.diff(m.time) for m in motions])))
+    rate = 1.0 / step
+    return round(rate) if abs(rate - round(rate)) < 1e-3 * rate and rate >= 1.0 else rate
+
+
+def _statistics(table: Any) -> dict[str, Any]:
+    found = {}
+    for name in table.column_names:
+        column = table.column(name).combine_chunks()
+        is_vector = pa.types.is_fixed_size_list(column.type)
+        flat = column.flatten() if is_vector else column
+        values = flat.to_numpy(zero_copy_only=False).reshape(len(column), -1).astype(np.float64)
+        parts = {"min": values.min(0), "max": values.max(0), "mean": values.mean(0), "std": values.std(0)}
+        found[name] = {key: part.tolist() for key, part in parts.items()} | {"count": [len(values)]}
+    return found
+
+
+def _info(motions: Sequence[SavedMotion], fps: float, table: Any) -> dict[str, Any]:
+    header = motions[0].header
+    vector = {"dtype": "float64", "shape": [len(header.joint_names)], "names": list(header.joint_names)}
+    features: dict[str, Any] = {name: vector for name in (STATE, VELOCITY) if name in table.column_names}
+    features["timestamp"] = {"dtype": "float64", "shape": [1], "names": None}
+    for name in ("frame_index", "episode_index", "index", "task_index"):
+        features[name] = {"dtype": "int64", "shape": [1], "names": None}
+    return {
+        "codebase_version": "v3.0",
+        "robot_type": None if header.robot is None else header.robot.name,
+        "total_episodes": len(motions),
+        "total_frames": table.num_rows,
+        "total_tasks": 1,
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": fps,
+        "splits": {"train": f"0:{len(motions)}"},
+        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "video_path": None,
+        "features": features,
+    }
+
+
+def _indexed(table: Any, column: str) -> Any:
+    """The table with a column marked as the index that pandas shows, as LeRobot looks tasks up by it."""
+    described = {
+        "index_columns": [column],
+        "column_indexes": [],
+        "columns": [
+            {"name": n, "field_name": n, "pandas_type": kind, "numpy_type": dtype, "metadata": None}
+            for n, kind, dtype in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+        ],
+        "pandas_version": "2.0.0",
+    }
+    return table.replace_schema_metadata({"pandas": json.dumps(described)})
+
+
+def _parquet(table: Any) -> bytes:
+    stream = io.BytesIO()
+    pq.write_table(table, stream)
+    return stream.getvalue()

@@ -1,0 +1,133 @@
+"""`manip-learn export`: what is written is what our own readers, and other programs', read again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_saved_files import arm, rollout_of
+
+from manip_learn.cli import main
+from manip_learn.errors import RecordingError
+from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.saved_motion import motion_of_trajectory
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.writers.joint_trajectory_writer import joint_trajectory_bytes
+from manip_learn.robot import Robot, load_robot
+
+RECORDING = "time,j1,j2,j3,j1_velocity,j2_velocity,j3_velocity\n"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """An arm, another arm, and a folder of two recordings on it, at odd times."""
+    folder = tmp_path_factory.mktemp("export")
+    arm(folder / "arm.urdf")
+    arm(folder / "longer.urdf", length=1.1)
+    (folder / "demos").mkdir()
+    for k in range(2):
+        t = np.arange(40) * 0.01 + 1e-9 * np.arange(40) % 3
+        q = np.column_stack([np.sin(t + k), np.cos(t), 0.3 * t])
+        u = np.column_stack([np.cos(t + k), -np.sin(t), 0.3 + 0.0 * t])
+        rows = [",".join(map(repr, row)) for row in np.column_stack([t, q, u]).tolist()]
+        (folder / "demos" / f"demo_{k}.csv").write_text(RECORDING + "\n".join(rows) + "\n", encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def robot(folder: Path) -> Robot:
+    return load_robot(folder / "arm.urdf")
+
+
+@pytest.mark.parametrize("to", ["mcap", "csv", "lerobot", "trajectory"])
+def test_recordings_come_back(to: str, folder: Path, robot: Robot, tmp_path: Path, capsys) -> None:
+    """Positions and velocities bit for bit in each format; times too, or to the nanosecond where the format has those.
+    Another robot is refused.
+    """
+    pytest.importorskip({"mcap": "rosbags", "lerobot": "pyarrow"}.get(to, "numpy"))
+    out = tmp_path / "out"
+    assert (
+        main(["export", str(folder / "arm.urdf"), str(folder / "demos"), "--out", str(out), "--to", to, "--json"]) == 0
+    )
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["format"], answer["trajectories"], answer["samples"]) == (to, 2, 80)
+    assert len(answer["files"]) == (1 if to == "lerobot" else 2)
+    before, after = load_demonstrations(folder / "demos", robot), load_demonstrations(out, robot)
+    assert len(after) == 2
+    for a, b in zip(before, after, strict=True):
+        assert a.q.tobytes() == b.q.tobytes()
+        assert a.u is not None and b.u is not None and a.u.tobytes() == b.u.tobytes()
+        if to in ("csv", "lerobot"):
+            assert a.time.tobytes() == b.time.tobytes()
+        np.testing.assert_array_equal(np.rint(1e9 * a.time), np.rint(1e9 * b.time))
+    with pytest.raises(RecordingError, match="'arm'") as caught:
+        load_demonstrations(out, load_robot(folder / "longer.urdf"))
+    assert caught.value.code == "other-robot"
+
+
+def test_a_rollout_with_a_locked_joint(folder: Path, tmp_path: Path, capsys) -> None:
+    """The joint is locked again by the command, and by the file that it writes."""
+    robot = load_robot(folder / "arm.urdf", locked={"j2": 1.2})
+    rollout = rollout_of(robot)
+    run, out = rollout.save(tmp_path / "run.npz"), tmp_path / "run.yaml"
+    assert main(["export", str(folder / "arm.urdf"), str(run), "--out", str(out)]) == 0
+    assert "51 samples" in capsys.readouterr().out
+    demonstration = load_demonstrations(out, robot)[0]
+    assert demonstration.q.tobytes() == rollout.q.tobytes()
+    with pytest.raises(RecordingError, match="'j2' is locked at 1.2, not free to move"):
+        load_demonstrations(out, load_robot(folder / "arm.urdf"))
+
+
+def test_a_trajectory_is_yaml_for_ros(robot: Robot) -> None:
+    """As `ros2 topic pub` reads it: the fields of JointTrajectory, every number one in YAML 1.1, increasing times."""
+    yaml = pytest.importorskip("ruamel.yaml", reason="the extra 'ros' is not installed").YAML(typ="safe", pure=True)
+    yaml.version = (1, 1)
+    time = np.array([3.0, 3.1, 3.25])
+    q = np.array([[1e-5, 1e22, -0.0], [1.0, 2.5e-300, 0.1], [0.2, 0.3, 1.0 / 3.0]])
+    text = joint_trajectory_bytes(motion_of_trajectory(Trajectory(time, q, -q, robot.joint_names), robot)).decode()
+    message = yaml.load(text)
+    assert set(message) == {"header", "joint_names", "points"}
+    assert message["joint_names"] == list(robot.joint_names)
+    assert np.array([p["positions"] for p in message["points"]], dtype=float).tobytes() == q.tobytes()
+    assert all(isinstance(x, float) for p in message["points"] for x in p["positions"] + p["velocities"])
+    starts = [(p["time_from_start"]["sec"], p["time_from_start"]["nanosec"]) for p in message["points"]]
+    assert starts == [(0, 0), (0, 100_000_000), (0, 250_000_000)]
+
+
+def test_lerobot_metadata(folder: Path, tmp_path: Path) -> None:
+    """The files of a v3.0 data set, and numbers in them that agree with the samples."""
+    pq = pytest.importorskip("pyarrow.parquet", reason="the extra 'lerobot' is not installed")
+    out = tmp_path / "set"
+    assert main(["export", str(folder / "arm.urdf"), str(folder / "demos"), "--out", str(out)]) == 0
+    info = json.loads((out / "meta" / "info.json").read_text())
+    assert (info["codebase_version"], info["fps"], info["total_episodes"], info["total_frames"]) == ("v3.0", 100, 2, 80)
+    table = pq.read_table(out / info["data_path"].format(chunk_index=0, file_index=0))
+    assert set(table.column_names) == set(info["features"])
+    episodes = pq.read_table(out / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    assert [(e["dataset_from_index"], e["dataset_to_index"], e["length"]) for e in episodes] == [
+        (0, 40, 40),
+        (40, 80, 40),
+    ]
+    stats = json.loads((out / "meta" / "stats.json").read_text())
+    states = np.array(table.column("observation.state").to_pylist())
+    np.testing.assert_allclose(stats["observation.state"]["mean"], states.mean(0), rtol=1e-12)
+    assert pq.read_table(out / "meta/tasks.parquet").num_rows == info["total_tasks"] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--out", "a.xyz"], "ending says the format"),
+        (["--out", "a.mcap", "--to", "csv"], "ending says the format"),
+        (["--out", "a", "--to", "hdf5"], "--to must be one of"),
+        (["--out", "a.csv"], "name a folder"),
+    ],
+)
+def test_wrong_outputs_are_refused(arguments: list[str], words: str, folder: Path, tmp_path: Path, monkeypatch, capsys):
+    """Unknown formats, contradictions, and several trajectories for one file: one sentence, exit code 2, no file."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", str(folder / "arm.urdf"), str(folder / "demos"), *arguments]) == 2
+    assert words in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
