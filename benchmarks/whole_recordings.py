@@ -29,6 +29,7 @@ from make_recordings.arms import LOCKED
 from make_recordings.kinds import FREE
 from recording_cases import STUDIES, Case, cases_of
 from recording_scores import (
+    INSIDE,
     lone_figures,
     mechanisms_figures,
     odd_figures,
@@ -57,7 +58,7 @@ COLUMNS = (
     "place mm",
     "radius mm",
     "pitch %",
-    "error / std",
+    *INSIDE.values(),
     "odd missed",
     "false alarms",
     "lone named",
@@ -144,6 +145,8 @@ def line_of(study: str, name: str, outcomes: list[Outcome]) -> str:
         values = np.array([o.figures[column] for o in outcomes if column in o.figures])
         if not len(values):
             cells.append("")
+        elif column in INSIDE.values():
+            cells.append(f"{100.0 * values.mean():.0f} %")
         elif column in COUNTED:
             cells.append(f"{values.sum():.0f}")
         else:

@@ -194,7 +194,7 @@ def _mechanism(part: Part, settings: LearnerSettings) -> MechanismFit | None:
     maps = [f for f in part.feature_maps if isinstance(f, FrameJacobian)]
     if not settings.mechanism or not maps or settings.estimator not in ("auto", "null-space"):
         return None
-    return mechanism_of(maps, part.demonstrations, np.random.default_rng(settings.seed))
+    return mechanism_of(maps, part.demonstrations, np.random.default_rng(settings.seed), part.recorded)
 
 
 def _with_mechanism(answer: Answer, settings: LearnerSettings, fit: Fit, asked: int | None) -> Answer:

@@ -82,7 +82,7 @@ def bootstrap_angle_deg(
     n, m = gradients.shape[0], s * (r - s)
     if n < 2 or m == 0:
         return None
-    influence = _influences(gradients, hessians, prior)[:, -m:]
+    influence = influences(gradients, hessians, prior)[:, -m:]
     weights = rng.multinomial(n, np.full(n, 1.0 / n), size=repetitions) - 1.0
     # where few trajectories carry most of the influence their spread is itself uncertain: Student's distribution
     energy = np.sum((influence @ _whitener(influence)) ** 2, axis=1)
@@ -98,7 +98,7 @@ def bootstrap_angle_deg(
     return float(np.degrees(np.quantile(angles, quantile)))
 
 
-def _influences(
+def influences(
     gradients: Float[np.ndarray, "g d"], hessians: Float[np.ndarray, "g d d"], prior: PolicyPrior | None = None
 ) -> Float[np.ndarray, "g d"]:
     """Contribution of each trajectory to the error, centred, its residual corrected for the leverage on the fit.

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory_source import TrajectorySource
 from manip_learn.robot.robot import Robot
 
 # up to this many samples are learnt from directly; of more, this many are chosen, and all of them refine the answer.
@@ -90,3 +94,23 @@ def check_joints(joint_names: tuple[str, ...], robot: Robot | None) -> None:
             f"{', '.join(robot.joint_names)}: load them with load_demonstrations(files, robot), which sorts by name",
             code="joint-names",
         )
+
+
+def in_memory(
+    demonstrations: TrajectorySource | Iterable[Trajectory], feature_maps: Sequence[FeatureMap]
+) -> Demonstrations | TrajectorySource | Iterable[Trajectory]:
+    """Demonstrations in memory with the joints of the features; a stream as it is.
+
+    Raises:
+        RecordingError: The joints are those of another robot.
+    """
+    if not isinstance(demonstrations, Demonstrations | Sequence | Iterator):
+        return demonstrations
+    demos = demonstrations if isinstance(demonstrations, Demonstrations) else Demonstrations(demonstrations)
+    robot = getattr(feature_maps[0], "robot", None)
+    if not demos.joint_names:
+        names = tuple(f"q{i}" for i in range(feature_maps[0].nv)) if robot is None else robot.joint_names
+        demos = demos.with_joint_names(names)
+    for features in feature_maps:
+        check_joints(demos.joint_names, getattr(features, "robot", None))
+    return demos

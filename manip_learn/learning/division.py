@@ -15,6 +15,7 @@ from manip_learn.learning.agreement.agreement import Agreement, judge_agreement
 from manip_learn.learning.agreement.edges import held_part, is_chance
 from manip_learn.learning.agreement.interruption import interruptions
 from manip_learn.learning.agreement.reason import reason
+from manip_learn.learning.before_smoothing import BeforeSmoothing
 from manip_learn.learning.phases.decoding import TRIM
 from manip_learn.learning.phases.find_phases import find_phases, one_constraint_fits, too_short
 from manip_learn.learning.phases.find_tethers import find_tethers
@@ -43,6 +44,7 @@ class Part:
         feature_maps: The candidates for Phi.
         n_constraints: Number of rows that the phases show; None: from the data.
         is_held: Whether the division showed already that the world holds the rows (b = 0).
+        source: All recordings before they were smoothed; None if they were not.
     """
 
     demonstrations: Demonstrations
@@ -50,6 +52,12 @@ class Part:
     feature_maps: tuple[FeatureMap, ...]
     n_constraints: int | None = None
     is_held: bool = False
+    source: BeforeSmoothing | None = None
+
+    @property
+    def recorded(self) -> list[Trajectory] | None:
+        """The demonstrations as they were recorded; None if they are."""
+        return None if self.source is None else self.source.of(self.stretches, self.demonstrations)
 
 
 @final

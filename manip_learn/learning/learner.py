@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
@@ -14,9 +15,10 @@ from manip_learn.errors import FeatureError, NotIdentifiableError, NumberOfConst
 from manip_learn.learning.advice import advise, advise_in_general
 from manip_learn.learning.all_answers import find_answers
 from manip_learn.learning.answer import Answer
+from manip_learn.learning.before_smoothing import BeforeSmoothing
 from manip_learn.learning.bootstrap import bootstrap_angle_deg
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
-from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, check_joints
+from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, in_memory
 from manip_learn.learning.division import Division, Part, divide, undivided
 from manip_learn.learning.evidence.joint_offsets import JointOffsets
 from manip_learn.learning.excitation import check_fastest
@@ -134,7 +136,7 @@ class ConstraintLearner:
         """
         self._buffer = None
         self._forget()
-        data = self._with_velocities(demonstrations)
+        data = in_memory(demonstrations, self._feature_maps)
         if isinstance(data, Demonstrations):
             self._fit_demonstrations(data, client, progress)
         else:
@@ -155,12 +157,14 @@ class ConstraintLearner:
 
         self._forget()
         buffer = self._buffer or TrajectoryBuffer()
-        buffer.add(source_of(self._with_velocities(demonstrations)), self._feature_maps, self.velocities)
+        data = in_memory(demonstrations, self._feature_maps)
+        data = self._with_velocities(data) if isinstance(data, Demonstrations) else data
+        buffer.add(source_of(data), self._feature_maps, self.velocities)
         self._buffer = buffer
         self._fit_stream(buffer, None, None)
         return self
 
-    def _fit_demonstrations(self, demonstrations: Demonstrations, client: Any, progress: Progress | None) -> None:
+    def _fit_demonstrations(self, recorded: Demonstrations, client: Any, progress: Progress | None) -> None:
         """Parts of the recordings -> a constraint, its evidence and mechanism for each -> uncertainty -> report."""
 
         def fit(part: Part, settings: LearnerSettings) -> tuple[Candidate, DataSummary]:
@@ -170,11 +174,14 @@ class ConstraintLearner:
             source = source_of(part.demonstrations)
             return self._refined(source, part.feature_maps, settings, client, progress)[:2]
 
+        demonstrations = self._with_velocities(recorded)
         with one_thread():
             started = time.perf_counter()
             everything = DataSummary.of(demonstrations)
             check_fastest(everything.u, everything, demonstrations.joint_names)
-            division = self._divide(demonstrations)
+            division, source = self._divide(demonstrations), BeforeSmoothing(demonstrations, recorded)
+            parts = tuple(dataclasses.replace(part, source=source) for part in division.parts)
+            division = dataclasses.replace(division, parts=parts)
             try:
                 answers, division = find_answers(division, demonstrations, self._settings, fit)
             except NotIdentifiableError as refusal:
@@ -258,20 +265,8 @@ class ConstraintLearner:
             self.n_constraints, self.estimator, self.policy_model, self.seed, mechanism=self.mechanism == "auto"
         )
 
-    def _with_velocities(
-        self, demonstrations: TrajectorySource | Iterable[Trajectory]
-    ) -> Demonstrations | TrajectorySource | Iterable[Trajectory]:
-        """Demonstrations in memory with the joints of the features and with velocities; a stream as it is."""
-        if not isinstance(demonstrations, Demonstrations | Sequence | Iterator):
-            return demonstrations
-        demos = demonstrations if isinstance(demonstrations, Demonstrations) else Demonstrations(demonstrations)
-        robot = getattr(self._feature_maps[0], "robot", None)
-        if not demos.joint_names:
-            names = tuple(f"q{i}" for i in range(self._feature_maps[0].nv)) if robot is None else robot.joint_names
-            demos = demos.with_joint_names(names)
-        for features in self._feature_maps:
-            check_joints(demos.joint_names, getattr(features, "robot", None))
-        return with_velocities(demos, robot, self.velocities)
+    def _with_velocities(self, demonstrations: Demonstrations) -> Demonstrations:
+        return with_velocities(demonstrations, getattr(self._feature_maps[0], "robot", None), self.velocities)
 
     def _forget(self) -> None:
         """A fit that refuses must not leave the answer to other demonstrations behind."""

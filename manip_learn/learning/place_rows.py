@@ -16,6 +16,7 @@ from manip_learn.learning.evidence.recombination import recombination_test
 from manip_learn.learning.evidence.row_evidence import RowEvidence
 from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_mechanism
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 
 # trajectories beyond this number add nothing to a mechanism but time
 MOST_PATHS = 16
@@ -31,16 +32,24 @@ POSITION_ROWS = {
 
 
 def mechanism_of(
-    feature_maps: Sequence[FeatureMap], demonstrations: Demonstrations, rng: np.random.Generator
+    feature_maps: Sequence[FeatureMap],
+    demonstrations: Demonstrations,
+    rng: np.random.Generator,
+    recorded: Sequence[Trajectory] | None = None,
 ) -> MechanismFit | None:
-    """What the path of the features' frame says, where the features belong to a frame of a robot."""
+    """What the path of the features' frame says, where the features belong to a frame of a robot.
+
+    `recorded`: the demonstrations before they were smoothed, if they were.
+    """
     maps = [f for f in feature_maps if isinstance(f, FrameJacobian)]
     if not maps:
         return None
     n = len(demonstrations)
     chosen = np.unique(np.linspace(0, n - 1, min(n, MOST_PATHS)).round().astype(int)).tolist()
+    before = None if recorded is None else [recorded[i] for i in chosen]
+    robot, frame = maps[0].robot, maps[0].frame.name
     try:
-        found = find_mechanism(maps[0].robot, maps[0].frame.name, [demonstrations[i] for i in chosen], rng)
+        found = find_mechanism(robot, frame, [demonstrations[i] for i in chosen], rng, recorded=before)
     except NotIdentifiableError:
         return None
     return dataclasses.replace(found, odd=tuple(chosen[i] for i in found.odd))

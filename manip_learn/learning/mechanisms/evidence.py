@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+from jaxtyping import Float
 
 from manip_learn.learning.mechanisms.fits import SMALLEST, Fit, fit_candidate
 from manip_learn.learning.mechanisms.residuals import QUANTITIES
@@ -105,14 +106,20 @@ def disagreement(paths: TipPaths, fit: Fit) -> tuple[float, bool]:
     return float(np.median(ratios)), unlike
 
 
-def radius_of(paths: TipPaths, fit: Fit) -> tuple[float, float] | None:
-    """Mean distance from the axis or the centre and its standard deviation [m]; None where there is none."""
+def radius_of(paths: TipPaths, fit: Fit, errors: Float[np.ndarray, "k 7"] | None = None) -> tuple[float, float] | None:
+    """Mean distance from the axis or the centre and its standard deviation [m]; None where there is none.
+
+    With draws of the error of axis, point and pitch these make the standard deviation, not the fit's covariance.
+    """
     unknowns = fit.candidate.unknowns
     name = "distance" if "point" in unknowns else "radius" if "point-across" in unknowns else None
     if name is None:
         return None
     values, J = QUANTITIES[name].evaluate(paths, fit.place)
-    slope = J.mean(axis=(0, 1)) @ fit.tangents
+    slope = J.mean(axis=(0, 1))
+    if errors is not None:
+        return float(values.mean()), float(np.std(errors @ slope))
+    slope = slope @ fit.tangents
     return float(values.mean()), float(np.sqrt(max(slope @ fit.covariance @ slope, 0.0)))
 
 

@@ -14,19 +14,19 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.place_fields import across
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning.mechanisms.choice import APART, REPEATED, Alternative, Choice, axes_apart, choose, with_shared
+from manip_learn.learning.mechanisms.choice import APART, REPEATED, Alternative, Choice, choose
 from manip_learn.learning.mechanisms.consensus import agreeing
-from manip_learn.learning.mechanisms.evidence import Scales, margins, radius_of
+from manip_learn.learning.mechanisms.evidence import Scales, margins
 from manip_learn.learning.mechanisms.fits import Fit
 from manip_learn.learning.mechanisms.mechanism import Mechanism
-from manip_learn.learning.mechanisms.residuals import QUANTITIES, angles_about, turn_about
+from manip_learn.learning.mechanisms.refined import refined
+from manip_learn.learning.mechanisms.residuals import QUANTITIES
 from manip_learn.learning.mechanisms.tip_paths import TipPaths, recombined, thinned
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 
 SAMPLES = 60  # of each trajectory in the comparison
-REFINED = 300  # of each trajectory in the last fit
 BLIND = 1e-6  # rows of Phi below this are ones that the arm cannot move
 SOFT = 0.03  # share of the motion left in the held rows: hardware stays below
 POOR_RADIUS, POOR_AXIS = 0.2, 5.0  # relative, and [deg]: one standard deviation above which a fit is no answer
@@ -72,6 +72,7 @@ def find_mechanism(
     rng: np.random.Generator,
     *,
     confirm: Confirm | None = None,
+    recorded: Sequence[Trajectory] | None = None,
 ) -> MechanismFit:
     """The mechanism that held a frame of the robot while the trajectories were recorded.
 
@@ -83,16 +84,19 @@ def find_mechanism(
         frame: The frame that is held, e.g. the tool's tip. It matters: what holds the tip is a surface or a curve for
             no other frame.
         trajectories: Motion in contact only (phases cut); at least two, better five.
-        rng: For the exchange of joints between trajectories, the test against repeated motions.
+        rng: For the exchange of joints between trajectories, the test against repeated motions, and for draws of the
+            error.
         confirm: A further test of the constraint that was found, e.g. on other rows of the same recordings; False
             refuses it.
+        recorded: The same trajectories as they were recorded, if `trajectories` are smoothed: the place is fitted to
+            these, since smoothing costs the ends of an arc, and its errors are those of neighbours, too.
 
     Raises:
         UnknownNameError: No such frame; lists near matches.
         NotIdentifiableError: No trajectory has ten samples, or nothing moves.
     """
     tip = robot.frame(frame)
-    every = [np.stack([robot.positions(q) for q in t.q]) if t.q.shape[1] != robot.nv else t.q for t in trajectories]
+    every = [_postures(robot, t) for t in trajectories]
     numbers = [i for i, q in enumerate(every) if len(q) >= 10]
     if not numbers:
         raise NotIdentifiableError("no trajectory has ten samples: there is no path to look at", code="too-short")
@@ -102,9 +106,8 @@ def find_mechanism(
     table = choice.table
     if choice.fit is None:
         return MechanismFit(None, None, None, {}, table, _why_none(table))
-    fine = TipPaths.of(robot, tip, [thinned(q, REFINED) for q in postures])
-    fit = with_shared(fine, choice.fit)
-    mechanism = described(fine, fit, choice.rival)
+    last = postures if recorded is None else [_postures(robot, recorded[numbers[i]]) for i in kept]
+    fit, mechanism = refined(robot, tip, last, choice.fit, choice.rival, rng)
     held_out = {
         unit: max(float(fit.held_out[n].max()) for n in fit.candidate.holds if QUANTITIES[n].unit == unit)
         for unit in {QUANTITIES[n].unit for n in fit.candidate.holds}
@@ -119,6 +122,11 @@ def find_mechanism(
         return MechanismFit(None, None, None, held_out, table, reason)
     warnings = (*_warnings(choice, len(postures)), *_wide(mechanism))
     return MechanismFit(mechanism, features, selection, held_out, table, "", warnings, odd)
+
+
+def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]:
+    q = trajectory.q
+    return np.stack([robot.positions(x) for x in q]) if q.shape[1] != robot.nv else q
 
 
 def _compared(
@@ -168,53 +176,6 @@ def _warnings(choice: Choice, n_trajectories: int) -> tuple[str, ...]:
             f"{chosen.name}; move it farther"
         )
     return tuple(warnings)
-
-
-def described(paths: TipPaths, fit: Fit, rival: Fit | None = None) -> Mechanism:
-    """The mechanism of a fit, with the uncertainty of each parameter; a rival that fits as well widens the axis."""
-    c, place = fit.candidate, fit.place
-    C = fit.tangents @ fit.covariance @ fit.tangents.T
-    axis = place.axis * (1.0 if place.axis[int(np.argmax(np.abs(place.axis)))] > 0.0 else -1.0)
-    known, radius = set(c.unknowns), radius_of(paths, fit)
-    uncertainty: dict[str, float] = {}
-    if "axis" in known:
-        uncertainty["axis"] = float(np.degrees(np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1])))
-        if rival is not None and rival.candidate.type == "screw":
-            uncertainty["axis"] = max(uncertainty["axis"], axes_apart(fit, rival))
-    if known & {"point", "point-across"}:
-        uncertainty["point"] = float(np.sqrt(np.linalg.eigvalsh(C[3:6, 3:6])[-1]))
-    if radius is not None:
-        uncertainty["radius"] = radius[1]
-    if "pitch" in known:
-        uncertainty["pitch"] = float(np.sqrt(C[6, 6]))
-    return Mechanism(
-        c.type,
-        axis if "axis" in known else None,
-        None if c.type == "held-orientation" else place.point,
-        None if radius is None else radius[0],
-        place.pitch if "pitch" in known else None,
-        "loose" if c.orientation == "free" else "firm",
-        c.orientation,
-        uncertainty,
-        _arc(paths, fit),
-        c.name,
-    )
-
-
-def _arc(paths: TipPaths, fit: Fit) -> float | None:
-    c = fit.candidate
-    if c.orientation == "carried" and "axis" in c.unknowns:
-        angle = turn_about(paths, fit.place.axis)
-    elif "point-across" in c.unknowns:
-        angle = angles_about(paths, fit.place)
-    elif "point" in c.unknowns:
-        d = paths.p - fit.place.point
-        d /= np.linalg.norm(d, axis=1, keepdims=True)
-        mean = d.mean(axis=0) / np.linalg.norm(d.mean(axis=0))
-        return float(2.0 * np.arccos(np.clip(d @ mean, -1.0, 1.0)).max())
-    else:
-        return None
-    return float(max(np.ptp(angle[paths.part(i)]) for i in range(len(paths.starts))))
 
 
 def _poor(mechanism: Mechanism) -> str:

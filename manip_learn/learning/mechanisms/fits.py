@@ -169,7 +169,7 @@ def _judged(
     """Held-out residuals and the covariance, from one Gauss-Newton step without each trajectory in turn."""
     r, J = _stacked(paths, candidate, place, shared, scale)
     m, n = J.shape[2], len(paths.starts)
-    groups = _groups(paths)
+    groups = clusters(paths)
     edges = [g.start for g in groups]
     H = np.add.reduceat(np.einsum("ndi,ndj->nij", J, J), edges, axis=0)
     g = np.add.reduceat(np.einsum("ndi,nd->ni", J, r), edges, axis=0)
@@ -195,7 +195,7 @@ def _judged(
     return Fit(candidate, place, shared, held, cost, white * np.outer(ratio, ratio), tangents(candidate, place))
 
 
-def _groups(paths: TipPaths) -> list[slice]:
+def clusters(paths: TipPaths) -> list[slice]:
     """Trajectories; quarters of them where there are fewer than three."""
     parts = [paths.part(i) for i in range(len(paths.starts))]
     if len(parts) >= 3:

@@ -40,8 +40,10 @@ class Mechanism:
         grip: `"firm"` if the mechanism holds the hand's orientation too, `"loose"` if the hand may turn.
         orientation: What the hand may do: `"free"`, `"about-axis"`, `"fixed"` or `"carried"` (it turns with the
             mechanism).
-        uncertainty: One standard deviation of each parameter, from the spread over trajectories: `"axis"` [deg],
-            `"point"` [m], `"radius"` [m], `"pitch"` [m/rad]; the largest over directions.
+        uncertainty: What the error of each parameter stays below in 68 % of cases: `"axis"` [deg], `"point"` [m],
+            `"radius"` [m], `"pitch"` [m/rad]; one standard deviation of a single number, the length of the error of an
+            axis (two directions) or a point. It speaks of errors of the joints, those that differ from sample to sample
+            and constant ones, and of what the trajectories scatter beyond these.
         arc: By how much the path turns about the axis or the centre [rad]; None where nothing turns.
         name: Which of the candidates it is, e.g. `"hinge, firm"`.
     """
