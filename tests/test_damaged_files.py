@@ -111,6 +111,7 @@ def test_damaged_rollouts(suffix: str, robot: Robot, rollout: Rollout, tmp_path:
 
 
 @pytest.mark.fuzz
+@pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning")  # of forged numbers such as 1e308
 def test_damaged_constraints(robot: Robot, rollout: Rollout, tmp_path: Path, rng, capsys) -> None:
     """Bytes and values changed in a constraint file, from its robot to its mechanism: one sentence, code 2."""
     features = FrameJacobian(robot, robot.frame_names[-1], "planar")

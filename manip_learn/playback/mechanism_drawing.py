@@ -16,6 +16,7 @@ CIRCLE_POINTS = 96
 MARGIN = 0.25  # how far lines and patches reach beyond the motion, relative to its extent
 LEAST_MARGIN = 0.06  # [m]
 MAX_TURNS = 12.0  # of a screw that is drawn
+MAX_NUMBER = 1e9  # [m] what is farther away cannot be drawn
 MAX_TEXT = 400
 
 
@@ -164,9 +165,10 @@ def _vector(described: Mapping[str, Any], name: str) -> Float[np.ndarray, " 3"] 
         vector = np.array(described[name], dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise RecordingError(f"the mechanism's {name} must be three numbers: {error}", code="mechanism") from error
-    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
+    if vector.shape != (3,) or not np.all(np.abs(vector) < MAX_NUMBER):
         raise RecordingError(
-            f"the mechanism's {name} must be three finite numbers, got {described[name]!r:.80}", code="mechanism"
+            f"the mechanism's {name} must be three finite numbers below {MAX_NUMBER:g}, got {described[name]!r:.80}",
+            code="mechanism",
         )
     return vector
 
@@ -178,6 +180,8 @@ def _number(described: Mapping[str, Any], name: str) -> float | None:
         number = float(described[name])
     except (TypeError, ValueError, OverflowError) as error:
         raise RecordingError(f"the mechanism's {name} must be a number: {error}", code="mechanism") from error
-    if not np.isfinite(number):
-        raise RecordingError(f"the mechanism's {name} must be finite, got {number}", code="mechanism")
+    if not abs(number) < MAX_NUMBER:
+        raise RecordingError(
+            f"the mechanism's {name} must be finite and below {MAX_NUMBER:g}, got {number}", code="mechanism"
+        )
     return number
