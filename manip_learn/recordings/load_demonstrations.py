@@ -12,7 +12,9 @@ from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.readers.episode_files import select_episodes
 from manip_learn.recordings.readers.episode_selection import EpisodeSelection
 from manip_learn.recordings.readers.option_uses import OptionUses, refuse_unmatched
+from manip_learn.recordings.readers.parser_process import parsed_recordings
 from manip_learn.recordings.readers.read_request import ReadRequest, TimeUnit, Units
+from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.readers.recording_files import RecordingFile, recording_files
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import unmoved_joint_names
@@ -136,7 +138,7 @@ def read_recordings(
     found = False
     request = replace(request, uses=OptionUses())
     for file in files:
-        for recording in file.format.reader()(file.path, request):
+        for recording in _recordings(file, request):
             validated = validate(recording, request)
             for note in validated.notes:
                 by_text.setdefault(note, []).append(recording.name)
@@ -148,6 +150,12 @@ def read_recordings(
     if notes is not None:
         notes += _sentences(by_text)
         notes += request.unmatched()
+
+
+def _recordings(file: RecordingFile, request: ReadRequest) -> Iterator[Recording]:
+    if file.format.is_foreign:
+        return parsed_recordings(file.format.module, file.path, request.for_parser())
+    return file.format.reader()(file.path, request)
 
 
 def _sentences(by_text: dict[str, list[str]]) -> list[str]:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Unpack, final
 
 from manip_learn.recordings.load_demonstrations import Paths, ReadOptions, open_recordings, read_recordings
-from manip_learn.recordings.readers.file_format import LEROBOT, read_json
+from manip_learn.recordings.readers.file_format import LEROBOT
+from manip_learn.recordings.readers.json_file import read_json
 from manip_learn.recordings.readers.lerobot_dataset import open_dataset
 from manip_learn.recordings.readers.lerobot_episodes import episode_number
 from manip_learn.recordings.readers.recording_files import RecordingFile, recording_files

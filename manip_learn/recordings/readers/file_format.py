@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import importlib
-import json
-import stat
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.readers.csv_dialect import CsvDialect, sniff_dialect
-from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.json_file import check_regular
 from manip_learn.recordings.readers.recording import Recording, reason
 from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.writers.csv_writer import MARK
 
-Read = Callable[[Path, ReadRequest], Iterator[Recording]]
+Read = Callable[[Path, Any], Iterator[Recording]]
 
 
 @final
@@ -30,11 +28,13 @@ class FileFormat:
         name: Short name.
         title: Common name.
         module: Module with `read(path, request) -> Iterator[Recording]`; imported when it is first needed.
+        is_foreign: True if another library parses it, which is done in a process of its own.
     """
 
     name: str
     title: str
     module: str
+    is_foreign: bool = False
 
     def reader(self) -> Read:
         """The function that reads it.
@@ -47,9 +47,11 @@ class FileFormat:
 
 CSV = FileFormat("csv", "text tables (CSV)", "manip_learn.recordings.readers.csv_reader")
 NPZ = FileFormat("npz", "NumPy archives (.npz)", "manip_learn.recordings.readers.npz_reader")
-ROSBAG = FileFormat("rosbag", "ROS bags", "manip_learn.recordings.readers.rosbag_reader")
-LEROBOT = FileFormat("lerobot", "LeRobot data", "manip_learn.recordings.readers.lerobot_reader")
-ROBOMIMIC = FileFormat("robomimic", "robomimic HDF5", "manip_learn.recordings.readers.robomimic_reader")
+ROSBAG = FileFormat("rosbag", "ROS bags", "manip_learn.recordings.readers.rosbag_reader", is_foreign=True)
+LEROBOT = FileFormat("lerobot", "LeRobot data", "manip_learn.recordings.readers.lerobot_reader", is_foreign=True)
+ROBOMIMIC = FileFormat(
+    "robomimic", "robomimic HDF5", "manip_learn.recordings.readers.robomimic_reader", is_foreign=True
+)
 SAVED = FileFormat("saved", "files of manip_learn", "manip_learn.recordings.readers.saved_reader")
 FORMATS = (CSV, NPZ, ROSBAG, LEROBOT, ROBOMIMIC)
 
@@ -85,30 +87,6 @@ REFUSED_MAGIC: tuple[tuple[bytes, str, str], ...] = (
     (b"\x89PNG", "not-a-recording", "an image"),
     (b"\xff\xd8\xff", "not-a-recording", "an image"),
 )
-
-
-def check_regular(path: Path) -> None:
-    """Refuse what is neither a file nor there.
-
-    Raises:
-        RecordingError: Missing, not readable, a pipe, a device.
-    """
-    try:
-        mode = path.stat().st_mode
-        if not stat.S_ISREG(mode):
-            raise RecordingError(
-                f"{path}: this is not a regular file; give a recording or a folder of recordings",
-                code="not-a-file",
-                path=path,
-            )
-        with path.open("rb"):
-            pass
-    except FileNotFoundError as error:
-        raise RecordingError(
-            f"{path}: there is no such file: check the path", code="missing-file", path=path
-        ) from error
-    except (OSError, ValueError) as error:
-        raise RecordingError(f"{path}: cannot be opened: {reason(error)}", code="unreadable", path=path) from error
 
 
 def recognise(path: Path) -> FileFormat:
@@ -199,20 +177,3 @@ def looks_like_table(path: Path) -> bool:
     except RecordingError:
         return False
     return "time" in dialect.columns and len(dialect.columns) > 1
-
-
-def read_json(path: Path, most_bytes: int = 10_000_000) -> object:
-    """A small JSON file.
-
-    Raises:
-        RecordingError: Too large or not JSON.
-    """
-    check_regular(path)
-    if path.stat().st_size > most_bytes:
-        raise RecordingError(
-            f"{path}: larger than {most_bytes:,} bytes, which no such file should be", code="too-large", path=path
-        )
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{path}: not valid JSON: {reason(error)}", code="damaged", path=path) from error

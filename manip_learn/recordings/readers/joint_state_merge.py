@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from manip_learn.errors import advice
 from manip_learn.recordings.readers.joint_state_streams import JointStateStream
-from manip_learn.recordings.validation.time_checks import GAP_FACTOR
+from manip_learn.recordings.readers.recording import GAP_FACTOR
 
 USUAL_TOPIC = "/joint_states"
 SET_BACK = 1_000_000_000  # [ns] a clock that goes back this far was reset

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, final
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.readers.file_format import read_json
-from manip_learn.recordings.readers.recording_files import natural_order
+from manip_learn.recordings.readers.json_file import read_json
+from manip_learn.recordings.readers.natural_order import natural_order
 
 STATE, VELOCITY = "observation.state", "observation.velocity"
 KNOWN_VERSIONS = ("v2.", "v3.")

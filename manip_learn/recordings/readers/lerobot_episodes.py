@@ -8,12 +8,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from manip_learn.errors import MissingExtraError, RecordingError, UnknownNameError, advice
+from manip_learn.errors import RecordingError, UnknownNameError, advice
 from manip_learn.recordings.readers.lerobot_dataset import SEARCHED_LEVELS, open_dataset
+from manip_learn.recordings.readers.natural_order import natural_order
+from manip_learn.recordings.readers.parser_process import parsed_rows
 from manip_learn.recordings.readers.recording import reason
-from manip_learn.recordings.readers.recording_files import natural_order
 
 ONE_EPISODE = re.compile(r"episode_(\d{1,9})\.parquet")  # files of version 2
+ROWS = "manip_learn.recordings.readers.parquet_rows"  # the parser of what describes the episodes
 MOST_BYTES = 200_000_000  # of meta/episodes.jsonl: a million episodes
 
 
@@ -36,7 +38,7 @@ def episode_numbers(path: Path) -> tuple[int, ...]:
         if number is not None:
             numbers.add(number)
         else:
-            numbers |= {int(row["episode_index"]) for row in _rows(file, ("episode_index",))}
+            numbers |= {int(row["episode_index"]) for row in parsed_rows(ROWS, file, ("episode_index",))}
     return tuple(sorted(numbers))
 
 
@@ -68,7 +70,7 @@ def _described_episodes(path: Path) -> Iterator[tuple[int, tuple[str, ...]]]:
     if lines.is_file():
         rows: Iterator[dict[str, Any]] = _json_lines(lines)
     elif tables:
-        rows = (row for table in tables for row in _rows(table, ("episode_index", "tasks")))
+        rows = (row for table in tables for row in parsed_rows(ROWS, table, ("episode_index", "tasks")))
     else:
         raise RecordingError(
             f"{path}: the data set does not name the tasks of its episodes (no meta/episodes.jsonl or meta/episodes/): "
@@ -111,26 +113,3 @@ def _json_lines(path: Path) -> Iterator[dict[str, Any]]:
                     yield row
     except (ValueError, RecursionError, OSError) as error:
         raise RecordingError(f"{path}: not valid JSON lines: {reason(error)}", code="damaged", path=path) from error
-
-
-def _rows(file: Path, columns: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """Some columns of a Parquet file, row by row; a column that is missing is left out."""
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        raise MissingExtraError("reading LeRobot data", "lerobot") from error
-    try:
-        with pq.ParquetFile(file) as parquet:
-            there = [c for c in columns if c in parquet.schema_arrow.names]
-            if columns[0] not in there:
-                yield {columns[0]: 0}  # a file without episode numbers is one episode
-                return
-            for batch in parquet.iter_batches(columns=there):
-                yield from batch.to_pylist()
-    except (pa.ArrowException, OSError, ValueError, KeyError, NotImplementedError, RuntimeError) as error:
-        raise RecordingError(
-            f"{file.name}: the Parquet file cannot be read ({reason(error)}): download or write it again",
-            code="damaged",
-            path=file,
-        ) from error

@@ -15,7 +15,7 @@ import numpy as np
 from manip_learn.errors import MissingExtraError, RecordingError, advice
 from manip_learn.recordings.readers.lerobot_dataset import STATE, VELOCITY, LeRobotDataset, open_dataset
 from manip_learn.recordings.readers.lerobot_episodes import episode_number
-from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.parser_request import ParserRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, reason
 from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.saved_motion import check_robot
@@ -44,7 +44,7 @@ class Episode:
     velocity: np.ndarray | None
 
 
-def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
+def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
     """One recording per episode; one episode in memory at a time.
 
     Raises:
@@ -63,7 +63,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         yield replace(_recording(dataset, request, names, episode), trusted=header is not None)
 
 
-def _recording(dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], episode: Episode) -> Recording:
+def _recording(dataset: LeRobotDataset, request: ParserRequest, names: tuple[str, ...], episode: Episode) -> Recording:
     position = [i for i, n in enumerate(names) if not n.endswith(".vel")]
     velocity = [i for i, n in enumerate(names) if n.endswith(".vel")]
     position_names = tuple(_joint_name(names[i], request) for i in position)
@@ -92,14 +92,14 @@ def _recording(dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, 
     )
 
 
-def _joint_name(name: str, request: ReadRequest) -> str:
+def _joint_name(name: str, request: ParserRequest) -> str:
     wanted = request.renamed(name)
     if wanted in request.robot.joint_names:
         return wanted
     return request.renamed(wanted.removesuffix(".pos").removesuffix(".vel"))
 
 
-def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ReadRequest) -> tuple[np.ndarray, list[str]]:
+def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ParserRequest) -> tuple[np.ndarray, list[str]]:
     """Positions with the gripper's 0 .. 100 in the unit of the other motors."""
     robot = request.robot
     if GRIPPER not in names or GRIPPER not in robot.joint_names or request.units == "radians":
@@ -115,7 +115,7 @@ def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ReadRequest
     return positions, ["the gripper's 0 .. 100 is spread over its joint limits"]
 
 
-def _names(dataset: LeRobotDataset, request: ReadRequest, width: int) -> tuple[str, ...]:
+def _names(dataset: LeRobotDataset, request: ParserRequest, width: int) -> tuple[str, ...]:
     names = request.joint_names or dataset.names
     request.uses.use("joint_names")
     if names is None:
@@ -133,7 +133,7 @@ def _names(dataset: LeRobotDataset, request: ReadRequest, width: int) -> tuple[s
 
 
 def _refuse_unknown_units(
-    dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], state: np.ndarray
+    dataset: LeRobotDataset, request: ParserRequest, names: tuple[str, ...], state: np.ndarray
 ) -> None:
     if request.units is not None:
         return
@@ -156,7 +156,7 @@ def _refuse_unknown_units(
     )
 
 
-def _episodes(dataset: LeRobotDataset, request: ReadRequest) -> Iterator[Episode]:
+def _episodes(dataset: LeRobotDataset, request: ParserRequest) -> Iterator[Episode]:
     """Episodes of all files, or the chosen ones; one may go on in the next file."""
     open_parts: list[Episode] = []
     for file in dataset.files:
@@ -184,7 +184,7 @@ def _joined(parts: list[Episode]) -> Episode:
     )
 
 
-def _parts(file: Path, dataset: LeRobotDataset, request: ReadRequest) -> Iterator[Episode]:
+def _parts(file: Path, dataset: LeRobotDataset, request: ParserRequest) -> Iterator[Episode]:
     """Runs of samples with the same episode number, batch by batch; only the needed columns are read."""
     try:
         with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
@@ -218,7 +218,7 @@ def _refuse_bomb(file: Path, n_rows: int) -> None:
         )
 
 
-def _split(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest) -> Iterator[Episode]:
+def _split(file: Path, batch: Any, dataset: LeRobotDataset, request: ParserRequest) -> Iterator[Episode]:
     state = _matrix(file, batch, STATE)
     velocity = _matrix(file, batch, VELOCITY) if VELOCITY in batch.schema.names else None
     episode = _vector(file, batch, "episode_index") if "episode_index" in batch.schema.names else np.zeros(len(state))
@@ -229,7 +229,7 @@ def _split(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest
             yield Episode(int(episode[a]), time[a:b], state[a:b], None if velocity is None else velocity[a:b])
 
 
-def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest) -> np.ndarray:
+def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ParserRequest) -> np.ndarray:
     if "timestamp" in batch.schema.names:
         return _vector(file, batch, "timestamp")
     rate = request.rate or dataset.fps

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import final
+from typing import Any, final
 
 from manip_learn.errors import RecordingError, advice, closest_names
 
@@ -48,6 +48,16 @@ class OptionUses:
     def use(self, option: str, *names: str) -> None:
         """An option was used; of options that list names, these."""
         self._used.setdefault(option, set()).update(names)
+
+    def as_words(self) -> dict[str, Any]:
+        """As JSON can write it."""
+        return {"used": {option: sorted(names) for option, names in self._used.items()}, "seen": list(self._seen)}
+
+    def add_words(self, words: dict[str, Any]) -> None:
+        """What was used and seen elsewhere, from what `as_words` gave."""
+        for option, names in words["used"].items():
+            self.use(option, *names)
+        self.see(*words["seen"])
 
     def unmatched(
         self,

@@ -10,6 +10,7 @@ from typing import Literal, final, get_args
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.readers.episode_selection import EpisodeSelection
 from manip_learn.recordings.readers.option_uses import OptionUses, UnmatchedOption
+from manip_learn.recordings.readers.parser_request import ParserRequest, RobotOutline
 from manip_learn.robot import Robot
 
 Units = Literal["radians", "degrees", "normalised"]
@@ -103,6 +104,19 @@ class ReadRequest:
         for name in asked:
             self.uses.use("ignore_columns", name)
         return bool(asked)
+
+    def for_parser(self) -> ParserRequest:
+        """What a parser in another process needs of it."""
+        robot = self.robot
+        outline = RobotOutline(
+            joint_names=robot.joint_names,
+            continuous=tuple(b.name for b in robot.blocks if b.kind == "continuous"),
+            position_lower=tuple(map(float, robot.position_lower)),
+            position_upper=tuple(map(float, robot.position_upper)),
+        )
+        return ParserRequest(
+            outline, self.units, dict(self.rename), self.joint_names, self.topics, self.rate, self.chosen, self.uses
+        )
 
 
 def _check_choice(option: str, value: object, allowed: tuple[object, ...]) -> None:

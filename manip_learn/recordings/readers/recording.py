@@ -13,6 +13,7 @@ from jaxtyping import Float
 from manip_learn.errors import RecordingError
 
 LONGEST = 160
+GAP_FACTOR = 10.0  # times the usual step: a break in a recording
 
 
 @final

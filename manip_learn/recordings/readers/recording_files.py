@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import final
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.readers.file_format import CSV, FileFormat, folder_format, looks_like_table, recognise
+from manip_learn.recordings.readers.natural_order import natural_order
 from manip_learn.recordings.readers.recording import reason
 
 
@@ -21,13 +21,6 @@ class RecordingFile:
 
     path: Path
     format: FileFormat
-
-
-def natural_order(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Sort key that puts `demo_2` before `demo_10`."""
-    parts = re.findall(r"\d+|\D+", name)
-    # CPython refuses to convert thousands of digits
-    return tuple((0, int(p), "") if p.isdecimal() and len(p) < 400 else (1, 0, p) for p in parts)
 
 
 def recording_files(

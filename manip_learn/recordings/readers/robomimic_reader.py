@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError, advice
-from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.natural_order import natural_order
+from manip_learn.recordings.readers.parser_request import ParserRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, reason
-from manip_learn.recordings.readers.recording_files import natural_order
 
 try:
     import h5py
@@ -28,7 +28,7 @@ ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200  # bytes, and how much smaller packed
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, MemoryError, ArithmeticError)
 
 
-def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
+def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
     """One recording per demonstration; one in memory at a time.
 
     Raises:
@@ -149,7 +149,7 @@ def _matrix(path: Path, dataset: Any, where: str) -> np.ndarray:
     return float_array(dataset[()])
 
 
-def _names(path: Path, request: ReadRequest) -> tuple[str, ...]:
+def _names(path: Path, request: ParserRequest) -> tuple[str, ...]:
     if request.joint_names is None:
         raise _refusal(
             path,
@@ -165,7 +165,7 @@ def _names(path: Path, request: ReadRequest) -> tuple[str, ...]:
     return request.joint_names
 
 
-def _rate(path: Path, data: Any, request: ReadRequest) -> tuple[float, str]:
+def _rate(path: Path, data: Any, request: ParserRequest) -> tuple[float, str]:
     if request.rate is not None:
         request.uses.use("rate")
         return request.rate, f"no time stamps in the file: {request.rate:g} samples per second, as asked"

@@ -12,12 +12,11 @@ from manip_learn.errors import RecordingError, closest_names
 from manip_learn.recordings.readers.bag_file import JOINT_STATE, BagFile, open_bag
 from manip_learn.recordings.readers.joint_state_merge import MergeError, joint_groups, merge, topics_of_joints
 from manip_learn.recordings.readers.joint_state_streams import JointStateStream, joint_state_streams
-from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.parser_request import ParserRequest
 from manip_learn.recordings.readers.recording import Recording
-from manip_learn.recordings.validation.joint_matching import match_joints
 
 
-def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
+def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
     """The one recording of a bag; time counts from the first sample.
 
     Raises:
@@ -33,11 +32,11 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         chosen, said = topics_of_joints(streams, joints)
         notes += said
         if len(chosen) < len(joints):
-            _refuse_missing(path, request, streams)
+            yield _without_samples(path, streams)
+            return
         groups, said = joint_groups(streams, chosen)
         notes += said
-        continuous = frozenset(b.name for b in request.robot.blocks if b.kind == "continuous")
-        merged = merge(groups, continuous)
+        merged = merge(groups, frozenset(request.robot.continuous))
     except MergeError as error:
         raise RecordingError(f"{path.name}: {error}", code=error.code, path=path) from error
     notes += merged.notes
@@ -58,7 +57,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     )
 
 
-def _topics(bag: BagFile, request: ReadRequest) -> tuple[str, ...]:
+def _topics(bag: BagFile, request: ParserRequest) -> tuple[str, ...]:
     if not bag.joint_topics:
         there = ", ".join(f"{t} ({k})" for t, k in list(bag.topics.items())[:8]) or "no topics"
         raise RecordingError(
@@ -80,14 +79,13 @@ def _topics(bag: BagFile, request: ReadRequest) -> tuple[str, ...]:
     return request.topics
 
 
-def _renamed(stream: JointStateStream, request: ReadRequest) -> JointStateStream:
+def _renamed(stream: JointStateStream, request: ParserRequest) -> JointStateStream:
     return replace(stream, names=tuple(request.renamed(n) for n in stream.names))
 
 
-def _refuse_missing(path: Path, request: ReadRequest, streams: list[JointStateStream]) -> None:
+def _without_samples(path: Path, streams: list[JointStateStream]) -> Recording:
+    """The names only, for the message about those that are missing."""
     if not any(len(s.stamps) for s in streams):
         raise RecordingError(f"{path.name}: the joint-state topics of the bag have no message", code="empty", path=path)
     names = tuple(dict.fromkeys(n for s in streams for n in s.names))
-    match_joints(
-        Recording(path, path.name, np.empty(0), names, np.empty((0, len(names))), strict_columns=False), request
-    )
+    return Recording(path, path.name, np.empty(0), names, np.empty((0, len(names))), strict_columns=False)

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from manip_learn.errors import DAMAGE, RecordingError
 from manip_learn.recordings.readers.joint_trajectory_reader import is_joint_trajectory, read_joint_trajectory
 from manip_learn.recordings.readers.npz_archive import NpzArchive
+from manip_learn.recordings.readers.parser_process import parsed_recordings
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, reason
 from manip_learn.recordings.readers.saved_mcap import mcap_header, read_saved_rollout
@@ -29,6 +30,7 @@ from manip_learn.recordings.saved_motion import (
 )
 from manip_learn.robot import Robot
 
+BAG_PARSER = "manip_learn.recordings.readers.rosbag_reader"
 ARRAYS = ("time", "q", "u", "manipulability", "task_error")
 TEXTS = ("format", "header", "status", "joint_names", "frame")
 
@@ -85,9 +87,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     header = file_header(path)
     notes = () if header is None else check_robot(path, header, request.robot)
     if header is not None and header.kind == "recording" and _is_mcap(path):
-        from manip_learn.recordings.readers.rosbag_reader import read as read_bag
-
-        for recording in read_bag(path, request):
+        for recording in parsed_recordings(BAG_PARSER, path, request.for_parser()):
             yield replace(recording, trusted=True)
         return
     motion = read_saved(path)

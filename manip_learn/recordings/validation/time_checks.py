@@ -7,9 +7,8 @@ from jaxtyping import Bool, Float, Int
 
 from manip_learn.errors import RecordingError, advice
 from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest
-from manip_learn.recordings.readers.recording import Recording
+from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording
 
-GAP_FACTOR = 10.0
 BUNCHED = 0.02  # of the usual step
 UNIT_WORDS = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 # a stamp of the years 1973 to 5138 in each unit; seconds end where milliseconds begin

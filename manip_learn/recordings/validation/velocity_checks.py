@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from manip_learn.errors import advice
-from manip_learn.recordings.readers.recording import Recording
-from manip_learn.recordings.validation.time_checks import GAP_FACTOR, unit_refusal
+from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording
+from manip_learn.recordings.validation.time_checks import unit_refusal
 
 DEGREE = math.degrees(1.0)
 MOVED = 0.02  # [rad or m] a joint must move to be judged
