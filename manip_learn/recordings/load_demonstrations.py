@@ -16,6 +16,8 @@ from manip_learn.recordings.readers.parser_process import parsed_recordings
 from manip_learn.recordings.readers.read_request import ReadRequest, TimeUnit, Units
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.readers.recording_files import RecordingFile, recording_files
+from manip_learn.recordings.readers.saved_reader import file_header
+from manip_learn.recordings.saved_motion import check_robot
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import unmoved_joint_names
 from manip_learn.recordings.validation.validate import validate
@@ -154,6 +156,9 @@ def read_recordings(
 
 def _recordings(file: RecordingFile, request: ReadRequest) -> Iterator[Recording]:
     if file.format.is_foreign:
+        header = file_header(file.path) if file.path.is_dir() else None
+        if header is not None:
+            check_robot(file.path, header, request.robot)
         return parsed_recordings(file.format.module, file.path, request.for_parser())
     return file.format.reader()(file.path, request)
 

@@ -18,7 +18,6 @@ from manip_learn.recordings.readers.lerobot_episodes import episode_number
 from manip_learn.recordings.readers.parser_request import ParserRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, reason
 from manip_learn.recordings.readers.saved_reader import file_header
-from manip_learn.recordings.saved_motion import check_robot
 
 try:
     import pyarrow as pa
@@ -52,8 +51,7 @@ def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
     """
     dataset = open_dataset(path)
     header = file_header(path) if path.is_dir() else None
-    if header is not None:  # an export of the library, which states its robot and is in radians
-        check_robot(path, header, request.robot)
+    if header is not None:  # an export of the library, which is in radians; its robot has been checked
         request = replace(request, units=request.units or "radians")
     names: tuple[str, ...] | None = None
     for episode in _episodes(dataset, request):

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
 import json
 import os
 import signal
 import sys
 import types
 from typing import IO, Any
+
+ROWS = 10_000  # in one answer
 
 
 def main() -> None:
@@ -48,8 +51,9 @@ def serve(job: dict[str, Any], answers: IO[bytes]) -> None:
         with advice:
             module = importlib.import_module(job["module"])
             if request is None:
-                for row in module.parquet_rows(Path(job["path"]), tuple(job["columns"])):
-                    say(answers, {"kind": "row", "row": row})
+                rows = module.parquet_rows(Path(job["path"]), tuple(job["columns"]))
+                while batch := list(itertools.islice(rows, ROWS)):
+                    say(answers, {"kind": "rows", "rows": batch})
             else:
                 for recording in module.read(Path(job["path"]), request):
                     say_recording(answers, recording)

@@ -28,7 +28,7 @@ SECONDS, BYTES_PER_SECOND = 8.0, 1_000_000  # of processor time, and more for la
 SILENCE = 10.0  # times as long on the clock, for slow disks and busy machines
 START_SECONDS = 60.0  # for the libraries to be loaded
 FINISH_SECONDS, MOST_SKIPPED = 0.5, 20  # of a job whose further answers nobody wants
-PARTS = ("recording", "row")
+PARTS = ("recording", "rows")
 
 Answer = tuple[dict[str, Any], dict[str, Any]]  # words, and arrays by name
 
@@ -64,8 +64,7 @@ def parsed_rows(module: str, path: Path, columns: tuple[str, ...]) -> Iterator[d
     """
     job = {"module": module, "path": os.path.abspath(path), "request": None, "columns": columns}
     for words, _ in _answers(path, job):
-        if words["kind"] == "row":
-            yield words["row"]
+        yield from words.get("rows", ())
 
 
 def _answers(path: Path, job: dict[str, Any]) -> Iterator[Answer]:
