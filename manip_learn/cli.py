@@ -268,7 +268,8 @@ def _run(command: Callable[[], Any]) -> int:
 
 
 def _complain(sentence: str) -> int:
-    print(f"manip-learn: {' '.join(sentence.split())}", file=sys.stderr)
+    printable = sentence.encode("utf-8", "backslashreplace").decode()  # names in a damaged file may be no text
+    print(f"manip-learn: {' '.join(printable.split())}", file=sys.stderr)
     return 2
 
 
