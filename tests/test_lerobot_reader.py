@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from manip_learn.cli import main
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import iter_demonstrations, load_demonstrations
-from manip_learn.recordings.readers.lerobot_dataset import entry_names
+from manip_learn.recordings.readers.lerobot_state import entry_names
 from manip_learn.robot import Robot, load_robot
 
 pa = pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")
@@ -263,3 +264,106 @@ def test_episodes_are_read_one_by_one(planar3: Robot, tmp_path: Path) -> None:
     assert next(episodes).name == "set episode 0"
     with pytest.raises(RecordingError, match="episode_000010"):
         list(episodes)
+
+
+def droid(root: Path, version: str, *, with_state: bool = True) -> Path:
+    """A data set in the layout of DROID: joints under a key of their own, beside a state with the gripper's opening."""
+    q = {i: motion(i) for i in (0, 1, 2)}
+    joints = np.concatenate(list(q.values())).astype(np.float32)
+    whole = np.column_stack([joints, np.linspace(0, 1, len(joints), dtype=np.float32)])
+    velocity = np.concatenate([np.gradient(x, 1 / FPS, axis=0) for x in q.values()]).astype(np.float32)
+    columns = {
+        "observation.state.joint_position": pa.array(joints.tolist(), type=pa.list_(pa.float32())),
+        "observation.state.joint_velocity": pa.array(velocity.tolist(), type=pa.list_(pa.float32())),
+        "observation.state.cartesian_position": pa.array(np.zeros((len(joints), 6)).tolist()),
+    }
+    if with_state:
+        columns["observation.state"] = pa.array(whole.tolist(), type=pa.list_(pa.float32()))
+    frames = table(q).drop_columns(["observation.state", "action"])
+    for name, values in columns.items():
+        frames = frames.append_column(name, values)
+    axes = [f"joint_{i}" for i in range(3)]
+    features = {
+        "observation.state.joint_position": {"dtype": "float32", "shape": [3], "names": {"axes": axes}},
+        "observation.state.joint_velocity": {"dtype": "float32", "shape": [3], "names": {"axes": axes}},
+        "observation.state.cartesian_position": {"dtype": "float32", "shape": [6], "names": None},
+        "observation.images.wrist": {"dtype": "video", "shape": [180, 320, 3], "names": None},
+        "language_instruction": {"dtype": "string", "shape": [1], "names": None},
+    }
+    if with_state:
+        features["observation.state"] = {"dtype": "float32", "shape": [4], "names": {"axes": [*axes, "gripper"]}}
+    if version == "v2.1":
+        index = frames["episode_index"].to_numpy()
+        files = {f"data/chunk-000/episode_{i:06d}.parquet": frames.filter(index == i) for i in q}
+    else:
+        files = {"data/chunk-000/file-000.parquet": frames}
+    return dataset(root, {**info(None, version), "features": features}, files)
+
+
+KEY = "observation.state.joint_position"
+NAMED = {"joint_names": JOINTS, "units": "radians", "feature": KEY}
+
+
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_joints_under_another_key_are_read(version: str, planar3: Robot, tmp_path: Path) -> None:
+    """`feature` names the key, its velocities come along, and episodes are selected as ever."""
+    demos = load_demonstrations(droid(tmp_path / "set", version), planar3, **NAMED, episodes="1:3")
+    assert [t.name for t in demos] == ["set episode 1", "set episode 2"]
+    for t, i in zip(demos, (1, 2), strict=True):
+        np.testing.assert_array_equal(t.q, motion(i).astype(np.float32))
+        np.testing.assert_array_equal(t.u, np.gradient(motion(i), 1 / FPS, axis=0).astype(np.float32))
+
+
+def test_the_usual_state_is_read_with_a_note_on_the_other_key(planar3: Robot, tmp_path: Path) -> None:
+    """Nothing is chosen in silence where two keys look like joint positions."""
+    options = {"joint_names": [*JOINTS, "grip"], "units": "radians", "ignore_columns": ["grip"]}
+    demos = load_demonstrations(droid(tmp_path / "set", "v3.0"), planar3, **options)
+    np.testing.assert_array_equal(demos[0].q, motion(0).astype(np.float32))
+    assert f"feature='{KEY}' reads it" in " ".join(demos.notes)
+
+
+@pytest.mark.parametrize(
+    ("feature", "said"),
+    [
+        (None, f"there is no feature 'observation.state', joint positions seem to be in '{KEY}'.*feature='{KEY}'"),
+        ("observation.state.joint_positon", f"did you mean '{KEY}'"),
+        ("observation.images.wrist", "holds video, joint positions are a vector of numbers"),
+        ("language_instruction", "holds string"),
+    ],
+)
+def test_a_wrong_key_is_an_error_with_near_matches(feature, said: str, planar3: Robot, tmp_path: Path) -> None:
+    """Left out where there is no usual state, misspelt, or no vector of numbers: what to pass is said."""
+    path = droid(tmp_path / "set", "v3.0", with_state=False)
+    with pytest.raises(RecordingError, match=said) as caught:
+        load_demonstrations(path, planar3, **{**NAMED, "feature": feature})
+    assert caught.value.code == "no-state"
+
+
+def test_a_feature_of_a_table_has_no_use(planar3: Robot, tmp_path: Path) -> None:
+    """Only LeRobot data sets have features."""
+    path = tmp_path / "demo.csv"
+    path.write_text("time,joint1,joint2,joint3\n" + "".join(f"{i / 50},{i / 100},1,{i / 200}\n" for i in range(60)))
+    with pytest.raises(RecordingError, match="features are those of LeRobot data sets"):
+        load_demonstrations(path, planar3, feature=KEY)
+
+
+def test_the_command_line_replays_selected_episodes_of_any_key(tmp_path: Path, capsys) -> None:
+    """`replay` takes the same options as `learn`, and its errors name flags."""
+    path = droid(tmp_path / "set", "v3.0", with_state=False)
+    words = ["replay", "planar3", str(path), "--html", str(tmp_path / "page.html"), "--units", "radians"]
+    assert main([*words, "--joint-names", ",".join(JOINTS)]) == 2
+    assert f"read it with --feature {KEY}" in capsys.readouterr().err
+    words += ["--joint-names", ",".join(JOINTS), "--feature", KEY, "--episodes", "0:2"]
+    assert main(words) == 0
+    page = (tmp_path / "page.html").read_text()
+    assert "set episode 1" in page
+    assert "set episode 2" not in page
+
+
+def test_an_option_that_matches_nothing_is_found_in_the_parsing_process_too(planar3: Robot, tmp_path: Path) -> None:
+    """Foreign formats are parsed elsewhere; what was used there is known here."""
+    path = version_3(tmp_path / "set")
+    with pytest.raises(RecordingError, match="nothing in the recordings is called 'jiont1'; did you mean 'joint1'"):
+        load_demonstrations(path, planar3, units="radians", rename={"jiont1": "joint1"})
+    with pytest.raises(RecordingError, match="have time stamps"):
+        load_demonstrations(path, planar3, units="radians", rate=50.0)

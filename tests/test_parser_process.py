@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -159,6 +160,7 @@ def test_ctrl_c_ends_a_parser_that_is_deaf(parser: str, tmp_path: Path) -> None:
     script = [sys.executable, "-c", INTERRUPTED, str(tmp_path), str(tmp_path / "two.odd"), str(file(tmp_path, "hang"))]
     process = subprocess.Popen(script, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None and process.stdout.readline() == "reading\n"
+    time.sleep(1.0)  # until it has handed the file over
     process.send_signal(signal.SIGINT)
     said, _ = process.communicate(timeout=60)
     assert said == "interrupted []\n" and process.returncode == 0

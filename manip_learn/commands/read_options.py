@@ -31,6 +31,7 @@ def read_options(
     episodes: Annotated[
         str | None, typer.Option(help="Which to read, from 0, e.g. 0:50,60,75: LeRobot episodes, or files in order.")
     ] = None,
+    feature: Annotated[str | None, typer.Option(help="LeRobot feature that holds the joint positions.")] = None,
     task: Annotated[str | None, typer.Option(help="Read only the LeRobot episodes that show this task.")] = None,
 ) -> dict[str, Any]:
     """Keywords of `load_demonstrations`; what was not given is left out. The reader checks the values.
@@ -51,6 +52,7 @@ def read_options(
         "last_line": last_line,
         "episodes": episodes,
         "task": task,
+        "feature": feature,
     }
     return {key: value for key, value in given.items() if value is not None and value != []}
 

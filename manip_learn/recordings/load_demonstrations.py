@@ -49,6 +49,8 @@ class ReadOptions(TypedDict, total=False):
         episodes: Which episodes to read: text such as `"0:50,60,75"` (counted from 0; 0:50 is 0 to 49) or numbers. Of a
             LeRobot data set they are numbers of episodes; else places of files in natural order.
         task: Only the episodes of a LeRobot data set that show this task.
+        feature: Feature of a LeRobot data set that holds the joint positions, e.g.
+            `"observation.state.joint_position"`; not given: `observation.state`.
     """
 
     degrees: bool
@@ -63,6 +65,7 @@ class ReadOptions(TypedDict, total=False):
     last_line: Literal["drop", "keep"]
     episodes: str | int | Iterable[int] | None
     task: str | None
+    feature: str | None
 
 
 def load_demonstrations(paths: Paths, robot: Robot, **options: Unpack[ReadOptions]) -> Demonstrations:

@@ -13,8 +13,9 @@ from typing import Any, final
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError, advice
-from manip_learn.recordings.readers.lerobot_dataset import STATE, VELOCITY, LeRobotDataset, open_dataset
+from manip_learn.recordings.readers.lerobot_dataset import LeRobotDataset, open_dataset
 from manip_learn.recordings.readers.lerobot_episodes import episode_number
+from manip_learn.recordings.readers.lerobot_state import StateFeature, state_feature
 from manip_learn.recordings.readers.parser_request import ParserRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, reason
 from manip_learn.recordings.readers.saved_reader import file_header
@@ -53,12 +54,22 @@ def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
     header = file_header(path) if path.is_dir() else None
     if header is not None:  # an export of the library, which is in radians; its robot has been checked
         request = replace(request, units=request.units or "radians")
+    feature = state_feature(dataset.root, dataset.features, request.feature)
+    request.uses.use("feature")
     names: tuple[str, ...] | None = None
-    for episode in _episodes(dataset, request):
+    for episode in _episodes(dataset, feature, request):
         if names is None:
-            names = _names(dataset, request, episode.state.shape[1])
+            names = _names(dataset, feature, request, episode.state.shape[1])
             _refuse_unknown_units(dataset, request, names, episode.state)
-        yield replace(_recording(dataset, request, names, episode), trusted=header is not None)
+        recording = _recording(dataset, request, names, episode)
+        yield replace(recording, trusted=header is not None, notes=(*recording.notes, *_other_features(feature)))
+
+
+def _other_features(feature: StateFeature) -> list[str]:
+    if not feature.others:
+        return []
+    how = advice(" ({} reads it)", f"feature={feature.others[0]!r}", f"--feature {feature.others[0]}")
+    return [f"read from {feature.position}; also like joint positions, not used: {', '.join(feature.others)}{how}"]
 
 
 def _recording(dataset: LeRobotDataset, request: ParserRequest, names: tuple[str, ...], episode: Episode) -> Recording:
@@ -113,19 +124,21 @@ def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ParserReque
     return positions, ["the gripper's 0 .. 100 is spread over its joint limits"]
 
 
-def _names(dataset: LeRobotDataset, request: ParserRequest, width: int) -> tuple[str, ...]:
-    names = request.joint_names or dataset.names
+def _names(dataset: LeRobotDataset, feature: StateFeature, request: ParserRequest, width: int) -> tuple[str, ...]:
+    names = request.joint_names or feature.names
     request.uses.use("joint_names")
     if names is None:
         raise _refusal(
             dataset.root,
             "no-joint-names",
-            f"the data set does not name the {width} entries of {STATE}: "
+            f"the data set does not name the {width} entries of {feature.position}: "
             + advice("pass {} in their order", "joint_names=[...]", "--joint-names NAME,NAME,..."),
         )
     if len(names) != width:
         raise _refusal(
-            dataset.root, "shape", f"{STATE} has {width} entries, there are {len(names)} names: {', '.join(names)}"
+            dataset.root,
+            "shape",
+            f"{feature.position} has {width} entries, there are {len(names)} names: {', '.join(names)}",
         )
     return names
 
@@ -154,14 +167,14 @@ def _refuse_unknown_units(
     )
 
 
-def _episodes(dataset: LeRobotDataset, request: ParserRequest) -> Iterator[Episode]:
+def _episodes(dataset: LeRobotDataset, feature: StateFeature, request: ParserRequest) -> Iterator[Episode]:
     """Episodes of all files, or the chosen ones; one may go on in the next file."""
     open_parts: list[Episode] = []
     for file in dataset.files:
         number = episode_number(file)
         if request.chosen is not None and number is not None and number not in request.chosen:
             continue
-        for part in _parts(file, dataset, request):
+        for part in _parts(file, dataset, feature, request):
             if request.chosen is not None and part.index not in request.chosen:
                 continue
             if open_parts and open_parts[0].index != part.index:
@@ -182,19 +195,25 @@ def _joined(parts: list[Episode]) -> Episode:
     )
 
 
-def _parts(file: Path, dataset: LeRobotDataset, request: ParserRequest) -> Iterator[Episode]:
+def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: ParserRequest) -> Iterator[Episode]:
     """Runs of samples with the same episode number, batch by batch; only the needed columns are read."""
     try:
         with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
             there = parquet.schema_arrow.names
-            if STATE not in there:
-                raise _refusal(file, "no-state", f"there is no column {STATE!r}, there is {', '.join(there[:12])}")
-            columns = [c for c in (STATE, VELOCITY, "timestamp", "frame_index", "episode_index") if c in there]
+            if feature.position not in there:
+                raise _refusal(
+                    file, "no-state", f"there is no column {feature.position!r}, there is {', '.join(there[:12])}"
+                )
+            columns = [
+                c
+                for c in (feature.position, feature.velocity, "timestamp", "frame_index", "episode_index")
+                if c in there
+            ]
             stated, found = parquet.metadata.num_rows, 0
             _refuse_bomb(file, stated)
             for batch in parquet.iter_batches(batch_size=BATCH, columns=columns):
                 found += batch.num_rows
-                yield from _split(file, batch, dataset, request)
+                yield from _split(file, batch, dataset, feature, request)
             groups = sum(parquet.metadata.row_group(i).num_rows for i in range(parquet.num_row_groups))
             if not found == stated == groups:
                 text = f"{found} samples are there, it states {stated}, in parts {groups}: download it again"
@@ -216,9 +235,11 @@ def _refuse_bomb(file: Path, n_rows: int) -> None:
         )
 
 
-def _split(file: Path, batch: Any, dataset: LeRobotDataset, request: ParserRequest) -> Iterator[Episode]:
-    state = _matrix(file, batch, STATE)
-    velocity = _matrix(file, batch, VELOCITY) if VELOCITY in batch.schema.names else None
+def _split(
+    file: Path, batch: Any, dataset: LeRobotDataset, feature: StateFeature, request: ParserRequest
+) -> Iterator[Episode]:
+    state = _matrix(file, batch, feature.position)
+    velocity = _matrix(file, batch, feature.velocity) if feature.velocity in batch.schema.names else None
     episode = _vector(file, batch, "episode_index") if "episode_index" in batch.schema.names else np.zeros(len(state))
     time = _time(file, batch, dataset, request)
     bounds = [0, *(int(i) + 1 for i in np.flatnonzero(np.diff(episode))), len(state)]

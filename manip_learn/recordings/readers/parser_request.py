@@ -44,6 +44,7 @@ class ParserRequest:
         topics: Topics of a bag.
         rate: Samples per second [Hz].
         chosen: Numbers of the episodes to read.
+        feature: Feature of a LeRobot data set that holds the joint positions.
         uses: Which options were used.
     """
 
@@ -54,6 +55,7 @@ class ParserRequest:
     topics: tuple[str, ...] | None = None
     rate: float | None = None
     chosen: frozenset[int] | None = None
+    feature: str | None = None
     uses: OptionUses = field(default_factory=OptionUses, compare=False)
 
     def renamed(self, name: str) -> str:

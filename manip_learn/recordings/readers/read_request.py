@@ -38,6 +38,7 @@ class ReadRequest:
         last_line: What to do with a last line of text that has no end, as that of a file that was cut off.
         episodes: Which episodes to read; None: all.
         task: Only episodes that show this task, of LeRobot data.
+        feature: Feature of a LeRobot data set that holds the joint positions; None: `observation.state`.
         chosen: Numbers of the episodes to read of a data set, once these two have been looked up; None: all.
         uses: What of the options the recordings that were read so far had a use for.
 
@@ -57,6 +58,7 @@ class ReadRequest:
     last_line: Literal["drop", "keep"] = "drop"
     episodes: EpisodeSelection | None = None
     task: str | None = None
+    feature: str | None = None
     chosen: frozenset[int] | None = None
     uses: OptionUses = field(default_factory=OptionUses, compare=False, repr=False)
 
@@ -67,8 +69,10 @@ class ReadRequest:
         _check_choice("last_line", self.last_line, ("drop", "keep"))
         for option in ("ignore_columns", "joint_names", "topics"):
             object.__setattr__(self, option, _names(option, getattr(self, option)))
-        if self.task is not None and not (isinstance(self.task, str) and self.task.strip()):
-            raise RecordingError(f"task must be the text of a task, got {self.task!r}", code="option")
+        for option, what in (("task", "the text of a task"), ("feature", "the name of a feature")):
+            value = getattr(self, option)
+            if value is not None and not (isinstance(value, str) and value.strip()):
+                raise RecordingError(f"{option} must be {what}, got {value!r}", code="option")
         if not isinstance(self.rename, Mapping):
             raise RecordingError(
                 f"rename must be a mapping {{name in the file: name in the robot}}, got {self.rename!r}", code="option"
@@ -95,6 +99,7 @@ class ReadRequest:
             joint_names=self.joint_names,
             rate=self.rate,
             time_unit=self.time_unit,
+            feature=self.feature,
         )
 
     def ignores(self, *names: str) -> bool:
@@ -115,7 +120,15 @@ class ReadRequest:
             position_upper=tuple(map(float, robot.position_upper)),
         )
         return ParserRequest(
-            outline, self.units, dict(self.rename), self.joint_names, self.topics, self.rate, self.chosen, self.uses
+            robot=outline,
+            units=self.units,
+            rename=dict(self.rename),
+            joint_names=self.joint_names,
+            topics=self.topics,
+            rate=self.rate,
+            chosen=self.chosen,
+            feature=self.feature,
+            uses=self.uses,
         )
 
 
