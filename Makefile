@@ -21,11 +21,12 @@ QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli compiled_control
 	npz_reader robomimic_reader rosbag_reader))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types check lowest package docs bench fuzz proofs vulnerabilities format clean distclean
+.PHONY: help demo test lint types check lowest package docs bench fuzz proofs mutants vulnerabilities format clean \
+	distclean
 
 help:
 	@sed -n '1,4s/^# \{0,1\}//p' Makefile
-	@echo "Also: make lint, types, format, docs, lowest, package, bench, fuzz, proofs, vulnerabilities, clean, distclean"
+	@echo "Also: make lint, types, format, docs, lowest, package, bench, fuzz, proofs, mutants, vulnerabilities, clean, distclean"
 
 # ---- installing -------------------------------------------------------------------------------------------------
 
@@ -99,8 +100,12 @@ bench: $(VENV)/dev
 fuzz: $(VENV)/dev
 	HYPOTHESIS_PROFILE=fuzz $(PYTEST) -n 2 --benchmark-disable -m fuzz --timeout 1800 $(ARGS)
 
-proofs: $(VENV)/dev
+proofs: $(VENV)/dev mutants
 	CHECK_SHAPES=0 $(PYTEST) -n 2 --dist worksteal --benchmark-disable -m slow --timeout 3600 $(ARGS)
+
+# faults that are put into a copy of the library one by one: the tests must notice them; AREAS="control replay" for some
+mutants: $(VENV)/dev
+	$(BIN)/python tests/mutation/run.py $(AREAS)
 
 # known vulnerabilities of what is installed; asks the database of its index, so it needs the network
 vulnerabilities: $(VENV)/dev

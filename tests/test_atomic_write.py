@@ -86,3 +86,26 @@ def test_keeps_links_and_modes(tmp_path):
     finally:
         os.umask(umask)
     assert stat.S_IMODE((tmp_path / "fresh").stat().st_mode) == 0o644
+
+
+def test_the_disk_has_the_bytes_before_the_name(tmp_path, monkeypatch):
+    """The whole content is flushed to the disk before it takes the old file's place, and then the folder is flushed."""
+    path, steps = tmp_path / "run.npz", []
+    path.write_bytes(b"old")
+    flush, move = os.fsync, os.replace
+
+    def flushed(descriptor):
+        mode = os.fstat(descriptor)
+        steps.append("folder" if stat.S_ISDIR(mode.st_mode) else f"{mode.st_size} bytes")
+        flush(descriptor)
+
+    def moved(source, target):
+        steps.append("in place")
+        assert path.read_bytes() == b"old"
+        move(source, target)
+
+    monkeypatch.setattr(os, "fsync", flushed)
+    monkeypatch.setattr(os, "replace", moved)
+    write_atomically(path, b"x" * 1000)
+    assert steps == ["1000 bytes", "in place", "folder"]
+    assert path.read_bytes() == b"x" * 1000

@@ -7,6 +7,7 @@ import pytest
 from generated_motions import PLANAR_ROWS, angle_deg, arm_features, guided_motions, oblique, paper_motions
 
 from manip_learn.learning import ConstraintLearner
+from manip_learn.learning.bootstrap import bootstrap_angle_deg
 
 
 def held_arm(seed: int):
@@ -59,3 +60,38 @@ def test_no_uncertainty_where_there_is_none_to_tell():
     report = ConstraintLearner(truth.features, estimator="null-space").fit(demos).report_
     assert report.uncertainty_deg is None
     assert "+-" not in report.sentence
+
+
+class TwoRows:
+    """The least that `bootstrap_angle_deg` asks of samples: coordinates that are those of the features."""
+
+    whitening = np.eye(2)
+
+    def selection(self, whitened):
+        return whitened
+
+
+def stated(gradients, quantile: float) -> float:
+    """The angle [deg] of one row in a plane, for trajectories with these gradients and equal Hessians."""
+    hessians = np.full((len(gradients), 1, 1), 1e4)
+    rng = np.random.default_rng(8)
+    # the row is turned by steps of 1e-4 and less, where the angle is the step
+    return bootstrap_angle_deg(TwoRows(), np.eye(2)[:1], gradients[:, None], hessians, rng, 20_000, quantile)
+
+
+def plain(gradients, quantile: float) -> float:
+    """The same from the bootstrap alone: quantile of |sum of the drawn influences|, in the first order."""
+    n = len(gradients)
+    # sum H = 1e4 n, leverage 1 / n each
+    influence = gradients / (1e4 * n * np.sqrt(1.0 - 1.0 / n)) * np.sqrt(n / (n - 1.0))
+    drawn = np.random.default_rng(9).multinomial(n, np.full(n, 1.0 / n), size=20_000) - 1.0
+    return float(np.degrees(np.quantile(np.abs(drawn @ (influence - influence.mean())), quantile)))
+
+
+def test_few_trajectories_with_all_the_influence_widen_the_angle():
+    """A hundred equal trajectories: the bootstrap's own quantile; two of ten that carry all: Student's wide tails."""
+    many = np.where(np.arange(100) % 2 == 0, 1.0, -1.0)
+    assert stated(many, 0.95) == pytest.approx(plain(many, 0.95), rel=0.06)
+    two = np.zeros(10)
+    two[3], two[7] = 10.0, -10.0
+    assert stated(two, 0.95) > 1.6 * plain(two, 0.95)

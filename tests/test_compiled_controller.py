@@ -187,3 +187,27 @@ def test_bad_postures_are_refused(robot_of: RobotOf) -> None:
     q = np.linspace(-0.5, 0.7, 7)
     for equal in (list(q), q.astype(">f8"), np.repeat(q, 2)[::2]):
         np.testing.assert_array_equal(compiled(equal).velocity, compiled(q).velocity)
+
+
+@both_ways
+@pytest.mark.usefixtures("kernels")
+def test_velocities_near_limits_are_admitted_alike(numba: bool, robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Each sense of motion has the braking distance to its own limit, as in `Limits.admit`, at every place."""
+    robot = robot_of("sawyer")
+    constraint = Constraint(np.eye(3), FrameJacobian(robot, "right_hand", "xyz"))
+    controller = ResolvedRateController(constraint, null_policy=ZeroPolicy(robot.nv))
+    limits, table = controller.limits, compiled_controller._packed(controller)
+    assert limits is not None
+    dofs, dt, told = kernel.CHAIN + kernel.JOINTS + int(table[0, kernel.N_JOINTS]), 0.01, set()
+    middle = 0.5 * (robot.position_lower + robot.position_upper)
+    for j in range(robot.nv):
+        for edge, outward in ((robot.position_upper[j], 1.0), (robot.position_lower[j], -1.0)):
+            for distance in (-1e-6, 1e-4, 0.01, 0.1):
+                for speed in (-1.5, -0.5, -0.05, 0.05, 0.5, 1.5):
+                    q, u = middle.copy(), np.zeros(robot.nv)
+                    q[j], u[j] = edge - outward * distance, outward * speed
+                    for before in (u, u + 1.01 * limits.acceleration * dt):
+                        expected = limits.admit(q, dt, u, before)
+                        assert kernel.admitted(table, dofs, robot.nv, q, dt, u, before) == expected
+                        told.add((expected, speed > 0.0))
+    assert len(told) == 4

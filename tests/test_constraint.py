@@ -66,6 +66,21 @@ def test_residual(rng):
         truth.residual([Trajectory(t.time, t.q, None, t.joint_names) for t in demos])
 
 
+@pytest.mark.parametrize("angle", [0.01, 0.3, 1.2])
+def test_residual_is_a_share_of_speed(angle, rng):
+    """A motion at a given angle to what the constraint allows has the sine of that angle, not its square."""
+    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, 2, 10)
+    tilted = []
+    for t in demos:
+        u = []
+        for q, allowed in zip(t.q, t.u, strict=True):
+            across = np.array([0.3, -0.8]) @ truth(q)
+            across *= np.linalg.norm(allowed) / np.linalg.norm(across)
+            u.append(np.cos(angle) * allowed + np.sin(angle) * across)
+        tilted.append(Trajectory(t.time, t.q, u, t.joint_names))
+    assert truth.residual(tilted) == pytest.approx(np.sin(angle), rel=1e-9)
+
+
 def test_files_come_back(robot_of, rng, tmp_path):
     """Every kind of features goes through a file: the same A to the last bit, and how it was learnt."""
     robot = robot_of("wrist")

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.manipulability import manipulability_gradient
 from manip_learn.errors import OutputError
-from manip_learn.experiments import beyond, sawyer, singular_starts, table, variants
+from manip_learn.experiments import beyond, rmse, sawyer, singular_starts, start_comparison, table, variants
 from manip_learn.experiments.documentation import PARTS, filled, write_page
 from manip_learn.experiments.drawer_recordings import sawyer_arm, turned_recordings
 from manip_learn.experiments.learning_trial import ESTIMATORS, LearningCase, ScaledRows, learning_trial
@@ -32,6 +34,7 @@ from manip_learn.experiments.paper_setup import (
     STEP,
     Setup,
     demonstrate,
+    draw_starts,
     draw_targets,
     jacobian,
     null_parts,
@@ -68,6 +71,35 @@ def test_demonstrations_follow_the_papers_law(rng):
         assert_allclose(goal, np.tile(goal[0], (10, 1)), atol=1e-12)
         N = np.eye(3) - np.linalg.pinv(A) @ A
         assert_allclose(part, np.einsum("nij,nj->ni", N, REST - t.q), atol=1e-12)
+
+
+def test_numbers_of_the_paper(rng):
+    """100 demonstrations of 10 points every 0.02 s; starts and rest posture in degrees; 100 Hz for the drawer."""
+    demos = demonstrate(Setup(), Setup().selection(rng), rng)
+    assert len(demos) == 100
+    for t in demos:
+        assert_allclose(t.time, 0.02 * np.arange(10), atol=1e-15)
+        assert np.all(np.abs(np.rad2deg(t.q[0]) - [5.0, 95.0, 5.0]) <= 5.0)
+    assert_allclose(np.rad2deg(REST), [10.0, -10.0, 10.0])
+    assert np.max(np.abs(np.array([t.q[0] for t in demos]).mean(0) - np.deg2rad([5.0, 95.0, 5.0]))) < 0.03
+    assert (rmse.ROLLOUTS, rmse.POINTS) == (20, 100)
+    assert start_comparison.STEPS == (0.02, 0.01)
+    assert (sawyer.STEP, sawyer.DEMONSTRATIONS, sawyer.POINTS) == (0.01, 50, 10)
+    assert (sawyer.ROLLOUTS, sawyer.ROLLOUT_POINTS) == (20, 100)
+    assert_allclose(np.rad2deg(sawyer.DEFAULT_POSE), [-100, 30, -100, 40, -60, -70, 250])
+
+
+def test_climbing_rollouts_are_euler_steps_of_the_papers_law(rng):
+    """From posture to posture in 0.02 s: u = A^+ b + N grad mu."""
+    constraint = Constraint(Setup("x y").selection(rng), planar_features())
+    starts, targets = draw_starts(3, rng), draw_targets(3, rng)
+    for q, target in zip(rmse.climbing_rollouts(constraint, starts, targets), targets, strict=True):
+        assert q.shape == (100, 3)
+        for i in (0, 1, 40, 98):
+            A = constraint(q[i])
+            N, b = np.eye(3) - np.linalg.pinv(A) @ A, (target - tip(q[i][None])[0])[:2]
+            u = np.linalg.pinv(A) @ b + N @ manipulability_gradient(constraint, q[i])
+            assert_allclose((q[i + 1] - q[i]) / 0.02, u, atol=1e-9)
 
 
 def test_targets_are_in_reach(rng):

@@ -93,3 +93,25 @@ def test_wrong_limits_are_refused(settings: dict, words: str, robot_of: RobotOf)
     """The joint and the value seen are named."""
     with pytest.raises(ConfigurationError, match=words):
         ml.Limits(robot_of("sawyer"), **settings)
+
+
+def test_a_singularity_is_left_where_there_is_more_room(robot_of: RobotOf) -> None:
+    """Of a direction and its opposite, the one in which no joint soon meets its limit; unchanged if both have room."""
+    robot = robot_of("sawyer")
+    limits, middle = Limits(robot), 0.5 * (robot.position_lower + robot.position_upper)
+    direction = np.array([0.0, 1.0, 0.0, -0.5, 0.0, 0.0, 1e-6])
+    np.testing.assert_array_equal(limits.freer_sense(middle, direction), direction)
+    np.testing.assert_array_equal(limits.freer_sense(middle, -direction), -direction)
+    near = middle.copy()
+    near[1] = robot.position_upper[1] - 0.01
+    np.testing.assert_array_equal(limits.freer_sense(near, direction), -direction)
+    np.testing.assert_array_equal(limits.freer_sense(near, -direction), -direction)
+    near = middle.copy()
+    near[3] = robot.position_lower[3] + 0.01
+    np.testing.assert_array_equal(limits.freer_sense(near, direction), -direction)
+    near[1] = robot.position_lower[1] + 0.005  # now the way back has less room still
+    np.testing.assert_array_equal(limits.freer_sense(near, direction), direction)
+    at_rest = middle.copy()
+    at_rest[6] = robot.position_upper[6]  # hardly moved: it has no say
+    np.testing.assert_array_equal(limits.freer_sense(at_rest, direction), direction)
+    np.testing.assert_array_equal(limits.freer_sense(middle, np.zeros(7)), np.zeros(7))

@@ -10,6 +10,7 @@ from manip_learn.linalg import (
     batch_row_spaces,
     complement_rows,
     inverse_singular_values,
+    inverse_triangles,
     matlab_tolerance,
     null_basis,
     null_projector,
@@ -152,3 +153,17 @@ def test_batch_row_spaces(rng, shape):
     np.testing.assert_allclose(Q.transpose(0, 2, 1) @ Q, np.broadcast_to(np.eye(nv), (40, nv, nv)), rtol=0, atol=1e-13)
     np.testing.assert_allclose(Q[:, :, :s] @ R, A.transpose(0, 2, 1), rtol=0, atol=1e-13)
     np.testing.assert_allclose(A @ Q[:, :, s:], 0.0, rtol=0, atol=1e-13)
+
+
+def test_samples_that_lose_rank_have_no_say(rng):
+    """Triangles are inverted sample by sample; dependent or zero rows give zeros and spoil no other sample."""
+    A = rng.standard_normal((5, 3, 7))
+    A[1, 2] = A[1, 0] - 0.5 * A[1, 1]  # dependent
+    A[3] = 0.0
+    A[4, 2] = A[4, 0] + 1e-6 * A[4, 2]  # nearly, and still told apart
+    _, R = batch_row_spaces(A)
+    inverses = inverse_triangles(R)
+    for i in (0, 2, 4):
+        np.testing.assert_allclose(inverses[i] @ R[i], np.eye(3), atol=1e-8)
+    for i in (1, 3):
+        np.testing.assert_array_equal(inverses[i], np.zeros((3, 3)))

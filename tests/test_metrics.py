@@ -39,6 +39,21 @@ def test_what_does_not_matter(robot_of, rng):
     assert scale_free_nmie(mu, 7.0 * mu) < 1e-28
 
 
+def test_a_learnt_constraint_without_manipulability_has_the_error_of_zero():
+    """mu~ = 0 everywhere has no best factor: the scale-free error is that of zero, not NaN."""
+    mu = np.array([1.0, 2.0, 4.0])
+    assert scale_free_nmie(mu, np.zeros(3)) == pytest.approx(np.mean(mu**2) / np.var(mu))
+
+
+def test_policy_rmse_is_a_mean_over_time_of_squared_lengths():
+    """Squares are summed over the joints and averaged over the postures of each trajectory, neither the other way."""
+    pi = np.arange(24.0).reshape(2, 4, 3)
+    expected = [np.sqrt(sum(float(row @ row) for row in trajectory) / 4) for trajectory in pi]
+    assert_allclose(policy_rmse(pi, np.zeros_like(pi)), expected)
+    longer = np.concatenate([pi, pi], axis=1)
+    assert_allclose(policy_rmse(longer, np.zeros_like(longer)), expected)
+
+
 def test_policy_rmse():
     """Root of the mean squared distance of two policies' velocities, one value per trajectory."""
     pi = np.array([[[1.0, 0.0], [0.0, 1.0]], [[3.0, 0.0], [0.0, 4.0]]])

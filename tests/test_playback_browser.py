@@ -419,3 +419,20 @@ def test_live_view_follows(robot_of, opened):
             wait_until(page, f"Math.abs(manipLearn.time - {10.0 + angle}) < 1e-9")
             np.testing.assert_allclose(link_pose(page, robot.name, "tip"), robot.pose(q, tip), atol=POSES)
         assert page.evaluate("manipLearn.drawing")
+
+
+def test_between_samples_everything_is_interpolated(robot_of, tmp_path, opened):
+    """Between two samples links, readout and the dot on the curve are where interpolation in time puts them."""
+    robot = robot_of("planar3")
+    rollout = waving(robot, 4.0, dt=0.5)
+    page = opened(replay(robot, {"a": rollout}, tmp_path / "a.html").html.as_uri())
+    for t in (0.1, 0.25, 1.45, 3.9):
+        page.evaluate("t => manipLearn.seek(t)", t)
+        q = np.array([np.interp(t, rollout.time, column) for column in rollout.q.T])
+        np.testing.assert_allclose(link_pose(page, "a", "tip"), robot.pose(q, robot.frame("tip")), atol=POSES)
+        mu = float(np.interp(t, rollout.time, rollout.manipulability))
+        assert float(page.locator("#legend .mu").inner_text().split()[0]) == pytest.approx(mu, rel=6e-3)
+        x, y = (float(page.locator("#chart circle").get_attribute(name)) for name in ("cx", "cy"))
+        points = page.locator("#chart polyline").get_attribute("points")
+        line = np.array([[float(v) for v in point.split(",")] for point in points.split()])
+        assert y == pytest.approx(np.interp(x, *line.T), abs=0.2)

@@ -66,6 +66,18 @@ def test_one_step_of_euler_is_the_command(robot_of, rng):
     assert len(rollout) == 6 == len(rollout.status)
 
 
+@pytest.mark.parametrize(("duration", "dt", "steps"), [(0.3, 0.1, 3), (0.7, 0.1, 7), (1.0, 0.3, 3), (1.1, 0.3, 4)])
+def test_number_of_samples(robot_of, duration: float, dt: float, steps: int):
+    """The nearest number of whole steps, whatever the rounding of the quotient, and the start; time counts in steps."""
+    robot = robot_of("planar3")
+    controller = ResolvedRateController(Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y")))
+    one = simulate(robot, controller, [0.3, 0.8, -0.5], duration, dt)
+    (same,) = simulate(robot, controller, [[0.3, 0.8, -0.5]], duration, dt)
+    for rollout in (one, same):
+        assert len(rollout) == steps + 1 == len(rollout.status)
+        np.testing.assert_allclose(rollout.time, dt * np.arange(steps + 1), rtol=0, atol=1e-12)
+
+
 def test_escape_from_the_papers_singular_start(robot_of):
     """From (90 + 1e-12, 360, -360) degrees the product's law arrives; the paper's law with no policy is stuck."""
     robot = robot_of("planar3")

