@@ -66,6 +66,26 @@ def test_thin():
         subsample(t, 0)
 
 
+def test_resample_with_one_step_keeps_both_ends():
+    """A step as long as the trajectory gives its first and its last sample; the least bit longer is refused."""
+    trajectory = Trajectory([1.0, 1.5, 3.0], [[0.0], [5.0], [1.0]], [[1.0], [2.0], [3.0]], ("a",), "t")
+    ends = resample(trajectory, 2.0)
+    np.testing.assert_allclose(ends.time, [1.0, 3.0])
+    np.testing.assert_allclose(ends.q, [[0.0], [1.0]])
+    np.testing.assert_allclose(ends.u, [[1.0], [3.0]])
+    with pytest.raises(RecordingError, match="at most 2 s"):
+        resample(trajectory, 2.0 + 1e-9)
+
+
+def test_prepared_says_nothing_where_nothing_was_left_out():
+    """Trajectories that move throughout, or are not trimmed, come back without a note."""
+    time = np.linspace(0.0, 1.0, 50)
+    moving = Trajectory(time, time[:, None], np.ones((50, 1)), ("a",), "t")
+    for trim in (True, False):
+        demos = prepared(Demonstrations([moving]), trim=trim)
+        assert len(demos[0]) == 50 and demos.notes == ()
+
+
 def test_prepared_says_what_it_left_out():
     """Trimmed and thinned, with a note for each trajectory that lost standstill."""
     demos = Demonstrations([motion(), motion(rest=0)], ["from a file"])

@@ -74,6 +74,20 @@ def test_the_escape_has_the_stated_speed(planar):
     np.testing.assert_array_equal(escape_velocity(decomposition, vjp, DT, float(decomposition.sigma[-1])), np.zeros(3))
 
 
+@pytest.mark.parametrize(("angle", "share"), [(1e-6, None), (1e-4, None), (0.05, 0.99)])
+def test_the_seed_acts_at_the_singularity_only(planar, angle, share):
+    """The larger of the escape's own speed and the seed's, which falls to 0 within a thousandth of the width."""
+    decomposition, vjp = at(planar, bent(angle))
+    smallest = decomposition.sigma[-1]
+    width = WIDTH if share is None else smallest / share
+    ramp = DT * ESCAPE_SPEED * np.linalg.norm(smallest_gradient(decomposition, vjp)) / 0.25
+    speed = ESCAPE_SPEED * (1.0 - (smallest / width) ** 2) ** 2 * smallest / np.hypot(smallest, ramp)
+    seed = SEED_SPEED * max(0.0, 1.0 - smallest / (1e-3 * width))
+    assert (seed > speed) == (angle == 1e-6)
+    e = escape_velocity(decomposition, vjp, DT, float(width))
+    assert np.linalg.norm(e) == pytest.approx(max(speed, seed), rel=1e-6)
+
+
 def test_the_escape_weighs_directions_by_how_nearly_they_are_lost(planar):
     """With both singular values below the width: sum of (1 - (sigma / width)^2)^2 v v^T grad log mu."""
     q = np.array([0.3, 0.7, -0.4])
@@ -93,6 +107,7 @@ def test_an_exact_singularity_is_left_slowly_and_out(planar):
     assert np.linalg.norm(seed) == pytest.approx(SEED_SPEED, rel=1e-9)
     assert np.linalg.norm(planar(q) @ seed) < 1e-12
     ascent = steepest_ascent(decomposition, vjp)
+    np.testing.assert_allclose(seed, SEED_SPEED * ascent, atol=1e-12)
     for other in np.random.default_rng(5).standard_normal((200, 3)):
         z = decomposition.Vt[1:].T @ (decomposition.Vt[1:] @ other)
         z *= 1e-4 / np.linalg.norm(z)
