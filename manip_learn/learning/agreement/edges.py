@@ -41,7 +41,9 @@ def held_part(
     edges = np.concatenate([[-1], outside, [len(odd)]])
     longest = int(np.argmax(np.diff(edges)))
     first, last = int(edges[longest]) + 1, int(edges[longest + 1]) - 1
-    start, end = float(odd.time[min(first, len(odd) - 1)]), float(odd.time[last])
+    if last < first:
+        return None  # of a slip halfway, the median lies between the two grips
+    start, end = float(odd.time[first]), float(odd.time[last])
     return (start, end) if end - start >= CORE * odd.duration else None
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.learning.evidence.row_evidence import CLEAR_STRENGTH
 from manip_learn.learning.phases.chance import chance_support
-from manip_learn.learning.phases.confirmation import Confirm
+from manip_learn.learning.phases.confirmation import Confirm, without_odd
 from manip_learn.learning.phases.decoding import (
     TRIM,
     decoded,
@@ -144,6 +144,10 @@ class PhaseDiscovery:
             return False, mark
         parts = self._parts(constraint.stretches)
         confirmed, *mark = self.confirm(self.features, parts, constraint.n_rows, self.rng)
+        if not confirmed and candidate.firm:
+            agreeing = without_odd(self.features, parts, constraint.n_rows)
+            if agreeing:
+                confirmed, *mark = self.confirm(self.features, agreeing, constraint.n_rows, self.rng)
         firmly = candidate.firm or mark[0] >= SOFT_STRENGTH
         return confirmed and firmly, (mark[0], mark[1])
 
