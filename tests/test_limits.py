@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
-from manip_learn.control.limits import ACCELERATION_RATE, Limits
+from manip_learn.control.limits import ACCELERATION_RATE, Bounds, Limits
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
@@ -115,3 +115,56 @@ def test_a_singularity_is_left_where_there_is_more_room(robot_of: RobotOf) -> No
     at_rest[6] = robot.position_upper[6]  # hardly moved: it has no say
     np.testing.assert_array_equal(limits.freer_sense(at_rest, direction), direction)
     np.testing.assert_array_equal(limits.freer_sense(middle, np.zeros(7)), np.zeros(7))
+    widths = robot.position_upper - robot.position_lower
+    tight = Limits(
+        robot, margin=0.5 * float(widths.min()) - 1e-3
+    )
+    q = 0.5 * (tight.lower + tight.upper)
+    along = np.eye(7)[int(widths.argmin())]
+    np.testing.assert_array_equal(tight.freer_sense(q, along), along)
+    np.testing.assert_array_equal(tight.freer_sense(q, -along), -along)
+
+
+def test_admitted_is_what_the_bounds_allow(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """The short answer is that of the bounds, at the limits themselves too, and never for a joint outside of them."""
+    robot, dt = robot_of("sawyer"), 0.01
+    limits, told = Limits(robot), set()
+    low, high = robot.position_lower, robot.position_upper
+    for i in range(400):
+        q = np.where(rng.random(7) < 0.5, low + rng.exponential(0.05, 7), high - rng.exponential(0.05, 7))
+        q = np.clip(q, low, high) if i % 4 else np.where(rng.random(7) < 0.5, low, high)
+        bounds = limits.bounds(q, dt, None)
+        # within them, and now and then one joint a little beyond
+        u = rng.uniform(bounds.low, bounds.high)
+        if i % 3 == 0:
+            j = int(rng.integers(7))
+            u[j] = (bounds.high[j] + 1e-6) if i % 2 else (bounds.low[j] - 1e-6)
+        assert limits.admit(q, dt, u, None) == bounds.admit(u)
+        told.add(bounds.admit(u))
+    assert told == {True, False}
+    middle, previous = 0.5 * (low + high), 0.2 * limits.velocity
+    for share, admitted in ((0.999, True), (-0.999, True), (1.001, False), (-1.001, False)):
+        u = previous + share * limits.acceleration * dt * np.eye(7)[4]
+        assert limits.admit(middle, dt, u, previous) == limits.bounds(middle, dt, previous).admit(u) == admitted
+    outside = middle.copy()
+    outside[2] = high[2] + 1e-9
+    assert not limits.admit(outside, dt, np.zeros(7), None)
+
+
+def test_the_limit_that_binds_is_that_of_the_joint_that_is_held_back_most() -> None:
+    """Of the joints at a bound, the one that would go furthest beyond it, with the cause of that bound."""
+    bounds = Bounds([-1.0, -2.0, -3.0], [0.1, 2.0, 3.0], [0, 1, 2], [2, 0, 1], 0.0)
+    assert bounds.binding(np.array([0.1, 2.0, 0.0]), np.array([0.9, 2.5, 9.0])) == (0, 2)
+    assert bounds.binding(np.array([0.1, 2.0, 0.0]), np.array([0.2, 2.5, 9.0])) == (1, 0)
+    assert bounds.binding(np.array([0.0, -2.0, -3.0]), np.array([0.0, -2.5, -3.1])) == (1, 1)
+    assert bounds.binding(np.array([0.1, -2.0, -3.0]), np.array([0.5, -2.1, -3.6])) == (2, 2)
+    assert bounds.binding(np.array([0.1, -2.0, 0.0]), np.array([0.05, -1.9, 7.0])) == (-1, -1)
+
+
+def test_a_margin_that_leaves_no_room_is_refused_with_the_range(robot_of: RobotOf) -> None:
+    """The sentence names the joint and the width of its range."""
+    robot = robot_of("sawyer")
+    widths = robot.position_upper - robot.position_lower
+    with pytest.raises(ConfigurationError, match=f"whose range is {widths.min():g} wide") as caught:
+        Limits(robot, margin=0.501 * float(widths.min()))
+    assert robot.joint_names[int(widths.argmin())] in str(caught.value)

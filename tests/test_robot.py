@@ -13,6 +13,7 @@ from conftest import TIPS, URDFS, tip_of
 
 from manip_learn.errors import ConfigurationError, UnknownNameError
 from manip_learn.robot.kinematic_hessian import closed_form, columns_to_joints, pinocchio_order_is_known
+from manip_learn.robot.loading import load_robot
 
 ROBOTS = [*URDFS, *TIPS]
 WITH_MIMICS = ("mimic",)  # their public derivative is that of the independent joints
@@ -231,3 +232,13 @@ def test_joint_order_is_that_of_the_names(robot_of):
         0.25
     )
     np.testing.assert_array_equal(robot.pose(q, still), robot.pose(robot.neutral(), still))
+
+
+def test_neutral_is_zero_where_zero_is_allowed(tmp_path):
+    """Joints whose range begins or ends at zero stand at zero, those whose range leaves it out in its middle."""
+    text = URDFS["gantry"]
+    for limits in ('lower="0" upper="2"', 'lower="-2" upper="0"', 'lower="0.5" upper="1"', 'lower="-3" upper="-2"'):
+        text = text.replace('lower="-2" upper="2"', limits, 1)
+    path = tmp_path / "gantry.urdf"
+    path.write_text(text, encoding="utf-8")
+    np.testing.assert_allclose(load_robot(path).neutral(), [0.0, 0.0, 0.75, -2.5, 0.0])

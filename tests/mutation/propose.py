@@ -3,8 +3,7 @@
     python tests/mutation/propose.py AREA FILE COUNT TEST...
     python tests/mutation/propose.py <requests.txt      (lines of the same four)
 
-What a test notices goes into the catalogue; what none notices is printed: write a test for it, or say in the catalogue
-why it is equivalent.
+All of them go into the catalogue. Write a test for what none notices, or say in the catalogue why it is equivalent.
 """
 
 from __future__ import annotations
@@ -35,8 +34,8 @@ def propose(workshop: Workshop, area: str, file: str, count: int, tests: list[st
             continue
         outcome, first = workshop.try_mutant(mutant, tests)
         print(f"{outcome:9} {mutant.name}   [{first}]", flush=True)
-        if outcome != "survived":
-            save(area, [*known, Mutant(file, old, new, (first or tests[0],))])
+        noticed_by = tuple(tests) if outcome == "survived" else (first or tests[0],)
+        save(area, [*(load(area) if area in areas() else []), Mutant(file, old, new, noticed_by)])
 
 
 def main() -> None:
