@@ -116,9 +116,7 @@ def test_a_singularity_is_left_where_there_is_more_room(robot_of: RobotOf) -> No
     np.testing.assert_array_equal(limits.freer_sense(at_rest, direction), direction)
     np.testing.assert_array_equal(limits.freer_sense(middle, np.zeros(7)), np.zeros(7))
     widths = robot.position_upper - robot.position_lower
-    tight = Limits(
-        robot, margin=0.5 * float(widths.min()) - 1e-3
-    )
+    tight = Limits(robot, margin=0.5 * float(widths.min()) - 1e-3)
     q = 0.5 * (tight.lower + tight.upper)
     along = np.eye(7)[int(widths.argmin())]
     np.testing.assert_array_equal(tight.freer_sense(q, along), along)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import URDFS
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
@@ -256,3 +257,21 @@ def test_the_vector_jacobian_product_sees_followers(reference, rng):
 
     slopes = [(along(q + e) - along(q - e)) / (2 * h) for e in h * np.eye(robot.nv)]
     np.testing.assert_allclose(product(weights), slopes, atol=1e-8)
+
+
+def test_configurations_of_robots_with_followers_are_integrated(rng, tmp_path):
+    """Beside continuous joints and a follower a step along the tangent keeps the robot's own size, and leads there."""
+    axis = '<axis xyz="0 1 0"/>'
+    first, _, last = URDFS["wrist"].rpartition(axis)
+    path = tmp_path / "wrist.urdf"
+    path.write_text(f'{first}{axis}<mimic joint="joint1" multiplier="-0.5"/>{last}', encoding="utf-8")
+    robot = load_robot(path)
+    assert (robot.nq, robot.nv) == (5, 3)
+    q, step = robot.random_configuration(rng), rng.uniform(-0.5, 0.5, 3)
+    there = robot.integrate(q, step)
+    assert there.shape == (5,)
+    np.testing.assert_allclose(robot.difference(q, there), step, atol=1e-12)
+    np.testing.assert_allclose(np.hypot(there[0], there[1]), 1.0, atol=1e-12)
+    frame, h = robot.frame("tip"), 1e-6
+    moved = [robot.pose(robot.integrate(q, s * h * step), frame)[:3, 3] for s in (1.0, -1.0)]
+    np.testing.assert_allclose((moved[0] - moved[1]) / (2 * h), (robot.jacobian(q, frame) @ step)[:3], atol=1e-8)

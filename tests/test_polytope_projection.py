@@ -87,3 +87,15 @@ def test_unknown_solver() -> None:
     """The names are listed."""
     with pytest.raises(ConstraintError, match="'active-set' or 'qp'"):
         projection_by("simplex")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+@pytest.mark.parametrize("kind", ["random", "nearly dependent"])
+def test_the_unit_of_the_rows_does_not_matter(kind: str, factor: float) -> None:
+    """Rows and bounds in another unit are the same polytope, with the same nearest point."""
+    for seed in range(150):
+        x, C, low, high = problem(kind, np.random.default_rng([7, seed]))
+        y = project_by_active_set(x, C, low, high)
+        scaled = project_by_active_set(x, factor * C, factor * low, factor * high)
+        assert y is not None and scaled is not None
+        np.testing.assert_allclose(scaled, y, rtol=0, atol=1e-7 * (1.0 + np.linalg.norm(x)))
