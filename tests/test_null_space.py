@@ -1,0 +1,98 @@
+"""The null-space estimator's evidence, against its definition written out sample by sample."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from generated_motions import arm_features, guided_motions, oblique, paper_motions
+
+from manip_learn.learning.estimators.conditional_pca import conditional_pca
+from manip_learn.learning.estimators.null_space import (
+    energy_share,
+    fit_null_space,
+    held_out_share,
+    levels,
+    trajectory_moments,
+)
+from manip_learn.learning.estimators.policy_model import PolynomialModel
+from manip_learn.learning.samples import Samples
+
+
+def held(n_trajectories: int, n_samples: int = 8) -> Samples:
+    """Motions of an arm with two held rows, and noise."""
+    rng = np.random.default_rng([4, n_trajectories])
+    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, n_trajectories, n_samples, 0.05, noise=0.1)
+    return Samples.collect(truth.features, demos)
+
+
+def rows(samples: Samples):
+    """(Phi, u, trajectory) of each sample."""
+    for block in samples.blocks():
+        yield from zip(block.Phi, block.u, block.trajectory.tolist(), strict=True)
+
+
+def moments_of(samples: Samples, chosen) -> np.ndarray:
+    """sum Phi u u^T Phi^T over the samples of chosen trajectories."""
+    return sum(np.outer(Phi @ u, Phi @ u) for Phi, u, t in rows(samples) if t in chosen)
+
+
+def test_moments_of_each_trajectory():
+    """sum Phi u u^T Phi^T, each trajectory by itself."""
+    samples = held(5)
+    for t, moment in enumerate(trajectory_moments(samples)):
+        np.testing.assert_allclose(moment, moments_of(samples, {t}), atol=1e-10)
+
+
+@pytest.mark.parametrize("n", [2, 4, 12])
+def test_the_held_out_share_is_that_of_trajectories_that_were_not_seen(n):
+    """Each trajectory is judged by the constraint of the others; beyond ten of them there are ten folds."""
+    samples = held(n)
+    folds = [{t for t in range(n) if t % min(n, 10) == fold} for fold in range(min(n, 10))]
+    broken = energy = 0.0
+    for fold in folds:
+        Lambda = np.linalg.eigh(moments_of(samples, set(range(n)) - fold))[1][:, :2].T
+        for Phi, u, t in rows(samples):
+            if t in fold:
+                A = Lambda @ Phi
+                broken += float(u @ np.linalg.pinv(A) @ A @ u)
+                energy += float(u @ u)
+    assert held_out_share(samples, 2) == pytest.approx(broken / energy, rel=1e-9)
+
+
+def test_one_trajectory_has_nothing_held_out():
+    """NaN, not zero: there is no other trajectory to learn from."""
+    assert math.isnan(held_out_share(held(1, 40), 2))
+
+
+def test_no_motion_breaks_nothing():
+    """Where nothing moves the share of the energy is zero, not a division by zero."""
+    samples = held(3)
+    still = dataclasses.replace(samples, u=0.0 * samples.u)
+    assert energy_share(fit_null_space(still, np.eye(3)[:2], max_iterations=0)) == 0.0
+
+
+def test_levels_are_relative_to_a_motion_of_all_joints():
+    """The same motion, ten times as fast, has the same levels; they are root mean squares along whitened directions."""
+    samples = held(4)
+    sizes, directions = levels(samples)
+    faster, _ = levels(dataclasses.replace(samples, u=10.0 * samples.u))
+    np.testing.assert_allclose(faster, sizes, rtol=1e-9)
+    energy = np.mean([u @ u for _, u, _ in rows(samples)])
+    for size, direction in zip(sizes, directions, strict=True):
+        square = np.mean([(direction @ Phi @ u) ** 2 for Phi, u, _ in rows(samples)])
+        assert size == pytest.approx(math.sqrt(samples.nv * square / energy), rel=1e-9)
+
+
+def test_what_a_regression_leaves_is_a_velocity():
+    """The sizes of conditional PCA, largest first, are in the unit of the velocities: ten times as fast, ten times."""
+    demos, truth = paper_motions([0, 1], np.random.default_rng(1), n_trajectories=20, noise=0.01)
+    samples = Samples.collect(truth.features, demos)
+    model = PolynomialModel(2, 3)
+    sizes, directions = conditional_pca(samples, model)
+    faster, same = conditional_pca(dataclasses.replace(samples, u=10.0 * samples.u), model)
+    np.testing.assert_allclose(faster, 10.0 * sizes, rtol=1e-6)
+    np.testing.assert_allclose(np.abs(same), np.abs(directions), atol=1e-6)
+    assert np.all(np.diff(sizes) <= 0.0)
