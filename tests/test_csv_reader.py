@@ -207,3 +207,27 @@ def test_a_row_is_looked_at_once(planar3: Robot, tmp_path: Path) -> None:
 def is_ours(code: object) -> bool:
     """A function of the library, not one of NumPy or of the interpreter."""
     return isinstance(code, CodeType) and "manip_learn" in Path(code.co_filename).parts
+
+
+def test_a_header_in_a_comment_is_the_last_one_before_the_numbers(planar3: Robot, tmp_path: Path) -> None:
+    """As NumPy writes it: names behind a comment mark; every row below is a sample, and it is said."""
+    rows = csv(TABLE).partition("\n")[2]
+    demos = load_demonstrations(written(tmp_path / "a.csv", f"# by hand\n# {HEADER}\n{rows}"), planar3)
+    np.testing.assert_allclose(demos[0].q, TABLE[:, 1:], rtol=1e-8)
+    assert demos.notes == ("a.csv: the header was read from the comment in line 2",)
+
+
+@pytest.mark.parametrize("comment", ["recorded by hand", "1, 2, 3, 4", "time, joint1, joint2"])
+def test_a_comment_that_is_no_header_is_not_taken_for_one(comment: str, planar3: Robot, tmp_path: Path) -> None:
+    """A remark, numbers, or names for another number of columns above the first row: refused, a header is needed."""
+    rows = csv(TABLE).partition("\n")[2]
+    error = refusal(written(tmp_path / "a.csv", f"# {comment}\n{rows}"), planar3)
+    assert error.code == "no-header" and ":2:" in str(error)
+
+
+def test_a_header_may_hold_a_number(planar3: Robot, tmp_path: Path) -> None:
+    """A column that is named by a number, beside those of the joints, does not make the header a row of numbers."""
+    head, _, rows = csv(TABLE).partition("\n")
+    table = "\n".join([f"{head},7", *(f"{row},0.5" for row in rows.split())]) + "\n"
+    demos = load_demonstrations(written(tmp_path / "a.csv", table), planar3, ignore_columns=["7"])
+    np.testing.assert_allclose(demos[0].q, TABLE[:, 1:], rtol=1e-8)
