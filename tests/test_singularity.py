@@ -7,7 +7,12 @@ import pytest
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.constraint.manipulability import log_manipulability_gradient, manipulability, manipulability_gradient
+from manip_learn.constraint.manipulability import (
+    SINGULAR_RATIO,
+    log_manipulability_gradient,
+    manipulability,
+    manipulability_gradient,
+)
 from manip_learn.control.singularity import (
     ESCAPE_SPEED,
     SEED_SPEED,
@@ -152,6 +157,14 @@ def test_only_a_task_that_presses_in_is_damped_more():
     between = pressed_damping(0.1, 0.5, slope, np.array([np.cos(angle), -np.sin(angle)]))
     assert between == pytest.approx(np.sqrt(0.5 * 0.1**2 + 0.5 * 0.5**2))
     assert pressed_damping(0.1, 0.5, slope, np.zeros(2)) == pytest.approx(0.1)
+
+
+def test_log_gradient_at_the_singularity_has_the_length_at_the_edge_of_rounding(planar):
+    """Not infinite: that of the gradient over the mu at which a singularity can be told from rounding."""
+    q = bent(0.0)
+    largest = np.linalg.svd(planar(q), compute_uv=False)[0]
+    expected = manipulability_gradient(planar, q) / (SINGULAR_RATIO * largest**2)
+    np.testing.assert_allclose(log_manipulability_gradient(planar, q), expected, rtol=1e-9)
 
 
 def test_gradient_at_the_singularity_is_that_beside_it(planar):
