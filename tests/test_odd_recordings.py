@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
+from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.agreement.edges import held_part
 from manip_learn.linalg import row_space_angle
 
@@ -130,3 +131,11 @@ def test_two_drawers_in_equal_parts_are_two_lines(whole: bool):
         assert names in ({f"demo_{i}" for i in range(4)}, {f"demo_{i}" for i in range(4, 8)})
         rows = np.array((truth if "demo_0" in names else other)["mechanisms"][0]["rows"])[:, :3]
         assert np.degrees(row_space_angle(constraint.selection, rows)) < 0.3
+
+
+def test_pairs_that_share_a_direction_are_no_answer():
+    """Free motion in which one joint moves at a time: whatever two of six recordings share, nothing is held."""
+    truth, demos = generated("free_one_joint", "xarm7", 7017, 6, True)
+    cut = [t.part(slice(len(t) // 3, len(t) // 3 + 250)) for t in demos]
+    with pytest.raises(NotIdentifiableError):
+        learnt("xarm7", truth["tip"], cut)
