@@ -28,7 +28,7 @@ from manip_learn.robot.robot import Reference
 
 # share of the trajectories that must show a constraint before one that does not show it is called odd
 MOST = 0.6
-PAIRS_BELOW = 6  # recordings of which two that agree are believed
+PAIRS_BELOW = 6  # recordings of which two that agree are believed: pairs share a direction in free motion, too
 FEWEST_SAMPLES = 4  # of a stretch that is learnt from
 IN_ONE_ONLY = "appears in one recording only"
 DISAGREES = "does not agree with the other recordings"
@@ -205,14 +205,12 @@ def _by_agreement(
         return None
     groups = [best.members, *(members for _, members in best.others)]
     taken = {i for group in groups for i in group}
-    # in free motion too, some pairs of recordings in which one joint moves share a direction
     fewest = 2 if len(demonstrations) < PAIRS_BELOW else 3
     if 2 * sum(len(group) for group in groups if len(group) >= fewest) < len(demonstrations):
         return None
-    parts = [_part(demonstrations, group, feature_maps) for group in groups]
+    parts = tuple(dataclasses.replace(_part(demonstrations, g, feature_maps), is_held=True) for g in groups)
     rest = tuple((_all_of(i, t), DISAGREES) for i, t in enumerate(demonstrations) if i not in taken)
-    held = tuple(Part(p.demonstrations, p.stretches, p.feature_maps, None, True) for p in parts)
-    return Division(held, odd=best.odd, unlearnt=rest)
+    return Division(parts, odd=best.odd, unlearnt=rest)
 
 
 def _all_of(number: int, trajectory: Trajectory) -> Stretch:

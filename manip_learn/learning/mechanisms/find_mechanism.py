@@ -30,10 +30,7 @@ SAMPLES = 60  # of each trajectory in the comparison
 BLIND = 1e-6  # rows of Phi below this are ones that the arm cannot move
 SOFT = 0.03  # share of the motion left in the held rows: hardware stays below
 POOR_RADIUS, POOR_AXIS = 0.2, 5.0  # relative, and [deg]: one standard deviation above which a fit is no answer
-WIDE, WANTED = (
-    0.03,
-    0.01,
-)  # relative: one standard deviation of the radius that is worth a warning, and the one aimed at
+WIDE, WANTED = 0.015, 0.005  # relative: uncertainty of the radius that is worth a warning, and the one aimed at
 
 Confirm = Callable[[FeatureMap, Float[np.ndarray, "s p"]], bool]
 
