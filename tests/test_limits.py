@@ -103,6 +103,8 @@ def test_a_singularity_is_left_where_there_is_more_room(robot_of: RobotOf) -> No
     np.testing.assert_array_equal(limits.freer_sense(middle, direction), direction)
     np.testing.assert_array_equal(limits.freer_sense(middle, -direction), -direction)
     near = middle.copy()
+    near[1] = robot.position_upper[1] - 0.2  # less than on the other side, and enough
+    np.testing.assert_array_equal(limits.freer_sense(near, direction), direction)
     near[1] = robot.position_upper[1] - 0.01
     np.testing.assert_array_equal(limits.freer_sense(near, direction), -direction)
     np.testing.assert_array_equal(limits.freer_sense(near, -direction), -direction)
