@@ -133,6 +133,7 @@ COMMANDS = {
     "learn": ("learn", "planar3", "{}", "--frame", "tip", "--axes", "x y"),
     "replay": ("replay", "planar3", "{}", "--html", "{out}"),
     "audit": ("audit", "planar3", "{constraint}", "{}"),
+    "export": ("export", "planar3", "{}", "--out", "{out}.csv"),
 }
 
 
@@ -157,6 +158,34 @@ def test_errors_name_only_flags_of_the_command(command: str, planar3: Robot, tmp
         assert not re.search(r"\w=\[|\w=\{|\w='|=True", said), said
         named |= found
     assert {"--rename", "--time-unit", "--outside-limits", "--degrees"} <= named
+
+
+DEGREES = np.column_stack([TABLE[:, 0], np.degrees(TABLE[:, 1:])])
+PARTIAL = np.column_stack([TABLE, np.gradient(TABLE[:, 1], TABLE[:, 0])])
+FAULTS = {
+    "a misspelt joint": csv(TABLE, HEADER.replace("joint2", "jiont2")),
+    "another name for the time": csv(TABLE, HEADER.replace("time", "timestamp")),
+    "a column of no joint": csv(np.column_stack([TABLE, TABLE[:, 1]]), HEADER + ",joint11"),
+    "milliseconds": HEADER + "\n" + "".join(f"{1.7e12 + 1e3 * t:.0f},{a},{b},{c}\n" for t, a, b, c in TABLE),
+    "degrees": csv(DEGREES),
+    "velocities of some joints": csv(PARTIAL, HEADER + ",joint1_velocity"),
+    "one row, without a line end": csv(TABLE[:2]).rstrip("\n"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("command", ["replay", "export"])
+def test_what_an_error_advises_works(command: str, fault: str, tmp_path: Path, capsys) -> None:
+    """The flags in the text of an error, typed as they stand there, make the command succeed."""
+    path = tmp_path / "demo.csv"
+    path.write_text(FAULTS[fault])
+    words = [w.format(path, out=tmp_path / "page.html", constraint="") for w in COMMANDS[command]]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    advised = re.findall(r"(?<![\w-])(--[a-z-]+)(?: ([\w./=:-]*\w))?", said.replace("--degrees, or", "--degrees;"))
+    assert advised, said
+    flag, value = advised[0]
+    assert main([*words, flag, *([value] if value and flag != "--degrees" else [])]) == 0, (said, capsys.readouterr())
 
 
 def test_flags_that_match_nothing_leave_the_command_line_with_one_sentence(table: Path, capsys) -> None:

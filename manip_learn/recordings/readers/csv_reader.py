@@ -47,6 +47,13 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     table = _table(path, dialect, used)
     kept = [str(names[i]) for i in used]
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
+    if cut and len(table) < 2:
+        raise RecordingError(
+            f"{path.name}: there is {len(table)} row of numbers beside the last line, which has no line end and may be "
+            "cut off; at least 2 are needed" + advice("; {} reads it", "last_line='keep'", "--last-line keep"),
+            code="too-short",
+            path=path,
+        )
     if cut:
         notes.append(
             "the last line has no line end and was left out, for its last number may be cut off"
