@@ -139,3 +139,21 @@ def test_pairs_that_share_a_direction_are_no_answer():
     cut = [t.part(slice(len(t) // 3, len(t) // 3 + 250)) for t in demos]
     with pytest.raises(NotIdentifiableError):
         learnt("xarm7", truth["tip"], cut)
+
+
+def test_a_door_and_a_table_beside_a_drawer_are_not_pooled():
+    """Three cut recordings each of a drawer, a door and a table whose normal is 11 degrees from the door's axis: three
+    constraints, each from its own recordings.
+    """
+    demos, truths = [], []
+    for kind, seed in (("drawer", 4004), ("door", 5004), ("table", 6004)):
+        truth, made = generated(kind, "panda", seed, 3, whole=False)
+        truths.append(truth["mechanisms"][0])
+        demos += [ml.Trajectory(t.time, t.q, name=f"demo_{len(demos) + i}") for i, t in enumerate(made)]
+    learner = learnt("panda", truth["tip"], demos)
+    tasks = [{p.trajectory for p in learner.report_.phases if p.constraint == k} for k in range(3)]
+    assert sorted(map(sorted, tasks)) == [[f"demo_{3 * k + i}" for i in range(3)] for k in range(3)]
+    for task, report in zip(tasks, learner.reports_, strict=True):
+        assert report.mechanism is not None and report.mechanism.axis is not None
+        true = truths[int(min(task).removeprefix("demo_")) // 3]
+        assert np.linalg.norm(np.cross(report.mechanism.axis, true["axis"])) < np.radians(0.1)

@@ -14,8 +14,10 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.learning.agreement.agreement import Agreement, judge_agreement
 from manip_learn.learning.agreement.edges import held_part, is_chance
 from manip_learn.learning.agreement.interruption import interruptions
+from manip_learn.learning.agreement.mixture import members_of_each
 from manip_learn.learning.agreement.reason import reason
 from manip_learn.learning.before_smoothing import BeforeSmoothing
+from manip_learn.learning.phases.beside_tethers import with_contacts_beside
 from manip_learn.learning.phases.decoding import TRIM
 from manip_learn.learning.phases.find_phases import find_phases, one_constraint_fits, too_short
 from manip_learn.learning.phases.find_tethers import find_tethers
@@ -141,7 +143,8 @@ def divide(
         soft = all(c.softness > FIRM for c in found.constraints)
         tethers = find_tethers(usable, demonstrations, rng) if mechanisms and soft else None
         if tethers is not None and _support(tethers[1]) > _support(found):
-            return _by_phases(demonstrations, (tethers[0],), tethers[1], usable)
+            tied = with_contacts_beside(usable, demonstrations.trajectories, tethers[1], found, rng)
+            return _by_phases(demonstrations, (tethers[0],), tied, usable)
         if found.constraints:
             return _by_phases(demonstrations, usable, found)
         lone = _of_one(found.unsupported)
@@ -189,7 +192,7 @@ def _by_agreement(
     one_fits: bool,
 ) -> Division | None:
     """The division into those that agree and the others; None if all agree, or if that does not explain them."""
-    best: Agreement | None = None
+    best: tuple[FeatureMap, Agreement] | None = None
     for features in judged_by:
         agreement = judge_agreement(features, demonstrations)
         if agreement.unanimous:
@@ -199,18 +202,17 @@ def _by_agreement(
         members = [demonstrations[i] for i in agreement.members]
         if len(members) < 2 or not one_constraint_fits(features, members):
             continue
-        if best is None or len(agreement.members) > len(best.members):
-            best = agreement
+        if best is None or len(members) > len(best[1].members):
+            best = features, agreement
     if best is None:
         return None
-    groups = [best.members, *(members for _, members in best.others)]
-    taken = {i for group in groups for i in group}
+    groups = members_of_each(best[0], demonstrations.trajectories, best[1])
     fewest = 2 if len(demonstrations) < PAIRS_BELOW else 3
     if 2 * sum(len(group) for group in groups if len(group) >= fewest) < len(demonstrations):
         return None
     parts = tuple(dataclasses.replace(_part(demonstrations, g, feature_maps), is_held=True) for g in groups)
-    rest = tuple((_all_of(i, t), DISAGREES) for i, t in enumerate(demonstrations) if i not in taken)
-    return Division(parts, odd=best.odd, unlearnt=rest)
+    rest = tuple((_all_of(i, t), DISAGREES) for i, t in enumerate(demonstrations) if not any(i in g for g in groups))
+    return Division(parts, odd=best[1].odd, unlearnt=rest)
 
 
 def _all_of(number: int, trajectory: Trajectory) -> Stretch:
@@ -240,8 +242,7 @@ def _by_phases(
         free += loose
         odd |= _missing(demonstrations, features, constraint, number)
         elsewhere = [s for c in found.constraints if c is not constraint for s in c.stretches]
-        slips = interruptions(features, demonstrations.trajectories, constraint, elsewhere)
-        odd |= {i: why for i, why in slips.items() if i not in odd}
+        odd = interruptions(features, demonstrations.trajectories, constraint, elsewhere) | odd
         members = Demonstrations([c for _, c in cut], demonstrations.notes)
         maps, rows = (asked_for, None) if asked_for else ((features,), constraint.n_rows)
         parts.append(Part(members, tuple(s for s, _ in cut), maps, rows, True))
@@ -282,8 +283,7 @@ def _missing(
     shown = constraint.trajectories
     if len(shown) < max(2, MOST * len(demonstrations)):
         return {}
-    members = [_trimmed(demonstrations[s.trajectory], s) for s in constraint.stretches]
-    usual = [m for m in members if m is not None]
+    usual = [m for s in constraint.stretches if (m := _trimmed(demonstrations[s.trajectory], s)) is not None]
     out = {}
     for i, t in enumerate(demonstrations):
         if i not in shown:

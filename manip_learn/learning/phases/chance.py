@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.learning.phases.hypotheses import Propose, window_hypotheses
@@ -28,14 +28,36 @@ def turned(motion: PhaseMotion, rng: np.random.Generator) -> PhaseMotion:
     return motion.replaced(rates, Q @ motion.gram @ Q.transpose(0, 2, 1))
 
 
-def recombined(features: FeatureMap, trajectories: Sequence[Trajectory], rng: np.random.Generator) -> list[Trajectory]:
+def donors_apart(g: int, nv: int, rng: np.random.Generator) -> Int[np.ndarray, "g nv"]:
+    """Donors of the joints of g recordings, no more of a recording's joints from one donor than there must be.
+
+    Where donors are drawn for each joint by itself, one recording in thirty has three joints of one donor, and with
+    them nearly its contact.
+    """
+    shifts = np.concatenate([rng.permutation(g) for _ in range(-(-nv // g))])[:nv]
+    return rng.permutation(g)[(np.arange(g)[:, None] + shifts) % g]
+
+
+def recombined(
+    features: FeatureMap,
+    trajectories: Sequence[Trajectory],
+    rng: np.random.Generator,
+    donors: Int[np.ndarray, "g nv"] | None = None,
+) -> list[Trajectory]:
     """Recordings whose joints come from different recordings, at the same share of the time.
 
     Each joint keeps its own motion, and what all recordings have in common; the coordination of the joints that a
     contact enforces is taken away.
+
+    Args:
+        features: Phi.
+        trajectories: With velocities.
+        rng: Draws the donors.
+        donors: Which recording each joint comes from; drawn for each joint by itself if not given.
     """
     g, nv = len(trajectories), features.nv
-    donors = np.stack([rng.permutation(g) for _ in range(nv)], axis=1)
+    if donors is None:
+        donors = np.stack([rng.permutation(g) for _ in range(nv)], axis=1)
     out = []
     for i, t in enumerate(trajectories):
         phase = np.linspace(0.0, 1.0, max(8, int(RATE * t.duration)))

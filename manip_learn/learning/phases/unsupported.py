@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.learning.phases.chance import RATE, recombined
+from manip_learn.learning.phases.chance import RATE, donors_apart, recombined
 from manip_learn.learning.phases.decoding import stretches_of
 from manip_learn.learning.phases.motion import PhaseMotion, directions_used
 from manip_learn.learning.phases.result import Stretch
@@ -89,7 +89,8 @@ def _by_chance(
     """Evidence of the best single recording without a contact [nats]."""
     most = 0.0
     for _ in range(CHANCE_RUNS):
-        made = PhaseMotion.collect(features, recombined(features, trajectories, rng))
+        donors = donors_apart(len(trajectories), features.nv, rng)
+        made = PhaseMotion.collect(features, recombined(features, trajectories, rng, donors))
         for i in range(made.n_trajectories):
             found = _firmest(made.alone(i), np.zeros(np.count_nonzero(made.trajectory == i)), largest)
             most = max(most, 0.0 if found is None else found.support)
