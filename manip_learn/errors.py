@@ -53,6 +53,11 @@ def advice(sentence: str, python: str, flag: str) -> str:
     return sentence.replace("{}", flag) if flag.split()[0] in flags else ""
 
 
+def spoken(python: str, command: str) -> str:
+    """The first text where the library is called from Python, the second where a command runs."""
+    return python if _FLAGS.get() is None else command
+
+
 class ManipLearnError(Exception):
     """Base of all errors raised on purpose by manip_learn."""
 

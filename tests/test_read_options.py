@@ -15,6 +15,8 @@ from manip_learn.cli import app, main
 from manip_learn.commands.read_options import flags_of
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.simulation import simulate
 from manip_learn.errors import RecordingError, advice, advice_for_command
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.audit import audit_episodes
@@ -118,6 +120,17 @@ def test_a_replay_reads_its_recordings_together(tmp_path: Path, capsys) -> None:
     assert main(["replay", "planar3", *files, *page, "--rename", "elbow=joint2"]) == 0
     assert main(["replay", "planar3", *files[:1], *page, "--rename", "elbow=joint2"]) == 2
     assert "nothing in the recordings is called 'elbow'" in capsys.readouterr().err
+
+
+def test_options_for_rollouts_are_refused_as_typed(tmp_path: Path, capsys) -> None:
+    """A rollout is read as it was written: an option for recordings would be ignored in silence."""
+    arm = load_robot("planar3")
+    constraint = Constraint([[0.0, 1.0]], FrameJacobian(arm, "tip", "x y", "world"))
+    path = tmp_path / "run.npz"
+    simulate(arm, ResolvedRateController(constraint), [0.1, 0.5, 0.5], duration=0.2, dt=0.05).save(path)
+    for words in (["--degrees"], ["--ignore-column", "x"], ["--topic", "/x"]):
+        assert main(["replay", "planar3", str(path), "--html", str(tmp_path / "page.html"), *words]) == 2
+        assert f"so {words[0]} has no use" in capsys.readouterr().err
 
 
 def test_advice_is_in_the_words_of_the_caller() -> None:

@@ -75,6 +75,11 @@ def takes_read_options(command: Callable[..., None]) -> Callable[..., None]:
     return with_options
 
 
+def flag_of(option: str) -> str:
+    """The flag for a keyword of `load_demonstrations`."""
+    return {"ignore_columns": "--ignore-column", "topics": "--topic"}.get(option, "--" + option.replace("_", "-"))
+
+
 def flags_of(program: Any, arguments: Sequence[str]) -> set[str]:
     """Flags that the command named in the arguments has; `program` is typer's group of commands."""
     command = next((program.commands[a] for a in arguments if a in program.commands), program)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from manip_learn.commands.read_options import flag_of
 from manip_learn.commands.robot_loading import load_for_files, robot_of_constraint
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
@@ -63,7 +64,7 @@ def replay(
     rollouts = [file for file in files if _is_rollout(Path(file))]
     recordings = [file for file in files if file not in rollouts]
     if options and not recordings:
-        asked = ", ".join("--" + name.replace("_", "-").removesuffix("s") for name in options)
+        asked = ", ".join(flag_of(name) for name in options)
         raise RecordingError(f"rollouts are read as they were written, so {asked} has no use: leave it out")
     for file in rollouts:
         rollout, said = Rollout.load_with_notes(file, robot)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, final
 
-from manip_learn.errors import RecordingError
+from manip_learn.errors import RecordingError, spoken
 from manip_learn.robot.robot import Robot
 
 SHOWN = 8
@@ -107,9 +107,13 @@ class RobotIdentity:
         how = (
             f"load_robot(..., locked={dict(self.locked)!r})" if self.locked else "load_robot(...) with no joint locked"
         )
+        fix = spoken(
+            f"Load the robot that it was made with, {how}",
+            f"Give the description of {self.name!r} that it was made with; the joints that were locked then are locked "
+            "without --lock",
+        )
         raise RecordingError(
-            f"{where} was made with robot {self.name!r}, the robot loaded is {robot.name!r}: {'; '.join(found)}. Load "
-            f"the robot that it was made with, {how}; the command line locks the same joints by itself",
+            f"{where} was made with robot {self.name!r}, the robot loaded is {robot.name!r}: {'; '.join(found)}. {fix}",
             code="other-robot",
             path=path,
         )
