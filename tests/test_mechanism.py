@@ -13,8 +13,13 @@ from mechanism_motions import T, about, along, ball, demonstrate, wave
 import manip_learn as ml
 from manip_learn.constraint.features.place_fields import across
 from manip_learn.errors import NotIdentifiableError, UnknownNameError
+from manip_learn.learning.mechanisms.consensus import TRIED, cannot_hold
+from manip_learn.learning.mechanisms.evidence import HELD, Scales, margins
 from manip_learn.learning.mechanisms.find_mechanism import find_mechanism
+from manip_learn.learning.mechanisms.fits import fit_candidate
+from manip_learn.learning.mechanisms.kinds import MECHANISM_KINDS
 from manip_learn.learning.mechanisms.mechanism import Mechanism
+from manip_learn.learning.mechanisms.tip_paths import TipPaths, thinned
 
 AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
 PITCH = 0.04
@@ -261,3 +266,20 @@ def test_what_cannot_be_looked_at_is_refused(robot_of):
         find(robot_of, "panda", [rest.part(slice(0, 5))])
     with pytest.raises(UnknownNameError):
         find_mechanism(robot, "panda_hand_tpc", [rest], np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    "kind", ["line", "line, firm", "plane", "hinge", "hinge, firm", "screw, firm", "ball", "sleeve"]
+)
+def test_what_is_said_to_be_impossible_is_not_found_either(robot_of, kind):
+    """A mechanism that a bound rules out for a trajectory is not held by the best place found for it; some are."""
+    robot = robot_of("panda")
+    demos = record(robot_of, "panda", paths(place(robot, "panda"))[kind][0])
+    every = TipPaths.of(robot, robot.frame(TIP["panda"]), [thinned(t.q, 60) for t in demos])
+    scales, ruled_out = Scales.of(every, None), 0
+    for candidate in (c for c in MECHANISM_KINDS if c.name in TRIED):
+        for part in (every.alone(i) for i in range(len(every.starts))):
+            if cannot_hold(part, candidate, scales):
+                ruled_out += 1
+                assert np.min(margins(fit_candidate(part, candidate), scales)) < HELD
+    assert ruled_out > 0 or kind in ("line, firm", "hinge, firm")

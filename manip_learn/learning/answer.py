@@ -149,7 +149,9 @@ def _with_rows(answer: Answer, settings: LearnerSettings, fit: Fit, asked: int |
     if supported == 0:
         return _unsupported(answer)
     if evidence.verdict == "clear" or supported < s:
-        again, data = fit(answer.part, dataclasses.replace(settings, n_constraints=supported))
+        # rows that the test finds held are not moved on purpose: no model of a policy needs to be tried against them
+        held = dataclasses.replace(settings, estimator="null-space", n_constraints=supported)
+        again, data = fit(answer.part, held)
         said = (
             f"the gap supports {s} row(s), the recombination test {supported}, which is the answer; "
             f"{evidence.sentence()}"

@@ -19,6 +19,7 @@ BLOCK = 4096
 PRUNE_RATIO = 1e-6
 # Phi of more samples than this is computed anew at each pass instead of kept [numbers]
 KEEP_LIMIT = 3e7
+KEEP_WHITENED_LIMIT = 3e6  # numbers of whitened Phi that are kept from one pass to the next
 
 
 @final
@@ -135,6 +136,11 @@ class Samples:
             if self.mixing is not None:
                 Phi = Phi @ self.mixing
             yield Block(Phi, self.u[part], x, self.trajectory[part])
+
+    def kept_blocks(self) -> tuple[Block, ...]:
+        """All blocks, for many passes over few samples; none where they are too many to be kept."""
+        few = len(self) * self.features.n_rows * self.nv <= KEEP_WHITENED_LIMIT
+        return tuple(self.blocks()) if few else ()
 
     def subset(self, keep: np.ndarray) -> Samples:
         """The samples where the mask is true, in the same whitened coordinates."""

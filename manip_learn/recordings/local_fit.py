@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -28,21 +29,48 @@ def local_fit(
     return value, slope
 
 
-def local_weights(time: np.ndarray, half_width: int, degree: int, stride: int = 1) -> Float[np.ndarray, "N d W"]:
+def local_weights(time: np.ndarray, half_width: int, degree: int) -> Float[np.ndarray, "N d W"]:
     """Weights for the coefficients of the polynomial fitted to each window, in powers of the time from its centre.
 
     The coefficient of power 1 is a slope [1/s]; those of power k > 1 belong to time over the window's longest offset.
     """
+    weights = _weights(_offsets(time, half_width), degree)
+    return np.broadcast_to(weights, (len(time) - 2 * half_width, *weights.shape[1:]))
+
+
+def _offsets(time: Float[np.ndarray, " T"], half_width: int, stride: int = 1) -> Float[np.ndarray, "m W"]:
+    """Time from the centre of each window [s]; of one window only where time is evenly sampled: it serves for all."""
     windows = np.lib.stride_tricks.sliding_window_view(time, 2 * half_width + 1)[::stride]
     offset = windows - windows[:, half_width : half_width + 1]
+    shortest = np.min(np.max(np.abs(offset), axis=1))
+    return offset[:1] if np.max(np.abs(offset - offset[0])) <= EVEN * shortest else offset
+
+
+def _weights(offset: Float[np.ndarray, "m W"], degree: int) -> Float[np.ndarray, "m d W"]:
+    return _even_weights(tuple(offset[0].tolist()), degree) if len(offset) == 1 else _solved_weights(offset, degree)
+
+
+@functools.lru_cache(maxsize=512)
+def _even_weights(offset: tuple[float, ...], degree: int) -> Float[np.ndarray, "1 d W"]:
+    """Weights of one window; recordings of one rate share them."""
+    weights = _solved_weights(np.array([offset]), degree)
+    weights.setflags(write=False)
+    return weights
+
+
+def _solved_weights(offset: Float[np.ndarray, "m W"], degree: int) -> Float[np.ndarray, "m d W"]:
     scale = np.max(np.abs(offset), axis=1, keepdims=True)
-    n = len(offset)
-    if np.max(np.abs(offset - offset[0])) <= EVEN * np.min(scale):
-        offset, scale = offset[:1], scale[:1]  # evenly sampled: one window serves for all
     powers = (offset / scale)[:, None, :] ** np.arange(degree + 1)[None, :, None]
     weights = np.linalg.solve(powers @ powers.transpose(0, 2, 1), powers)
     weights[:, 1] /= scale
-    return np.broadcast_to(weights, (n, *weights.shape[1:]))
+    return weights
+
+
+def _applied(weights: Float[np.ndarray, "m W"], windows: Float[np.ndarray, "N nv W"]) -> Float[np.ndarray, "N nv"]:
+    """Each window's own weighted sum, or with the same weights for all where there is one row of them only."""
+    if len(weights) == 1:
+        return windows @ weights[0]
+    return np.einsum("nw,njw->nj", weights, windows, optimize=True)
 
 
 def best_window(
@@ -60,12 +88,13 @@ def best_window(
             break
         stride = max(1, (len(time) - 2 * m) // COMPARED)
         windows = np.lib.stride_tricks.sliding_window_view(x, 2 * m + 1, axis=0)[::stride]
+        offset = _offsets(time, m, stride)
         for degree in degrees:
             if not fits(m, degree, longest or x.shape[0]):
                 continue
-            slope = local_weights(time, m, degree, stride)[:, 1]
-            richer = local_weights(time, m, degree + 2, stride)[:, 1] - slope
-            difference = np.einsum("nw,njw->nj", richer, windows, optimize=True)
+            slope = _weights(offset, degree)[:, 1]
+            richer = _weights(offset, degree + 2)[:, 1] - slope
+            difference = _applied(richer, windows)
             # the difference of the two fits holds the bias and its own share of the noise: take that off again
             own = np.mean(np.sum(richer**2, axis=1)) * noise2
             bias2 = np.maximum(np.mean(difference**2, axis=0) - own, 0.0)

@@ -6,6 +6,7 @@ rho = |x|, a row is f(p).v + g(p).w. Every field comes with its exact derivative
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
@@ -46,11 +47,13 @@ class Geometry:
 
 def across(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "2 3"]:
     """Two unit vectors that make a right-handed orthonormal base with a unit vector: (first, second, axis)."""
-    first = np.zeros(3)
-    first[int(np.argmin(np.abs(axis)))] = 1.0
-    first -= (first @ axis) * axis
-    first /= np.linalg.norm(first)
-    return np.stack([first, skew(axis) @ first])
+    a = axis.tolist()  # three numbers: floats are faster than arrays
+    least = min(range(3), key=lambda i: abs(a[i]))
+    first = [-a[least] * x for x in a]
+    first[least] += 1.0
+    x = np.array(first)
+    x /= math.sqrt(x @ x)
+    return np.array([x, skew(axis) @ x])
 
 
 def _constant(vector: np.ndarray, n: int) -> Field:

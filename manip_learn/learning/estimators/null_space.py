@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -88,7 +88,8 @@ def fit_null_space(
     """
     Lambda = orthonormal_rows(start)
     s, r = Lambda.shape
-    state = _moments(samples, Lambda, velocity)
+    blocks = samples.kept_blocks()
+    state = _moments(samples, Lambda, velocity, blocks)
     damping, iterations = 0.0, 0
     while iterations < max_iterations and s < r:
         iterations += 1
@@ -97,7 +98,7 @@ def fit_null_space(
         B = -np.linalg.lstsq(H + damping * scale * np.eye(H.shape[0]), gradient.reshape(-1), rcond=1e-14)[0]
         B = B.reshape(s, r - s)
         moved = orthonormal_rows(Lambda + B @ complement_rows(Lambda))
-        trial = _moments(samples, moved, velocity)
+        trial = _moments(samples, moved, velocity, blocks)
         if trial.cost <= state.cost:
             small = float(np.linalg.norm(B)) < tolerance
             no_gain = trial.cost >= state.cost * (1.0 - 1e-12)
@@ -111,13 +112,16 @@ def fit_null_space(
     return NullSpaceFit(Lambda, state.cost, state.energy, iterations, state.scores, state.curvatures)
 
 
-def _moments(samples: Samples, Lambda: np.ndarray, velocity: Velocity | None) -> NullSpaceFit:
+def _moments(
+    samples: Samples, Lambda: np.ndarray, velocity: Velocity | None, blocks: Sequence[Block] = ()
+) -> NullSpaceFit:
+    """What a Gauss-Newton step needs; blocks that were made before need not be made again."""
     s, r = Lambda.shape
     perp, k = complement_rows(Lambda), r - s
     scores = np.zeros((samples.n_trajectories, s, k))
     curvatures = np.zeros((samples.n_trajectories, s * k, s * k))
     cost = energy = 0.0
-    for block in samples.blocks():
+    for block in blocks or samples.blocks():
         w = block.u if velocity is None else velocity(block)
         A = np.einsum("sr,nrv->nsv", Lambda, block.Phi, optimize=True)
         Q, R = batch_row_spaces(A)

@@ -24,6 +24,7 @@ from manip_learn.learning.mechanisms.tip_paths import TipPaths
 LEAST = 3  # trajectories that must agree
 EXPLAINED = 0.7  # share of the trajectories that obey one of the two most obeyed places, where no majority obeys one
 AS_TIGHT = 3.0  # residuals of two mechanisms are alike up to this factor
+CANNOT = 1.2  # times the residual that is asked for, which a place cannot reach: then it is not looked for
 SETTLING = 4  # fits to those that agree, until they stay the same
 TRIED = ("line, not turning", "hinge, firm", "screw, firm", "line", "hinge")  # one way to go: seen in one trajectory
 
@@ -82,10 +83,34 @@ def _settled(
 
 def _supporters(parts: list[TipPaths], candidate: MechanismKind, scales: Scales) -> list[tuple[int, ...]]:
     """Those that obey the place of each trajectory that the candidate holds by itself, and are held so, too."""
-    alone = [fit_candidate(part, candidate) for part in parts]
-    held = [i for i, fit in enumerate(alone) if float(np.min(margins(fit, scales))) > HELD and unevenness(fit) < UNEVEN]
+    possible = [i for i, part in enumerate(parts) if not cannot_hold(part, candidate, scales)]
+    if len(possible) < LEAST:
+        return []
+    alone = {i: fit_candidate(parts[i], candidate) for i in possible}
+    held = [i for i in possible if np.min(margins(alone[i], scales)) > HELD and unevenness(alone[i]) < UNEVEN]
     usual = usual_residuals([residual_rows(parts[i], alone[i]) for i in held])
     return [tuple(j for j in held if _within(residual_rows(parts[j], alone[i]), usual)) for i in held]
+
+
+def cannot_hold(part: TipPaths, candidate: MechanismKind, scales: Scales) -> bool:
+    """Whether no place, wherever it is, holds all rows of a candidate to the margin that is asked for.
+
+    With C the covariance of the positions and l_1 <= l_2 <= l_3 its eigenvalues, two rows across any line have a
+    largest variance of l_2 at least, and the row across any plane one of l_1 (Courant and Fischer). The image of any
+    axis in the hand varies by the least eigenvalue of sum (R - mean R)(R - mean R)^T, over at most three rows.
+    """
+    holds, (m, rad) = candidate.holds, (CANNOT * scales.m / HELD, CANNOT * scales.rad / HELD)
+    n, x = len(part.p), part.centred(part.p)
+    positions = np.linalg.eigvalsh(x.T @ x / n)
+    if "across-line" in holds and positions[1] > m**2 or "height" in holds and positions[0] > m**2:
+        return True
+    if "orientation" in holds:
+        turns = part.centred(part.turns)
+        return bool(np.linalg.eigvalsh(turns.T @ turns / n)[-1] > rad**2)
+    if "axis-in-hand" in holds:
+        R = part.centred(part.R.reshape(-1, 9)).reshape(-1, 3, 3)
+        return bool(np.linalg.eigvalsh(np.einsum("nij,nkj->ik", R, R) / n)[0] > 3.0 * rad**2)
+    return False
 
 
 def usual_residuals(residuals: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:

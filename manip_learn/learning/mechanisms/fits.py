@@ -71,7 +71,7 @@ def _stacked(
     for name in candidate.holds:
         value, J = QUANTITIES[name].evaluate(paths, place)
         d = value.shape[1]
-        J = (J @ T).reshape(len(J), -1)
+        J = (J.reshape(-1, 7) @ T).reshape(len(J), -1)
         both = paths.centred(np.concatenate([value, J], axis=1), name in shared) / scale[name]
         values.append(both[:, :d])
         slopes.append(both[:, d:].reshape(len(J), d, T.shape[1]))

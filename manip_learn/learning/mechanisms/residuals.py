@@ -105,10 +105,8 @@ def angles_about(paths: TipPaths, place: Place) -> Float[np.ndarray, " N"]:
 
 def turn_about(paths: TipPaths, axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " N"]:
     """Angle by which the hand has turned about an axis since the start of each trajectory [rad]."""
-    R0 = np.repeat(paths.R[paths.starts], paths.counts, axis=0)
-    M = paths.R @ R0.transpose(0, 2, 1)
-    vee = np.stack([M[:, 2, 1] - M[:, 1, 2], M[:, 0, 2] - M[:, 2, 0], M[:, 1, 0] - M[:, 0, 1]], axis=1)
-    return paths.unwrapped(np.arctan2(vee @ axis, np.trace(M, axis1=1, axis2=2) - 1.0))
+    vee, trace = paths.turned
+    return paths.unwrapped(np.arctan2(vee @ axis, trace - 1.0))
 
 
 def _thread(paths: TipPaths, place: Place) -> Values:

@@ -102,17 +102,14 @@ def screw_starts(paths: TipPaths) -> list[Place]:
     few = _thinned(paths)
     axes = np.concatenate([directions(), spread(paths), spread(paths, True)])
     centres, misfit = circles(few, axes)
-    places, cost = [], []
-    for axis, centre, m in zip(axes, centres, misfit, strict=True):
-        base = across(axis)
-        y = (few.p - centre) @ base.T
-        angle = np.arctan2(y[:, 1], y[:, 0])
-        phi = few.unwrapped(angle)
-        phi, z = few.centred(phi[:, None])[:, 0], few.centred((few.p @ axis)[:, None])[:, 0]
-        pitch = float(phi @ z) / max(float(phi @ phi), 1e-12)
-        places.append(Place(axis, centre, pitch))
-        cost.append(m**2 + np.mean((z - pitch * phi) ** 2))
-    return [places[i] for i in np.argsort(cost)[:TRIED]]
+    bases = np.stack([across(a) for a in axes])
+    # one column for each direction
+    y = np.einsum("kbi,nki->nkb", bases, few.p[:, None] - centres)
+    phi = few.centred(few.unwrapped(np.arctan2(y[:, :, 1], y[:, :, 0])))
+    z = few.centred(few.p @ axes.T)
+    pitch = np.sum(phi * z, axis=0) / np.maximum(np.sum(phi * phi, axis=0), 1e-12)
+    cost = misfit**2 + np.mean((z - pitch * phi) ** 2, axis=0)
+    return [Place(axes[i], centres[i], float(pitch[i])) for i in np.argsort(cost)[:TRIED]]
 
 
 def ball_starts(paths: TipPaths) -> list[Place]:

@@ -64,12 +64,20 @@ class TipPaths:
         away = self.R @ np.repeat(U @ Vt, self.counts, axis=0).transpose(0, 2, 1)
         return Rotation.from_matrix(away).as_rotvec()
 
-    def unwrapped(self, angle: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+    @cached_property
+    def turned(self) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
+        """2 sin(angle) axis and 1 + 2 cos(angle) of the rotation since the start of each trajectory."""
+        R0 = np.repeat(self.R[self.starts], self.counts, axis=0)
+        M = self.R @ R0.transpose(0, 2, 1)
+        vee = np.stack([M[:, 2, 1] - M[:, 1, 2], M[:, 0, 2] - M[:, 2, 0], M[:, 1, 0] - M[:, 0, 1]], axis=1)
+        return vee, np.trace(M, axis1=1, axis2=2)
+
+    def unwrapped(self, angle: Float[np.ndarray, "N ..."]) -> Float[np.ndarray, "N ..."]:
         """Angles without jumps of a turn along each trajectory [rad]."""
-        jumps = np.diff(angle, prepend=angle[:1])
+        jumps = np.diff(angle, axis=0, prepend=angle[:1])
         jumps = -2.0 * np.pi * np.round(jumps / (2.0 * np.pi))
         jumps[self.starts] = 0.0
-        return angle + np.cumsum(jumps)  # whole turns that a trajectory inherits do not matter
+        return angle + np.cumsum(jumps, axis=0)  # whole turns that a trajectory inherits do not matter
 
     def alone(self, number: int) -> TipPaths:
         """One trajectory."""
