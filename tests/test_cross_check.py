@@ -44,12 +44,6 @@ def test_both_readers_agree(name, rng):
     assert check.agrees and check.links == len(load_robot(name).pinocchio_model.frames[1:]) // 2 + 1
 
 
-def test_refused_robots_load_with_the_joint_locked(rng):
-    """What a refusal proposes works: lock the joints whose limits are unusable."""
-    robot = load_robot("double_pendulum", locked=("joint1",))
-    assert cross_check(robot, rng, n=3).agrees
-
-
 @pytest.mark.parametrize(
     ("name", "joint", "said"),
     [
