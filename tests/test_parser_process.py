@@ -137,7 +137,8 @@ def test_a_parser_that_hangs_or_eats_memory_is_ended(
 
 
 INTERRUPTED = """
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell has background jobs ignore it
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
 from manip_learn.recordings.readers import parser_process
