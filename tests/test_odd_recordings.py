@@ -46,10 +46,10 @@ def away_from_axis(report: ml.LearningReport, truth: dict[str, Any]) -> float:
     [
         pytest.param("ur5", 606, False, id="short arcs among long ones"),
         pytest.param("xarm7", 601, False, id="a slip that a wide hinge would fit"),
-        pytest.param("ur5", 602, True, id="an approach along the door"),
-        pytest.param("sawyer", 607, True, id="a chance stretch beside the contact"),
+        pytest.param("ur5", 602, True, id="an approach along the door", marks=pytest.mark.slow),
+        pytest.param("sawyer", 607, True, id="a chance stretch beside the contact", marks=pytest.mark.slow),
         pytest.param("xarm7", 605, True, id="a slip that makes the first fit soft"),
-        pytest.param("panda", 600, True, id="a slip across the axis only"),
+        pytest.param("panda", 600, True, id="a slip across the axis only", marks=pytest.mark.slow),
         pytest.param("xarm7", 601, True, id="a piece of the arc that is a line of its own"),
     ],
 )

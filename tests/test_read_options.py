@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_corpus import HEADER, TABLE, csv, write_corpus
+from recording_corpus import CASES, HEADER, TABLE, csv, write_corpus
 from test_cli import DRAWER, FRAME
 from typer.main import get_command
 
@@ -159,8 +159,8 @@ def test_errors_name_only_flags_of_the_command(command: str, planar3: Robot, tmp
     Constraint([[0.0, 1.0]], FrameJacobian(planar3, "tip", "x y", "world")).save(constraint)
     flags = flags_of(get_command(app), [command])
     named = set()
-    for path in sorted(corpus.rglob("*")):
-        if path.is_dir():
+    for path in (corpus / case.name for case in CASES if case.verdict not in ("accept", "note")):
+        if not path.is_file():
             continue
         words = [w.format(path, out=tmp_path / "page.html", constraint=constraint) for w in COMMANDS[command]]
         if main(words) == 0:

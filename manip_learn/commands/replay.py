@@ -87,7 +87,7 @@ def replay(
 
 def _is_rollout(path: Path) -> bool:
     if not path.exists():
-        raise RecordingError(f"rollout file {path} does not exist", code="missing", path=path)
+        raise RecordingError(f"{path}: there is no such file: check the path", code="missing", path=path)
     if not path.is_file():
         return False
     header = file_header(path)
