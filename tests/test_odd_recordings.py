@@ -104,13 +104,20 @@ def test_a_slip_halfway_leaves_no_part_in_which_the_contact_holds(share: float):
         assert held == pytest.approx((0.0, 2.0 * share), abs=0.1)
 
 
+def learnt_half_and_half(
+    kind: str, robot: str, seed: int, whole: bool
+) -> tuple[dict[str, Any], dict[str, Any], ml.ConstraintLearner]:
+    """Truth of demo_0 to demo_3, truth of demo_4 to demo_7, and what is learnt from both together."""
+    truth, demos = generated(kind, robot, seed, 4, whole)
+    other, more = generated(kind, robot, seed + 5000, 4, whole)
+    more = [ml.Trajectory(t.time, t.q, name=f"demo_{i + 4}") for i, t in enumerate(more)]
+    return truth, other, learnt(robot, truth["tip"], [*demos, *more])
+
+
 @pytest.mark.parametrize("whole", [False, True])
 def test_two_doors_in_equal_parts_are_two_hinges(whole: bool):
     """Four recordings of one door and four of another, which share a sphere: each has its own hinge."""
-    truth, demos = generated("door", "xarm7", 601, 4, whole)
-    other, more = generated("door", "xarm7", 5601, 4, whole)
-    more = [ml.Trajectory(t.time, t.q, name=f"demo_{i + 4}") for i, t in enumerate(more)]
-    learner = learnt("xarm7", truth["tip"], [*demos, *more])
+    truth, other, learner = learnt_half_and_half("door", "xarm7", 601, whole)
     members = [{p.trajectory for p in learner.report_.phases if p.constraint == k} for k in range(2)]
     halves = [{f"demo_{i}" for i in range(4)}, {f"demo_{i}" for i in range(4, 8)}]
     assert sorted(members, key=min) == halves
@@ -121,10 +128,7 @@ def test_two_doors_in_equal_parts_are_two_hinges(whole: bool):
 @pytest.mark.parametrize("whole", [False, True])
 def test_two_drawers_in_equal_parts_are_two_lines(whole: bool):
     """Four recordings of one drawer and four of another: two constraints, each right to 0.3 degrees."""
-    truth, demos = generated("drawer", "ur5", 602, 4, whole)
-    other, more = generated("drawer", "ur5", 5602, 4, whole)
-    more = [ml.Trajectory(t.time, t.q, name=f"demo_{i + 4}") for i, t in enumerate(more)]
-    learner = learnt("ur5", truth["tip"], [*demos, *more])
+    truth, other, learner = learnt_half_and_half("drawer", "ur5", 602, whole)
     assert len(learner.constraints_) == 2
     for k, constraint in enumerate(learner.constraints_):
         names = {p.trajectory for p in learner.report_.phases if p.constraint == k}

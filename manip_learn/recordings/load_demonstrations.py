@@ -9,6 +9,7 @@ from typing import Literal, TypedDict, Unpack
 
 from manip_learn.errors import RecordingError, advice, closest_names
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.readers.csv_reader import SURPLUS_SUFFIXES
 from manip_learn.recordings.readers.episode_files import select_episodes
 from manip_learn.recordings.readers.episode_selection import EpisodeSelection
 from manip_learn.recordings.readers.option_uses import OptionUses, refuse_unmatched
@@ -20,12 +21,14 @@ from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.saved_motion import check_robot
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import unmoved_joint_names
+from manip_learn.recordings.validation.object_poses import QUATERNION, ROTATION_VECTOR
 from manip_learn.recordings.validation.validate import validate
+from manip_learn.recordings.writers.csv_writer import VELOCITY_SUFFIX
 from manip_learn.robot import Robot
 
 ARRAYS = ("time", "q", "u", "joint_names", "format")  # of an NPZ archive; `time` is a column of any recording
-SUFFIXES = ("_velocity", "_effort", "_torque", "_acceleration", ".pos", ".vel")
-POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz", "qx", "qy", "qz", "qw")
+SUFFIXES = (VELOCITY_SUFFIX, *SURPLUS_SUFFIXES, ".pos", ".vel")
+POSE_SUFFIXES = (".x", ".y", ".z", *ROTATION_VECTOR, *QUATERNION)
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
@@ -201,7 +204,7 @@ def _check_new_names(request: ReadRequest) -> None:
     """Refuse renaming to what the robot does not have: the column would be left out as one of no joint."""
     robot = request.robot
     joints = [*robot.joint_names, *unmoved_joint_names(robot)]
-    poses = [f"{name}.{part}" for name in robot.objects for part in POSE_COLUMNS]
+    poses = [name + suffix for name in robot.objects for suffix in POSE_SUFFIXES]
     for old, new in request.rename.items():
         base = new if new in joints else _without_suffix(new)
         if base not in (*joints, *poses, *ARRAYS):

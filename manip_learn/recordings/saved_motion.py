@@ -19,7 +19,6 @@ from manip_learn.robot.identity import RobotIdentity, names_from
 Kind = Literal["rollout", "recording"]
 PREFIX = "manip_learn."
 SCHEMA = 2
-DATASET_HEADER = "meta/manip_learn.json"  # of a LeRobot data set, beside its own metadata
 UNKNOWN_ROBOT = (
     "the file does not say which robot and which locked joints it was made with (rollouts saved by earlier versions do "
     "not): only the names of the joints were compared; save it again"

@@ -16,6 +16,7 @@ from typing import Any, final
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings.readers.joint_state_layout import JointStateLayout, cdr_layout, ros1_layout
 from manip_learn.recordings.readers.recording import reason
+from manip_learn.recordings.writers.joint_state_messages import JOINT_STATE
 
 try:
     import apsw
@@ -36,7 +37,6 @@ try:
 except ImportError as error:
     raise MissingExtraError("reading ROS bags", "ros") from error
 
-JOINT_STATE = "sensor_msgs/msg/JointState"
 LARGEST_METADATA = 10_000_000
 # what the library was seen to raise on damaged bags, next to its own errors
 DAMAGE = (

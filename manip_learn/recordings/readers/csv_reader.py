@@ -25,8 +25,8 @@ from manip_learn.recordings.readers.csv_dialect import (
 )
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, reason
+from manip_learn.recordings.writers.csv_writer import VELOCITY_SUFFIX
 
-VELOCITY_SUFFIX = "_velocity"
 # columns that belong to a joint but are not needed here
 SURPLUS_SUFFIXES = ("_effort", "_torque", "_acceleration")
 

@@ -10,6 +10,7 @@ from manip_learn.errors import RecordingError
 from manip_learn.recordings.readers.json_file import read_json
 from manip_learn.recordings.readers.natural_order import natural_order
 
+DATASET_HEADER = "meta/manip_learn.json"  # of a data set that this library wrote, beside LeRobot's own metadata
 KNOWN_VERSIONS = ("v2.", "v3.")
 SEARCHED_LEVELS = 4  # <root>/data/chunk-000/file-000.parquet
 

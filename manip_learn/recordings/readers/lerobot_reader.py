@@ -12,13 +12,12 @@ from typing import Any, final
 
 import numpy as np
 
-from manip_learn.errors import MissingExtraError, RecordingError, advice
-from manip_learn.recordings.readers.lerobot_dataset import LeRobotDataset, open_dataset
+from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError, advice
+from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER, LeRobotDataset, open_dataset
 from manip_learn.recordings.readers.lerobot_episodes import episode_number
 from manip_learn.recordings.readers.lerobot_state import StateFeature, state_feature
 from manip_learn.recordings.readers.parser_request import ParserRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, reason
-from manip_learn.recordings.readers.saved_reader import file_header
 
 try:
     import pyarrow as pa
@@ -30,7 +29,6 @@ BATCH = 65_536
 ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200  # bytes, and how much smaller packed
 FEWEST_BYTES = 16  # of a sample: a stamp and a few joints
 GRIPPER = "gripper"  # always 0 .. 100 in LeRobot, whatever the unit of the other motors
-DAMAGE = (pa.ArrowException, OSError, ValueError, KeyError, NotImplementedError, RuntimeError, MemoryError)
 
 
 @final
@@ -51,8 +49,8 @@ def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
         RecordingError: Units or names not known, damaged, values missing.
     """
     dataset = open_dataset(path)
-    header = file_header(path) if path.is_dir() else None
-    if header is not None:  # an export of the library, which is in radians; its robot has been checked
+    is_ours = (path / DATASET_HEADER).is_file()
+    if is_ours:  # in radians; its robot has been checked
         request = replace(request, units=request.units or "radians")
     feature = state_feature(dataset.root, dataset.features, request.feature)
     request.uses.use("feature")
@@ -62,7 +60,7 @@ def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
             names = _names(dataset, feature, request, episode.state.shape[1])
             _refuse_unknown_units(dataset, request, names, episode.state)
         recording = _recording(dataset, request, names, episode)
-        yield replace(recording, trusted=header is not None, notes=(*recording.notes, *_other_features(feature)))
+        yield replace(recording, trusted=is_ours, notes=(*recording.notes, *_other_features(feature)))
 
 
 def _other_features(feature: StateFeature) -> list[str]:
@@ -220,7 +218,7 @@ def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: 
                 raise _refusal(file, "lost-samples", text)
     except RecordingError:
         raise
-    except DAMAGE as error:
+    except (pa.ArrowException, *DAMAGE) as error:
         raise _refusal(
             file, "damaged", f"the Parquet file cannot be read ({reason(error)}): download or write it again"
         ) from error

@@ -16,10 +16,9 @@ from typing import Any, Protocol, final
 import lz4.frame
 
 from manip_learn.errors import RecordingError
+from manip_learn.recordings.mcap_layout import CHANNEL, CHUNK, FOOTER, MAGIC, MESSAGE, SCHEMA, STATISTICS
 from manip_learn.recordings.readers.packed_size import bomb, most_bytes
 
-MAGIC = b"\x89MCAP0\r\n"
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, STATISTICS = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0B
 HEAD = 9  # bytes of a record in front of its content: its kind and length
 
 

@@ -45,6 +45,13 @@ class OptionUses:
         if len(self._seen) < MOST_SEEN:
             self._seen.update(dict.fromkeys(names))
 
+    def renamed(self, name: str, rename: Mapping[str, str]) -> str:
+        """The name in a file after renaming."""
+        self.see(name)
+        if name in rename:
+            self.use("rename", name)
+        return rename.get(name, name)
+
     def use(self, option: str, *names: str) -> None:
         """An option was used; of options that list names, these."""
         self._used.setdefault(option, set()).update(names)

@@ -60,10 +60,7 @@ class ParserRequest:
 
     def renamed(self, name: str) -> str:
         """The name after renaming."""
-        self.uses.see(name)
-        if name in self.rename:
-            self.uses.use("rename", name)
-        return self.rename.get(name, name)
+        return self.uses.renamed(name, self.rename)
 
     def as_words(self) -> dict[str, Any]:
         """As JSON can write it."""

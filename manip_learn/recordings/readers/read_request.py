@@ -85,10 +85,7 @@ class ReadRequest:
 
     def renamed(self, name: str) -> str:
         """The name after renaming."""
-        self.uses.see(name)
-        if name in self.rename:
-            self.uses.use("rename", name)
-        return self.rename.get(name, name)
+        return self.uses.renamed(name, self.rename)
 
     def unmatched(self) -> list[UnmatchedOption]:
         """A sentence for each option that the recordings read so far had no use for."""

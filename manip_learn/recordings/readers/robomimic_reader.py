@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from manip_learn.errors import MissingExtraError, RecordingError, advice
+from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError, advice
 from manip_learn.recordings.readers.natural_order import natural_order
 from manip_learn.recordings.readers.parser_request import ParserRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, reason
@@ -25,7 +25,6 @@ except ImportError as error:
 
 POSITION, VELOCITY = "robot0_joint_pos", "robot0_joint_vel"
 ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200  # bytes, and how much smaller packed
-DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, MemoryError, ArithmeticError)
 
 
 def read(path: Path, request: ParserRequest) -> Iterator[Recording]:

@@ -9,18 +9,10 @@ from typing import IO
 
 import numpy as np
 
+from manip_learn.recordings.mcap_layout import CHANNEL, CHUNK, MAGIC, MESSAGE, METADATA
 from manip_learn.recordings.saved_motion import FileHeader, SavedMotion, refusal
 from manip_learn.recordings.writers.joint_state_messages import rollout_sample_values
-from manip_learn.recordings.writers.mcap_writer import (
-    CHANNEL,
-    CHUNK,
-    HEADER_KEY,
-    MAGIC,
-    MESSAGE,
-    METADATA,
-    METADATA_NAME,
-    ROLLOUT_TOPIC,
-)
+from manip_learn.recordings.writers.mcap_writer import HEADER_KEY, METADATA_NAME, ROLLOUT_TOPIC
 
 LARGEST_METADATA = 10_000_000
 MESSAGE_HEAD = 22  # channel, sequence, two stamps

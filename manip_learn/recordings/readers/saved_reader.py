@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from manip_learn.errors import DAMAGE, RecordingError
 from manip_learn.recordings.readers.joint_trajectory_reader import is_joint_trajectory, read_joint_trajectory
+from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER
 from manip_learn.recordings.readers.npz_archive import NpzArchive
 from manip_learn.recordings.readers.parser_process import parsed_recordings
 from manip_learn.recordings.readers.read_request import ReadRequest
@@ -20,7 +21,6 @@ from manip_learn.recordings.readers.recording import Recording, reason
 from manip_learn.recordings.readers.saved_mcap import mcap_header, read_saved_rollout
 from manip_learn.recordings.readers.saved_text import TEXT_READERS, first_line, header_text
 from manip_learn.recordings.saved_motion import (
-    DATASET_HEADER,
     PREFIX,
     FileHeader,
     SavedMotion,

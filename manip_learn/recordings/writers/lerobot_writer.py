@@ -15,7 +15,9 @@ import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import MissingExtraError, OutputError
-from manip_learn.recordings.saved_motion import DATASET_HEADER, SavedMotion
+from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER
+from manip_learn.recordings.readers.lerobot_state import STATE, VELOCITY
+from manip_learn.recordings.saved_motion import SavedMotion
 
 try:
     import pyarrow as pa
@@ -23,7 +25,6 @@ try:
 except ImportError as error:
     raise MissingExtraError("writing LeRobot data", "lerobot") from error
 
-STATE, VELOCITY = "observation.state", "observation.velocity"
 TASK = "recorded motion"
 FILE = "chunk-000/file-000.parquet"
 

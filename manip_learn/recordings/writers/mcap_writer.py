@@ -11,6 +11,21 @@ from typing import final
 
 import numpy as np
 
+from manip_learn.recordings.mcap_layout import (
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    DATA_END,
+    FOOTER,
+    HEADER,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    METADATA_INDEX,
+    SCHEMA,
+    STATISTICS,
+)
 from manip_learn.recordings.saved_motion import SavedMotion
 from manip_learn.recordings.writers.joint_state_messages import (
     DEFINITIONS,
@@ -21,13 +36,10 @@ from manip_learn.recordings.writers.joint_state_messages import (
     rollout_sample,
 )
 
-MAGIC = b"\x89MCAP0\r\n"
 METADATA_NAME, HEADER_KEY = "manip_learn", "header"
 JOINT_TOPIC, ROLLOUT_TOPIC = "/joint_states", "/rollout"
 CHUNK_BYTES = 1_000_000
 NOT_SET = 1_000_000_000  # [ns] a stamp of zero means "not set" in ROS: such motions start at one second
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 1, 2, 3, 4, 5, 6, 7, 8
-STATISTICS, METADATA, METADATA_INDEX, DATA_END = 0x0B, 0x0C, 0x0D, 0x0F
 
 
 def mcap_bytes(motion: SavedMotion) -> bytes:
