@@ -205,6 +205,34 @@ def batch_row_spaces(
     return Q, np.triu(work[:, :s, :])
 
 
+def row_bases(
+    columns: Float[np.ndarray, "nv s n"],
+) -> tuple[Float[np.ndarray, "nv s n"], Float[np.ndarray, "s s n"]]:
+    """A_n^T = Q_n R_n with the matrices side by side in the last axis: bases of the row spaces alone.
+
+    By Householder reflections like `batch_row_spaces`, at a fifth of the cost where the null bases are not needed.
+    """
+    nv, s, n = columns.shape
+    work = np.array(columns, order="C")
+    reflections = []
+    for j in range(min(s, nv)):
+        v = work[j:, j].copy()
+        norm = np.sqrt(np.sum(v * v, axis=0))
+        v[0] += np.where(v[0] >= 0.0, norm, -norm)
+        square = np.sum(v * v, axis=0)
+        scaled = v * np.divide(2.0, square, out=np.zeros(n), where=square > 0.0)
+        for k in range(j, s):
+            work[j:, k] -= scaled * np.sum(v * work[j:, k], axis=0)
+        reflections.append((v, scaled))
+    Q = np.zeros((nv, s, n))
+    for k in range(s):
+        Q[k, k] = 1.0
+        for j in range(k, -1, -1):
+            v, scaled = reflections[j]
+            Q[j:, k] -= scaled * np.sum(v * Q[j:, k], axis=0)
+    return Q, work[:s] * np.triu(np.ones((s, s)))[:, :, None]
+
+
 @functools.cache
 def _libraries() -> ThreadpoolController:
     # looking for the loaded BLAS libraries takes milliseconds: once is enough, NumPy and SciPy stay loaded
@@ -223,7 +251,15 @@ def one_thread() -> AbstractContextManager[Any]:
 def inverse_triangles(R: Float[np.ndarray, "n s s"]) -> Float[np.ndarray, "n s s"]:
     """Inverses of stacked upper triangles; zero where a sample's constraint loses rank, so that it has no say."""
     s = R.shape[1]
-    diagonal = np.abs(np.einsum("nii->ni", R))
-    usable = np.min(diagonal, axis=1) > 1e-9 * np.max(diagonal, axis=1)
-    safe = np.where(usable[:, None, None], R, np.eye(s))
-    return np.where(usable[:, None, None], np.linalg.inv(safe), 0.0)
+    if s == 0:
+        return np.zeros(R.shape)
+    work = np.ascontiguousarray(R.transpose(1, 2, 0))  # the matrices side by side: no call for each of them
+    diagonal = np.abs(np.einsum("iin->in", work))
+    usable = np.min(diagonal, axis=0) > 1e-9 * np.max(diagonal, axis=0)
+    reciprocal = np.divide(1.0, np.einsum("iin->in", work), out=np.zeros(diagonal.shape), where=usable)
+    out = np.zeros(work.shape)
+    for j in range(s):
+        out[j, j] = reciprocal[j]
+        for i in range(j - 1, -1, -1):
+            out[i, j] = -reciprocal[i] * np.sum(work[i, i + 1 : j + 1] * out[i + 1 : j + 1, j], axis=0)
+    return np.ascontiguousarray(out.transpose(2, 0, 1))

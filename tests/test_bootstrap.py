@@ -7,7 +7,7 @@ import pytest
 from generated_motions import PLANAR_ROWS, angle_deg, arm_features, guided_motions, oblique, paper_motions
 
 from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.bootstrap import bootstrap_angle_deg
+from manip_learn.learning.bootstrap import LEVERAGE_FLOOR, bootstrap_angle_deg, influences
 
 
 def held_arm(seed: int):
@@ -95,3 +95,22 @@ def test_few_trajectories_with_all_the_influence_widen_the_angle():
     two = np.zeros(10)
     two[3], two[7] = 10.0, -10.0
     assert stated(two, 0.95) > 1.6 * plain(two, 0.95)
+
+
+@pytest.mark.parametrize("rank", [3, 80])
+def test_influences_are_those_of_all_eigenvectors(rng, rank):
+    """(I - S_i)^(-1/2), written out with every eigenvector, whether trajectories determine few directions or all."""
+    d, groups = 90, 6
+    J = rng.standard_normal((groups, rank, d)) * np.logspace(0, -2, d)
+    hessians = J.transpose(0, 2, 1) @ J + np.diag(np.logspace(-1, -5, d)) / groups
+    gradients = np.einsum("gij,gj->gi", hessians, rng.standard_normal((groups, d)))
+    values, vectors = np.linalg.eigh(hessians.sum(axis=0))
+    back = vectors / np.sqrt(values)
+    expected = np.empty((groups, d))
+    for i in range(groups):
+        share, axes = np.linalg.eigh(back.T @ hessians[i] @ back)
+        root = (axes / np.sqrt(np.maximum(1.0 - share, LEVERAGE_FLOOR))) @ axes.T
+        expected[i] = vectors @ ((vectors.T @ back) @ (root @ (back.T @ gradients[i])))
+    expected = np.sqrt(groups / (groups - 1.0)) * (expected - expected.mean(axis=0))
+    found = influences(gradients, hessians)
+    assert np.linalg.norm(found - expected) < 1e-6 * np.linalg.norm(expected)

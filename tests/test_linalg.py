@@ -17,6 +17,7 @@ from manip_learn.linalg import (
     orthonormal_rows,
     principal_angles,
     pseudo_inverse,
+    row_bases,
     row_basis,
     row_space_angle,
 )
@@ -153,6 +154,22 @@ def test_batch_row_spaces(rng, shape):
     np.testing.assert_allclose(Q.transpose(0, 2, 1) @ Q, np.broadcast_to(np.eye(nv), (40, nv, nv)), rtol=0, atol=1e-13)
     np.testing.assert_allclose(Q[:, :, :s] @ R, A.transpose(0, 2, 1), rtol=0, atol=1e-13)
     np.testing.assert_allclose(A @ Q[:, :, s:], 0.0, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("s", [0, 1, 2, 6])
+def test_row_bases_are_those_of_the_full_reflections(rng, s):
+    """The thin factors are the first columns of the full ones, for singular and zero matrices too."""
+    A = rng.standard_normal((30, s, 7))
+    A[4, -1:], A[7] = A[4, :1], 0.0
+    Q, R = batch_row_spaces(A)
+    thin_Q, thin_R = row_bases(A.transpose(2, 1, 0))
+    thin_Q, thin_R = thin_Q.transpose(2, 0, 1), thin_R.transpose(2, 0, 1)
+    others = np.arange(30) != 4  # of dependent rows rounding decides what is added
+    np.testing.assert_allclose(thin_Q[others], Q[others, :, :s], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(thin_R[others], R[others], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(thin_Q @ thin_R, A.transpose(0, 2, 1), rtol=0, atol=1e-13)
+    unit = np.broadcast_to(np.eye(s), (30, s, s))
+    np.testing.assert_allclose(thin_Q.transpose(0, 2, 1) @ thin_Q, unit, rtol=0, atol=1e-13)
 
 
 def test_samples_that_lose_rank_have_no_say(rng):

@@ -13,9 +13,10 @@ from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.estimators.estimate import GapTable
 from manip_learn.learning.estimators.noise_covariance import whitened, whitening_factor
 from manip_learn.learning.estimators.policy_equations import OrthonormalRegressors, Projections, Solver, curvature
-from manip_learn.learning.estimators.policy_model import HarmonicModel, PolynomialModel
+from manip_learn.learning.estimators.policy_model import HarmonicModel, PolynomialModel, TrajectoryOffsetModel
+from manip_learn.learning.estimators.projected_equations import fit_projected, held_out_by_fold
 from manip_learn.learning.estimators.row_count import drop_doubtful_rows
-from manip_learn.learning.estimators.variable_projection import fit_joint
+from manip_learn.learning.estimators.variable_projection import fit_joint, held_out_costs
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import row_space_angle
 
@@ -55,6 +56,38 @@ def test_normal_equations_find_what_the_qr_finds(monkeypatch):
     assert row_space_angle(rows.whitened_selection, equations.whitened_selection) < 1e-4
     assert equations.cost == pytest.approx(rows.cost, rel=1e-3)
     assert equations.energy == pytest.approx(rows.energy, rel=1e-3)
+
+
+def test_noisy_motion_is_fitted_and_judged_alike_by_both_routes(monkeypatch):
+    """Where normal equations are used for a small model they find the Lambda and the held-out costs of the QR."""
+    demos, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(34), 40, noise=0.02)
+    samples, model = Samples.collect(truth.features, demos), PolynomialModel(1, 3)
+    start = truth.selection @ np.linalg.pinv(samples.whitening)
+    assert fit_projected(samples, start, model, 30, 1e-13, 1e-9) is not None
+    equations = fit_joint(samples, start, model)
+    costs = held_out_costs(samples, equations.whitened_selection, model, 5)
+    module = "manip_learn.learning.estimators.variable_projection."
+    monkeypatch.setattr(module + "fit_projected", lambda *_: None)
+    monkeypatch.setattr(module + "held_out_by_fold", lambda *_: None)
+    rows = fit_joint(samples, start, model)
+    assert row_space_angle(rows.whitened_selection, equations.whitened_selection) < 1e-8
+    assert equations.cost == pytest.approx(rows.cost, rel=1e-9)
+    np.testing.assert_allclose(equations.theta, rows.theta, atol=1e-6 * np.abs(rows.theta).max())
+    np.testing.assert_allclose(costs, held_out_costs(samples, equations.whitened_selection, model, 5), rtol=1e-7)
+
+
+def test_ill_conditioned_models_are_left_to_the_qr():
+    """Regressors that depend on each other, and motion that a model explains: no answer by normal equations."""
+    demos, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(35), 40, noise=0.02)
+    samples = Samples.collect(truth.features, demos)
+    start = truth.selection @ np.linalg.pinv(samples.whitening)
+    dependent = TrajectoryOffsetModel(PolynomialModel(1, 3), samples.n_trajectories)
+    assert fit_projected(samples, start, dependent, 30, 1e-13, 1e-9) is None
+    assert held_out_by_fold(samples, start, dependent, samples.trajectory % 5) is None
+    exact, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(36), 40)
+    samples = Samples.collect(truth.features, exact)
+    start = truth.selection @ np.linalg.pinv(samples.whitening)
+    assert held_out_by_fold(samples, start, PolynomialModel(1, 3), samples.trajectory % 5) is None
 
 
 def test_curvature_is_the_sum_of_products(rng):

@@ -17,6 +17,8 @@ from manip_learn.linalg import complement_rows, row_space_angles
 LEVERAGE_FLOOR = 1e-3
 # curvature over the largest, each unknown scaled to its own, below which a direction is rounding
 UNDETERMINED = 1e-12
+# steps of Lanczos' method after which all eigenvectors cost no more, and what is rounding in them
+MOST_STEPS, SPENT = 64, 1e-14
 
 
 @final
@@ -115,10 +117,47 @@ def influences(
     back = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
     steps = np.empty((n, d))
     for i in range(n):
-        share, axes = np.linalg.eigh(back.T @ hessians[i] @ back)
-        free = np.maximum(1.0 - share, LEVERAGE_FLOOR)
-        steps[i] = back @ (axes @ ((axes.T @ (back.T @ gradients[i])) / np.sqrt(free)))
+        steps[i] = back @ _without_leverage(hessians[i], back, back.T @ gradients[i])
     return np.sqrt(n / (n - 1.0)) * (steps - steps.mean(axis=0))
+
+
+def _without_leverage(
+    hessian: Float[np.ndarray, "d d"], back: Float[np.ndarray, "d k"], gradient: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, " k"]:
+    """(I - back^T H back)^(-1/2) times a vector, by Lanczos' method where a few of its steps suffice.
+
+    One trajectory determines few directions of many, so that its share of the Hessian has few eigenvalues that count;
+    the Krylov space of the gradient holds what these do to it (Golub and Van Loan, 2013, section 10.1).
+    """
+    k, size = len(gradient), float(np.linalg.norm(gradient))
+    most = min(MOST_STEPS, k // 4)
+    if size == 0.0 or most < 2:
+        return _by_eigenvectors(back.T @ hessian @ back, gradient)
+    basis, T = np.empty((most, k)), np.zeros((most, most))
+    basis[0] = gradient / size
+    before = np.zeros(most)
+    for j in range(most):
+        next_one = back.T @ (hessian @ (back @ basis[j]))
+        T[j, j] = basis[j] @ next_one
+        for _ in range(2):  # once more, against the loss of orthogonality
+            next_one -= (basis[: j + 1] @ next_one) @ basis[: j + 1]
+        length = float(np.linalg.norm(next_one))
+        if length <= SPENT or j % 4 == 3:
+            now = np.zeros(most)
+            now[: j + 1] = _by_eigenvectors(T[: j + 1, : j + 1], np.eye(j + 1)[0])
+            if length <= SPENT or np.linalg.norm(now - before) <= SPENT * np.linalg.norm(now):
+                return size * (now[: j + 1] @ basis[: j + 1])
+            before = now
+        if j + 1 < most:
+            basis[j + 1] = next_one / length
+            T[j, j + 1] = T[j + 1, j] = length
+    return _by_eigenvectors(back.T @ hessian @ back, gradient)
+
+
+def _by_eigenvectors(share: Float[np.ndarray, "k k"], vector: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """(I - S)^(-1/2) times a vector, eigenvalues of I - S no smaller than LEVERAGE_FLOOR."""
+    values, axes = np.linalg.eigh(share)
+    return axes @ ((axes.T @ vector) / np.sqrt(np.maximum(1.0 - values, LEVERAGE_FLOOR)))
 
 
 def _whitener(influence: Float[np.ndarray, "g m"]) -> Float[np.ndarray, "m m"]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.learning.bootstrap import PolicyPrior
-from manip_learn.learning.estimators.variable_projection import JointFit
+from manip_learn.learning.estimators.joint_fit import JointFit
 
 # ratios of singular values, noise directions against free ones
 CLEAR_GAP = 10.0

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.estimators.conditional_pca import conditional_pca
 from manip_learn.learning.estimators.estimate import Estimate, GapTable, gaps_of_residuals
+from manip_learn.learning.estimators.joint_fit import JointFit
 from manip_learn.learning.estimators.model_search import (
     COMPARE,
     ROUNDING,
@@ -25,7 +26,7 @@ from manip_learn.learning.estimators.per_trajectory_offsets import estimate_with
 from manip_learn.learning.estimators.policy_model import HarmonicModel, PolicyModel, PolynomialModel, RadialModel
 from manip_learn.learning.estimators.policy_prior import ScoredFit, fit_marginal
 from manip_learn.learning.estimators.row_count import POOR, drop_doubtful_rows
-from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, scores
+from manip_learn.learning.estimators.variable_projection import fit_joint, scores
 from manip_learn.learning.samples import Samples
 
 # share of the motion that is rounding
@@ -241,7 +242,9 @@ def _fit_from_random_starts(samples: Samples, chosen: JointFit, rng: np.random.G
     if s == r or best.cost <= ROUNDING * best.energy:
         return best
     few = _subsample(samples)
-    reference = fit_joint(few, best.whitened_selection, chosen.model, **COMPARE).cost
+    reference = best.cost
+    if few is not samples:
+        reference = fit_joint(few, best.whitened_selection, chosen.model, **COMPARE).cost
     for _ in range(RANDOM_STARTS):
         start: Float[np.ndarray, "s r"] = rng.standard_normal((s, r))
         other = fit_joint(few, start, chosen.model, **COMPARE)

@@ -17,7 +17,8 @@ from manip_learn.learning.estimators.policy_equations import (
     OrthonormalRegressors,
     Projections,
     Solver,
-    curvature,
+    packed,
+    packed_curvature,
     solve_policy,
 )
 from manip_learn.learning.estimators.policy_model import PolicyModel
@@ -59,7 +60,8 @@ def judge_models(
 ) -> list[JudgedModel]:
     """All models at one Lambda, by normal equations."""
     projections = Projections.of(samples, whitened_selection)
-    return [_judged(samples, projections, model, n_folds) for model in models]
+    entries = packed(projections.N)
+    return [_judged(samples, projections, entries, model, n_folds) for model in models]
 
 
 def choose_model(judged: Sequence[JudgedModel], most_parameters: float) -> JudgedModel:
@@ -87,19 +89,21 @@ def _is_worse(costs: np.ndarray, best: np.ndarray) -> bool:
     return bool(difference.mean() > WORSE * difference.std(ddof=1) / np.sqrt(len(difference)))
 
 
-def _judged(samples: Samples, projections: Projections, model: PolicyModel, n_folds: int) -> JudgedModel:
-    beta, N, u = OrthonormalRegressors.of(samples, model).values, projections.N, samples.u
+def _judged(
+    samples: Samples, projections: Projections, entries: np.ndarray, model: PolicyModel, n_folds: int
+) -> JudgedModel:
+    beta, u = OrthonormalRegressors.of(samples, model).values, samples.u
     held_out = list(_folds(samples.trajectory, n_folds))
-    parts = [curvature(beta[held], N[held]) for held in held_out]
+    parts = [packed_curvature(beta[held], entries[held]) for held in held_out]
     total = np.sum(parts, axis=0)
     costs = np.zeros(samples.n_trajectories)
     for held, own in zip(held_out, parts, strict=True):
-        theta, _ = solve_policy(beta[~held], N[~held], u[~held], Solver(total - own))
-        y = u[held] - beta[held] @ theta
-        np.add.at(costs, samples.trajectory[held], np.einsum("ni,nij,nj->n", y, N[held], y, optimize=True))
-    _, y = solve_policy(beta, N, u, Solver(total))
-    freedom = max(float(np.einsum("nii->", N)) - total.shape[0], 1.0)
-    return JudgedModel(model, costs, float(np.einsum("ni,nij,nj->", y, N, y, optimize=True)) / freedom)
+        _, y = solve_policy(beta, projections, u, Solver(total - own), held)
+        square = np.sum(y * projections.project(y), axis=1)
+        costs += np.bincount(samples.trajectory[held], square[held], len(costs))
+    _, y = solve_policy(beta, projections, u, Solver(total))
+    freedom = max(float(np.einsum("nii->", projections.N)) - total.shape[0], 1.0)
+    return JudgedModel(model, costs, projections.energy(y) / freedom)
 
 
 def _folds(trajectory: Int[np.ndarray, " n"], n_folds: int) -> Iterator[np.ndarray]:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.learning.estimators.conditional_pca import conditional_pca
+from manip_learn.learning.estimators.joint_fit import JointFit
 from manip_learn.learning.estimators.model_choice import (
     CHEAP,
     MOST_WORSE,
@@ -19,7 +20,7 @@ from manip_learn.learning.estimators.model_choice import (
 )
 from manip_learn.learning.estimators.policy_model import PolicyModel
 from manip_learn.learning.estimators.row_count import POOR
-from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, held_out_costs
+from manip_learn.learning.estimators.variable_projection import fit_joint, held_out_costs
 from manip_learn.learning.samples import Samples
 
 N_FOLDS = 5

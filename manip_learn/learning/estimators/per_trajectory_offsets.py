@@ -14,8 +14,9 @@ from jaxtyping import Float
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.estimators.conditional_pca import conditional_pca
 from manip_learn.learning.estimators.estimate import Estimate, gaps_of_residuals
+from manip_learn.learning.estimators.joint_fit import JointFit
 from manip_learn.learning.estimators.policy_model import PolynomialModel, TrajectoryOffsetModel
-from manip_learn.learning.estimators.variable_projection import JointFit, fit_joint, held_out_cost, scores
+from manip_learn.learning.estimators.variable_projection import fit_joint, held_out_cost, scores
 from manip_learn.learning.samples import Samples
 
 FEW = 16  # trajectories on which the starts are compared

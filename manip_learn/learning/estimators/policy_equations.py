@@ -8,16 +8,19 @@ sample, a further solution for what is left takes off what rounding has left (it
 
 from __future__ import annotations
 
+import functools
+import math
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotri, dtrtri
 
 from manip_learn.learning.estimators.policy_model import PolicyModel
 from manip_learn.learning.samples import Samples
-from manip_learn.linalg import batch_row_spaces, complement_rows, inverse_triangles
+from manip_learn.linalg import complement_rows, inverse_triangles, row_bases
 
 # regressors that vary less than this beside the others are left out
 FLAT = 1e-10
@@ -74,20 +77,30 @@ class Projections:
         s, perp = len(Lambda), complement_rows(Lambda)
         parts = []
         for block in samples.blocks():
-            A = np.einsum("sr,nrv->nsv", Lambda, block.Phi, optimize=True)
-            Q, R = batch_row_spaces(A)
-            Z = Q[:, :, s:]
-            N = Z @ Z.transpose(0, 2, 1)
-            rows = Q[:, :, :s].transpose(0, 2, 1)
-            duals = inverse_triangles(R) @ rows if s else rows
-            parts.append((N, duals, N @ np.einsum("kr,nrv->nvk", perp, block.Phi, optimize=True)))
-        N, duals, free = (np.concatenate(p) for p in zip(*parts, strict=True))
+            n, r, nv = block.Phi.shape
+            # all rows with the samples side by side: one product for both selections
+            both = np.concatenate([Lambda, perp]) @ block.Phi.transpose(1, 0, 2).reshape(r, n * nv)
+            A, others = both[:s].reshape(s, n, nv), both[s:].reshape(-1, n, nv)
+            Q, R = row_bases(A.transpose(2, 0, 1))
+            N = np.eye(nv)[None] - (Q.transpose(2, 0, 1) @ Q.transpose(2, 1, 0))
+            rows = Q.transpose(2, 1, 0)
+            duals = inverse_triangles(R.transpose(2, 0, 1)) @ rows if s else rows
+            parts.append((N, duals, N @ others.transpose(1, 2, 0)))
+        N, duals, free = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
         return Projections(N, duals, free)
+
+    def energy(self, y: Float[np.ndarray, "n nv"]) -> float:
+        """sum |N y|^2."""
+        return float(np.vdot(y, self.project(y)))
+
+    def project(self, y: Float[np.ndarray, "n nv"]) -> Float[np.ndarray, "n nv"]:
+        """N y of each sample."""
+        return np.einsum("nij,nj->ni", self.N, y)
 
     def slopes(self, y: Float[np.ndarray, "n nv"]) -> Float[np.ndarray, "n nv m"]:
         """d N (u - pi) / d B for y = u - pi, Kaufman's form, entry by entry of B."""
-        a = np.einsum("nsv,nv->ns", self.duals, y, optimize=True)
-        return -np.einsum("ns,nvk->nvsk", a, self.free, optimize=True).reshape(len(y), y.shape[1], -1)
+        a = np.einsum("nsv,nv->ns", self.duals, y)
+        return -(a[:, None, :, None] * self.free[:, :, None, :]).reshape(len(y), y.shape[1], -1)
 
     def equations(
         self, beta: Float[np.ndarray, "n j"], y: Float[np.ndarray, "n nv"], solver: Solver
@@ -95,22 +108,57 @@ class Projections:
         """Gauss-Newton Hessian and gradient for B with Theta eliminated, for y = u - pi with the best pi."""
         J = self.slopes(y)
         KJ = pull(beta, J)
-        H = np.einsum("nvi,nvj->ij", J, J, optimize=True) - KJ.T @ solver(KJ)
-        return H, np.einsum("nvi,nv->i", J, y, optimize=True)
+        rows = J.reshape(-1, J.shape[2])
+        return rows.T @ rows - KJ.T @ solver(KJ), rows.T @ y.reshape(-1)
 
 
 def curvature(beta: Float[np.ndarray, "n j"], N: Float[np.ndarray, "n nv nv"]) -> Float[np.ndarray, "c c"]:
-    """sum beta beta^T (x) N, c = j nv."""
-    (n, k), nv = beta.shape, N.shape[1]
-    i, j = np.triu_indices(k)
-    pairs = np.zeros((len(i), nv * nv))
-    for start in range(0, n, CHUNK):
+    """sum beta beta^T (x) N, c = j nv, for symmetric N: each pair of regressors and of joints once."""
+    return packed_curvature(beta, packed(N))
+
+
+def packed(N: Float[np.ndarray, "n nv nv"]) -> Float[np.ndarray, "n e"]:
+    """Upper triangles of symmetric matrices, row after row."""
+    n, nv, _ = N.shape
+    v, w = upper(nv)
+    return N.reshape(n, nv * nv).take(v * nv + w, axis=1)
+
+
+def packed_curvature(beta: Float[np.ndarray, "n j"], entries: Float[np.ndarray, "n e"]) -> Float[np.ndarray, "c c"]:
+    """`curvature` for packed projectors."""
+    pairs = np.zeros((beta.shape[1] * (beta.shape[1] + 1) // 2, entries.shape[1]))
+    for start in range(0, len(beta), CHUNK):
         part = slice(start, start + CHUNK)
-        b = beta[part]
-        pairs += (b[:, i] * b[:, j]).T @ N[part].reshape(-1, nv * nv)
+        pairs += products(beta[part]) @ entries[part]
+    return unpacked_curvature(pairs)
+
+
+def unpacked_curvature(pairs: Float[np.ndarray, "g e"]) -> Float[np.ndarray, "c c"]:
+    """The matrix whose blocks, one for each pair of regressors, are packed."""
+    k, nv = _side(len(pairs)), _side(pairs.shape[1])
+    (i, j), (v, w) = upper(k), upper(nv)
+    whole = np.empty((len(i), nv, nv))
+    whole[:, v, w] = whole[:, w, v] = pairs
     out = np.empty((k, k, nv, nv))
-    out[i, j] = out[j, i] = pairs.reshape(-1, nv, nv)
+    out[i, j] = out[j, i] = whole
     return out.transpose(0, 2, 1, 3).reshape(k * nv, k * nv)
+
+
+def products(beta: Float[np.ndarray, "n j"]) -> Float[np.ndarray, "g n"]:
+    """Products of all pairs of regressors, in the order of `upper`."""
+    rows = np.ascontiguousarray(beta.T)
+    return np.concatenate([rows[a] * rows[a:] for a in range(len(rows))])
+
+
+@functools.lru_cache(maxsize=64)
+def upper(side: int) -> tuple[Int[np.ndarray, " e"], Int[np.ndarray, " e"]]:
+    """Rows and columns of the upper triangle of a square matrix, its diagonal included."""
+    return np.triu_indices(side)
+
+
+def _side(entries: int) -> int:
+    """Side of the square matrix whose upper triangle has so many entries."""
+    return (math.isqrt(8 * entries + 1) - 1) // 2
 
 
 def pull(beta: Float[np.ndarray, "n j"], values: Float[np.ndarray, "n nv m"]) -> Float[np.ndarray, "c m"]:
@@ -135,9 +183,26 @@ class Solver:
         raise np.linalg.LinAlgError("the policy's normal equations are not positive definite")
 
     @property
+    def least_pivot(self) -> float:
+        """Least squared diagonal element of Cholesky's factor, the diagonal of H scaled to 1."""
+        return float(np.min(np.diag(self._factor[0]))) ** 2
+
+    @property
     def log_determinant(self) -> float:
         """log |H + a trifle|."""
         return 2.0 * float(np.sum(np.log(np.diag(self._factor[0]) / self._scale)))
+
+    def inverse(self) -> Float[np.ndarray, "c c"]:
+        """The inverse itself, from the factor: a third of the cost of solving for the unit matrix."""
+        half, _ = dpotri(self._factor[0], lower=1)
+        lower = np.tril(half)
+        whole = lower + np.tril(half, -1).T
+        return self._scale[:, None] * whole * self._scale
+
+    def inverse_diagonal(self) -> Float[np.ndarray, " c"]:
+        """Diagonal of the inverse, from the inverse of the factor."""
+        back, _ = dtrtri(self._factor[0], lower=1)
+        return self._scale**2 * np.sum(np.tril(back) ** 2, axis=0)
 
     def __call__(self, y: Float[np.ndarray, "c m"]) -> Float[np.ndarray, "c m"]:
         """Solution for several right sides."""
@@ -145,13 +210,19 @@ class Solver:
 
 
 def solve_policy(
-    beta: Float[np.ndarray, "n j"], N: Float[np.ndarray, "n nv nv"], u: Float[np.ndarray, "n nv"], solver: Solver
+    beta: Float[np.ndarray, "n j"],
+    projections: Projections,
+    u: Float[np.ndarray, "n nv"],
+    solver: Solver,
+    held_out: Bool[np.ndarray, " n"] | None = None,
 ) -> tuple[Float[np.ndarray, "j nv"], Float[np.ndarray, "n nv"]]:
-    """Best Theta' and what it leaves, u - pi, with refinement."""
+    """Best Theta' without the samples that are held out, and what it leaves of all, u - pi, with refinement."""
     theta = np.zeros((beta.shape[1], u.shape[1]))
     y = u
     for _ in range(REFINEMENTS):
-        e = np.einsum("nij,nj->ni", N, y, optimize=True)
+        e = projections.project(y)
+        if held_out is not None:
+            e[held_out] = 0.0
         theta = theta + solver(pull(beta, e[:, :, None])).reshape(theta.shape)
         y = u - beta @ theta
     return theta, y

@@ -15,7 +15,7 @@ of Lambda, which grows with pi, too large, and left-out trajectories badly predi
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import factorial, prod
 from typing import final
 
@@ -23,9 +23,20 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.learning.bootstrap import PolicyPrior, TrajectoryBlocks
-from manip_learn.learning.estimators.policy_equations import CHUNK, Projections, Solver, curvature, pull
+from manip_learn.learning.estimators.joint_fit import JointFit
+from manip_learn.learning.estimators.policy_equations import (
+    CHUNK,
+    Projections,
+    Solver,
+    curvature,
+    packed,
+    products,
+    pull,
+    unpacked_curvature,
+    upper,
+)
 from manip_learn.learning.estimators.policy_model import PolicyModel, PolynomialModel
-from manip_learn.learning.estimators.variable_projection import MAX_BLOCKS, JointFit
+from manip_learn.learning.estimators.variable_projection import MAX_BLOCKS
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import complement_rows, orthonormal_rows
 
@@ -41,6 +52,8 @@ FIRST_UPDATES, UPDATES = 4, 2
 START, LEAST = 4.0, 1e-14
 # least number of parameters of a grade that count as determined
 DETERMINED = 1e-6
+# products of regressors that are kept from one pass to the next [numbers]
+KEEP_LIMIT = 3_000_000
 
 
 @final
@@ -55,6 +68,18 @@ class GradedRegressors:
 
     values: Float[np.ndarray, "n k"]
     grades: Int[np.ndarray, " k"]
+    _kept: list[np.ndarray] = field(default_factory=list, repr=False)
+
+    def products(self) -> Iterator[tuple[slice, Float[np.ndarray, "g n"]]]:
+        """Products of all pairs of regressors, some samples at a time; kept for the next pass where they are few."""
+        n, k = self.values.shape
+        keep = n * k * (k + 1) // 2 <= KEEP_LIMIT
+        for i, start in enumerate(range(0, n, CHUNK)):
+            part = slice(start, start + CHUNK)
+            pairs = self._kept[i] if i < len(self._kept) else products(self.values[part])
+            if keep and i == len(self._kept):
+                self._kept.append(pairs)
+            yield part, pairs
 
     @staticmethod
     def of(samples: Samples, model: PolicyModel, most_columns: int) -> GradedRegressors:
@@ -176,7 +201,8 @@ class _Posterior:
     def __init__(self, samples: Samples, regressors: GradedRegressors, Lambda: Float[np.ndarray, "s r"]):
         self.samples, self.regressors, self.Lambda = samples, regressors, Lambda
         self._projections = Projections.of(samples, Lambda)
-        self._curvature = curvature(regressors.values, self._projections.N)
+        entries = packed(self._projections.N)
+        self._curvature = unpacked_curvature(np.sum([p @ entries[part] for part, p in regressors.products()], axis=0))
         null_part = self._project(samples.u)
         self._pulled = pull(regressors.values, null_part[:, :, None])[:, 0]
         self._energy = float(np.sum(null_part**2))
@@ -232,7 +258,7 @@ class _Posterior:
     def _updated(self) -> Variances:
         """MacKay's update: sums of squares over the numbers of parameters, and of residuals, that data determine."""
         n_grades = len(self.variances.parameters)
-        determined = 1.0 - self.precision * np.diag(self._solver(np.eye(len(self._theta))))
+        determined = 1.0 - self.precision * self._solver.inverse_diagonal()
         counts = np.maximum(np.bincount(self._grades, determined, n_grades), DETERMINED)
         least = LEAST * float(np.mean(self.samples.u**2))
         parameters = np.maximum(np.bincount(self._grades, self._theta**2, n_grades) / counts, least)
@@ -252,13 +278,16 @@ class _Posterior:
 
     def _spreads(self) -> Iterator[tuple[slice, Float[np.ndarray, "n nv nv"]]]:
         """Posterior covariance of pi over sigma^2, some samples at a time."""
-        nv, beta = self.samples.nv, self.regressors.values
-        k = beta.shape[1]
-        inverse = self._solver(np.eye(k * nv)).reshape(k, nv, k, nv).transpose(0, 2, 1, 3).reshape(k, -1)
-        for start in range(0, len(beta), CHUNK):
-            part = slice(start, start + CHUNK)
-            half = (beta[part] @ inverse).reshape(-1, k, nv * nv)
-            yield part, np.einsum("nk,nkv->nv", beta[part], half, optimize=True).reshape(-1, nv, nv)
+        nv, k = self.samples.nv, self.regressors.values.shape[1]
+        (i, j), (v, w) = upper(k), upper(nv)
+        inverse = self._solver.inverse().reshape(k, nv, k, nv).transpose(0, 2, 1, 3)[i, j]  # (g, nv, nv)
+        # each pair of regressors twice but those with themselves: both ways round together they are symmetric
+        shares = (inverse[:, v, w] + inverse[:, w, v]) * np.where(i == j, 0.5, 1.0)[:, None]
+        for part, pairs in self.regressors.products():
+            entries = pairs.T @ shares
+            spread = np.empty((len(entries), nv, nv))
+            spread[:, v, w] = spread[:, w, v] = entries
+            yield part, spread
 
     def _project(self, values: Float[np.ndarray, "n nv"]) -> Float[np.ndarray, "n nv"]:
-        return np.einsum("nij,nj->ni", self._projections.N, values, optimize=True)
+        return self._projections.project(values)

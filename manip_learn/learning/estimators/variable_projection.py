@@ -10,22 +10,20 @@ Kaufman's Jacobian, 1975).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import final
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import qr, solve_triangular
 
 from manip_learn.learning.bootstrap import TrajectoryBlocks
-from manip_learn.learning.estimators.policy_equations import (
-    OrthonormalRegressors,
-    Projections,
-    Solver,
-    curvature,
-    solve_policy,
-)
+from manip_learn.learning.estimators.joint_fit import JointFit
 from manip_learn.learning.estimators.policy_model import PolicyModel
+from manip_learn.learning.estimators.projected_equations import (
+    LEAST_PIVOT,
+    NEARLY_EXACT,
+    fit_projected,
+    held_out_by_fold,
+)
 from manip_learn.learning.samples import Block, Samples
 from manip_learn.linalg import batch_row_spaces, complement_rows, inverse_triangles, orthonormal_rows
 
@@ -33,34 +31,10 @@ MAX_ITERATIONS = 30
 RANK_TOLERANCE = 1e-13
 # directions of the policy that the data determine well enough to matter for the uncertainty
 BASIS_TOLERANCE = 1e-10
-# parameters of the policy beyond which normal equations take the place of a QR of all rows
+# parameters of the policy beyond which normal equations take the place of a QR of all rows however they are conditioned
 MANY_COLUMNS = 64
-# share of the energy below which what is left is no noise
-NEARLY_EXACT = 1e-6
 # trajectories beyond so many are taken in blocks: a Hessian of each, for Theta too, is kept
 MAX_BLOCKS = 100
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class JointFit:
-    """Result of the joint estimator.
-
-    Attributes:
-        whitened_selection: Lambda in whitened coordinates, orthonormal rows, shape (s, p').
-        theta: Parameters of the policy model, shape (k, nv).
-        cost: Mean of |Z^T (u - pi)|^2.
-        energy: Mean of |Z^T u|^2.
-        iterations: Gauss-Newton steps.
-        model: The policy model.
-    """
-
-    whitened_selection: Float[np.ndarray, "s r"]
-    theta: Float[np.ndarray, "k nv"]
-    cost: float
-    energy: float
-    iterations: int
-    model: PolicyModel
 
 
 def fit_joint(
@@ -81,11 +55,13 @@ def fit_joint(
         tolerance: Step length at which to stop.
         gain: Relative decrease of the cost below which to stop.
     """
-    if model.n_terms * samples.nv > MANY_COLUMNS:
-        fast = _fit_many(samples, start, model, max_iterations, tolerance, gain)
+    many = model.n_terms * samples.nv > MANY_COLUMNS
+    fast = fit_projected(samples, start, model, max_iterations, tolerance, gain, 0.0 if many else LEAST_PIVOT)
+    if fast is not None:
         if fast.cost > NEARLY_EXACT * fast.energy:
             return fast
-        start = fast.whitened_selection  # normal equations lose half the digits: QR goes on where there are digits
+        # normal equations lose half the digits: QR answers where there are digits, and goes on where it is expensive
+        start = fast.whitened_selection if many else start
     Lambda = orthonormal_rows(start)
     s, r = Lambda.shape
     theta, cost, energy = _policy(samples, Lambda, model)
@@ -109,44 +85,6 @@ def fit_joint(
         else:
             damping = max(1e-3, damping * 10.0)
     return JointFit(Lambda, theta, cost, energy, iterations, model)
-
-
-def _fit_many(
-    samples: Samples, start: np.ndarray, model: PolicyModel, max_iterations: int, tolerance: float, gain: float
-) -> JointFit:
-    """`fit_joint` by normal equations: the same steps, for many parameters of the policy."""
-    regressors = OrthonormalRegressors.of(samples, model)
-    beta, u, n = regressors.values, samples.u, len(samples)
-    Lambda = orthonormal_rows(start)
-    s, r = Lambda.shape
-
-    def state(at: np.ndarray) -> tuple[Projections, Solver, np.ndarray, np.ndarray, float]:
-        projections = Projections.of(samples, at)
-        solver = Solver(curvature(beta, projections.N))
-        theta, y = solve_policy(beta, projections.N, u, solver)
-        return projections, solver, theta, y, float(np.einsum("ni,nij,nj->", y, projections.N, y, optimize=True)) / n
-
-    projections, solver, theta, y, cost = state(Lambda)
-    damping, iterations = 0.0, 0
-    while iterations < max_iterations and 0 < s < r:
-        iterations += 1
-        H, gradient = projections.equations(beta, y, solver)
-        scale = max(float(np.trace(H)) / len(H), np.finfo(np.float64).tiny)
-        B = -np.linalg.lstsq(H + damping * scale * np.eye(len(H)), gradient, rcond=1e-14)[0].reshape(s, r - s)
-        moved = orthonormal_rows(Lambda + B @ complement_rows(Lambda))
-        trial = state(moved)
-        if trial[-1] <= cost:
-            done = float(np.linalg.norm(B)) < tolerance or trial[-1] >= cost * (1.0 - gain)
-            Lambda, (projections, solver, theta, y, cost) = moved, trial
-            damping = damping * 0.1 if damping > 1e-9 else 0.0
-            if done:
-                break
-        elif float(np.linalg.norm(B)) < 1e-12 or damping > 1e6:
-            break  # rounding is all that is left
-        else:
-            damping = max(1e-3, damping * 10.0)
-    energy = float(np.einsum("ni,nij,nj->", u, projections.N, u, optimize=True)) / n
-    return JointFit(Lambda, regressors.mixing @ theta, cost, energy, iterations, model)
 
 
 def scores(samples: Samples, fit: JointFit) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
@@ -194,6 +132,10 @@ def held_out_costs(
     `by_sample` leaves out every n-th sample instead, for models with parameters of each trajectory. Each fold is boiled
     down to a triangle once; leaving it out means solving with the others'.
     """
+    fold = np.arange(len(samples)) if by_sample else samples.trajectory
+    sums = held_out_by_fold(samples, Lambda, model, fold % n_folds) if len(samples) >= n_folds > 1 else None
+    if sums is not None:
+        return sums / len(samples) if len(sums) > 1 else np.array([np.inf])
     triangles: list[np.ndarray | None] = [None] * n_folds
     for block in samples.blocks():
         Z, _, _ = _bases(block, Lambda)

@@ -14,8 +14,9 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.learning.bootstrap import TrajectoryBlocks
 from manip_learn.learning.candidate import Candidate
 from manip_learn.learning.data_summary import DataSummary
+from manip_learn.learning.estimators.joint_fit import JointFit
 from manip_learn.learning.estimators.policy_model import PolicyModel
-from manip_learn.learning.estimators.variable_projection import MAX_BLOCKS, JointFit
+from manip_learn.learning.estimators.variable_projection import MAX_BLOCKS
 from manip_learn.learning.samples import Samples
 from manip_learn.learning.streaming.accumulator import Accumulator
 from manip_learn.learning.streaming.executor import Executor
