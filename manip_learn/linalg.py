@@ -47,14 +47,9 @@ def inverse_singular_values(
     damping: float = 0.05,
 ) -> Float[np.ndarray, " k"]:
     """1/sigma in the chosen sense; see `pseudo_inverse`."""
+    if inverse == "damped":  # plain numbers: for as few as a constraint has, NumPy's calls take longer
+        return np.array([_damped_inverse(value, threshold, damping) for value in sigma.tolist()])
     out = np.zeros_like(sigma)
-    if inverse == "damped":
-        ratio = np.clip(sigma / threshold, 0.0, 1.0)
-        # smooth at the threshold: value and slope of lambda^2 vanish there
-        lambda2 = (damping * (1.0 - ratio**2)) ** 2
-        denominator = sigma**2 + lambda2
-        np.divide(sigma, denominator, out=out, where=denominator > 0)
-        return out
     if inverse == "truncated":
         keep = sigma > matlab_tolerance(sigma, shape)
     elif inverse == "exact":
@@ -65,9 +60,27 @@ def inverse_singular_values(
     return out
 
 
+def _damped_inverse(value: float, threshold: float, damping: float) -> float:
+    """sigma / (sigma^2 + lambda^2); smooth at the threshold, where value and slope of lambda^2 vanish."""
+    ratio = min(value / threshold, 1.0)
+    damped = damping * (1.0 - ratio * ratio)
+    denominator = value * value + damped * damped
+    return value / denominator if denominator > 0.0 else 0.0
+
+
 def matlab_tolerance(sigma: Float[np.ndarray, " k"], shape: tuple[int, ...]) -> float:
     """Matlab's pinv tolerance max(size(A)) * eps(norm(A))."""
     return float(max(shape) * np.spacing(np.max(sigma, initial=0.0)))
+
+
+def rank_of(sigma: Float[np.ndarray, " k"], shape: tuple[int, ...]) -> int:
+    """Number of singular values, in falling order, above Matlab's tolerance."""
+    values = sigma.tolist()
+    least = max(shape) * math.ulp(values[0]) if values else 0.0
+    rank = len(values)
+    while rank and not values[rank - 1] > least:
+        rank -= 1
+    return rank
 
 
 def svd(

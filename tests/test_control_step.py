@@ -43,7 +43,7 @@ def test_cholesky_and_svd_give_the_same_command(
     commands: list[list[Command]] = []
     for shortcut in (True, False):
         if not shortcut:
-            monkeypatch.setattr("manip_learn.control.controller.row_inverse", lambda A: None)
+            monkeypatch.setattr("manip_learn.control.resolved_rate_law.row_inverse", lambda A: None)
         rng, here = np.random.default_rng(5), []
         for axes in ("x y", "xyz", "pose"):
             features = FrameJacobian(robot, tip_of(name), axes)

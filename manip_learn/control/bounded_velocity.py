@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.control.polytope_projection import Projection
-from manip_learn.linalg import matlab_tolerance, svd
+from manip_learn.linalg import svd
 
 # weight of the task's scale against the null-space policy, in multiples of the task part
 TASK_WEIGHT = 100.0
@@ -55,6 +55,7 @@ class Desired(NamedTuple):
 def bounded_velocity(
     A: Float[np.ndarray, "s nv"],
     desired: Desired,
+    null: Float[np.ndarray, "nv k"],
     low: Float[np.ndarray, " nv"],
     high: Float[np.ndarray, " nv"],
     fastest: Float[np.ndarray, " nv"],
@@ -62,6 +63,7 @@ def bounded_velocity(
     project: Projection,
     slide: float = 0.0,
     damping: float = 0.05,
+    decomposition: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
 ) -> BoundedVelocity:
     """The velocity within the bounds that keeps the direction of the task.
 
@@ -84,6 +86,7 @@ def bounded_velocity(
     Args:
         A: Constraint matrix.
         desired: Parts of the command before bounds.
+        null: Z with Z Z^T = N, or the projector N itself, which serves as well.
         low: Lowest velocities allowed.
         high: Highest velocities allowed.
         fastest: Velocity limits.
@@ -91,23 +94,24 @@ def bounded_velocity(
         project: Solver of the quadratic program.
         slide: 0 keeps the task's direction, 1 slides along what blocks it; in between their mean.
         damping: Singular value of A below which sliding is damped.
+        decomposition: U, singular values and V^T of A, where they are known.
     """
     for bound in (barrier, None) if barrier is not None else (None,):
-        found = _bounded(A, desired, low, high, fastest, bound, project, slide, damping)
-        if found is not None and _within(found.velocity, low, high):
-            return found._replace(velocity=np.clip(found.velocity, low, high))  # rounding
+        found = _bounded(A, desired, null, low, high, fastest, bound, project, slide, damping, decomposition)
+        if found is not None:
+            within = np.minimum(np.maximum(found.velocity, low), high)
+            beyond = within - found.velocity
+            if float(beyond.dot(beyond)) <= ROUNDING * ROUNDING:
+                return BoundedVelocity(within, found.task_scale, found.null_part)
     # a box always holds a point; this is for a solver that gave up
     u = np.clip(desired.task + desired.null, low, high)
     return BoundedVelocity(u, 0.0, np.zeros_like(u))
 
 
-def _within(u: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
-    return bool(np.all(u >= low - ROUNDING) and np.all(u <= high + ROUNDING))
-
-
 def _bounded(
     A: np.ndarray,
     desired: Desired,
+    Z: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
     fastest: np.ndarray,
@@ -115,32 +119,36 @@ def _bounded(
     project: Projection,
     slide: float,
     damping: float,
+    decomposition: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
 ) -> BoundedVelocity | None:
     v, w, e = desired
-    decomposition = svd(A)
-    _, sigma, Vt = decomposition
-    Z = Vt[int(np.count_nonzero(sigma > matlab_tolerance(sigma, A.shape))) :].T
-    too_fast = float(np.max(np.abs(v) / fastest, initial=1.0))
-    v = v / too_fast  # slowed down to the velocity limits, before null-space motion makes room for it
-    scale = approach_scale(v, w if e is None else w + e, barrier)
-    wish = scale * v + w if e is None else scale * v + w + e
+    too_fast = 1.0
+    for speed, limit in zip(v.tolist(), fastest.tolist(), strict=True):
+        too_fast = max(too_fast, abs(speed) / limit)
+    if too_fast > 1.0:  # slowed down to the velocity limits, before null-space motion makes room for it
+        v = v / too_fast
+    rest = w if e is None else w + e
+    scale = approach_scale(v, rest, barrier)
     bounds = (low, high, barrier, project)
     along = _along(v, scale, w, e, Z, *bounds)
     if along is not None:
         u, s = along
     else:
+        wish = scale * v + rest
         b = A @ v
         length = math.sqrt(b.dot(b))
         across = A if length < NEGLIGIBLE else A - np.outer(b / length, (b / length) @ A)
-        u = _nearest(wish, svd(across), sigma[0] / DEVIATION_WEIGHT, *bounds)
+        decomposition = decomposition or svd(A)
+        u = _nearest(wish, svd(across), float(decomposition[1][0]) / DEVIATION_WEIGHT, *bounds)
         if u is None:
             return None
         s = 0.0 if length < NEGLIGIBLE else max(0.0, float(b @ (A @ u)) / length**2)
     if slide > 0.0:
-        slid = _nearest(wish, decomposition, damping, *bounds)
+        slid = _nearest(scale * v + rest, decomposition or svd(A), damping, *bounds)
         if slid is not None:
             u = u + slide * (slid - u)
-    return BoundedVelocity(u, s / too_fast, Z @ (Z.T @ u))
+    null_part = Z.dot(u) if Z.shape[0] == Z.shape[1] else Z.dot(u.dot(Z))
+    return BoundedVelocity(u, s / too_fast, null_part)
 
 
 def approach_scale(v: np.ndarray, rest: np.ndarray, barrier: tuple[np.ndarray, float] | None) -> float:
@@ -164,37 +172,29 @@ def _along(
     project: Projection,
 ) -> tuple[np.ndarray, float] | None:
     """The first program: (u, s), or None if the bounds allow no s >= 0."""
-    columns, x = [Z], [Z.T @ w]
+    nv, at = Z.shape
     length, speed = math.sqrt(v.dot(v)), 0.0 if e is None else math.sqrt(e.dot(e))
+    moves, escapes = length > NEGLIGIBLE, speed > NEGLIGIBLE
     # a slow task comes first beside a fast policy, too
     weight = TASK_WEIGHT * max(length, min(math.sqrt(w.dot(w)), LARGEST_RATIO * length))
-    if length > NEGLIGIBLE:
-        columns.append(v[:, None] / weight)
-        x.append(np.array([weight * scale]))
-    if e is not None and speed > NEGLIGIBLE:
-        columns.append(e[:, None] / speed)
-        x.append(np.array([speed]))
-    basis = np.hstack(columns)
-    rows, lows, highs = [basis], [low], [high]
+    k, rows = at + moves + escapes, nv + (barrier is not None) + moves
+    # the unknowns are y, weight * s, and the escape's speed; the rows are joints, barrier, and s
+    C, start, lows, highs = np.zeros((rows, k)), np.empty(k), np.empty(rows), np.empty(rows)
+    basis = C[:nv]
+    basis[:, :at], start[:at], lows[:nv], highs[:nv] = Z, w.dot(Z), low, high
+    if moves:
+        basis[:, at], start[at], C[-1, at], lows[-1], highs[-1] = v / weight, weight * scale, 1.0 / weight, 0.0, 1.0
+    if e is not None and escapes:
+        basis[:, -1], start[-1] = e / speed, speed
     if barrier is not None:
-        rows.append((barrier[0] @ basis)[None])
-        lows.append(np.array([barrier[1]]))
-        highs.append(np.array([np.inf]))
-    at = Z.shape[1]
-    if length > NEGLIGIBLE:
-        row = np.zeros((1, basis.shape[1]))
-        row[0, at] = 1.0 / weight
-        rows.append(row)
-        lows.append(np.zeros(1))
-        highs.append(np.ones(1))
-    start, C, least = np.concatenate(x), np.vstack(rows), np.concatenate(lows)
-    y = project(start, C, least, np.concatenate(highs))
-    if y is None and length > NEGLIGIBLE:  # too fast to brake: farther along b is better than beside it
-        highs[-1] = np.array([np.inf])
-        y = project(start, C, least, np.concatenate(highs))
+        C[nv], lows[nv], highs[nv] = barrier[0].dot(basis), barrier[1], math.inf
+    y = project(start, C, lows, highs)
+    if y is None and moves:  # too fast to brake: farther along b is better than beside it
+        highs[-1] = math.inf
+        y = project(start, C, lows, highs)
     if y is None:
         return None
-    return basis @ y, float(y[at] / weight) if length > NEGLIGIBLE else 1.0
+    return basis.dot(y), float(y[at]) / weight if moves else 1.0
 
 
 def _nearest(
@@ -208,12 +208,12 @@ def _nearest(
 ) -> np.ndarray | None:
     """The second program: the velocity within the bounds that is nearest to `wish`, mostly in the rows decomposed."""
     _, sigma, Vt = decomposition
-    root = np.ones(Vt.shape[0])
-    root[: sigma.shape[0]] = np.sqrt(1.0 + (sigma / max(damping, 1e-300)) ** 2)
-    C = Vt.T / root  # u = C x
-    rows, lows, highs = C, low, high
+    nv, scale = Vt.shape[0], 1.0 / max(damping, 1e-300)
+    root = np.array([math.hypot(1.0, scale * x) for x in sigma.tolist()] + [1.0] * (nv - sigma.shape[0]))
+    rows = np.empty((nv + (barrier is not None), nv))
+    C = np.divide(Vt.T, root, out=rows[:nv])  # u = C x
     if barrier is not None:
-        rows = np.vstack((C, barrier[0] @ C))
-        lows, highs = np.append(low, barrier[1]), np.append(high, np.inf)
-    x = project(root * (Vt @ wish), rows, lows, highs)
-    return None if x is None else C @ x
+        rows[nv] = barrier[0].dot(C)
+        low, high = np.append(low, barrier[1]), np.append(high, np.inf)
+    x = project(root * Vt.dot(wish), rows, low, high)
+    return None if x is None else C.dot(x)

@@ -12,37 +12,25 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.feature_map import Vjp
-from manip_learn.constraint.manipulability import SINGULAR_RATIO, manipulability_of
-from manip_learn.control.bounded_velocity import Desired, bounded_velocity
+from manip_learn.control.bounded_velocity import bounded_velocity
 from manip_learn.control.command import Command
 from manip_learn.control.limits import Limits
 from manip_learn.control.outcome import Law, bounded_command, plain_command
 from manip_learn.control.policies import (
-    ManipulabilityAscent,
     NullSpacePolicy,
-    SampledPolicy,
-    WeightedPolicies,
     ZeroPolicy,
 )
 from manip_learn.control.polytope_projection import Solver, projection_by
+from manip_learn.control.resolved_rate_law import ResolvedRateLaw
 from manip_learn.control.singularity import (
-    APPROACH_RATE,
-    BRAKING_SHARE,
-    Decomposition,
+    approach_allowed,
     approach_bound,
-    escape_velocity,
-    pressed_damping,
-    smallest_gradient,
-    stable_damping,
 )
 from manip_learn.control.tasks import Hold, Task
-from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
-from manip_learn.linalg import Inverse, inverse_singular_values, matlab_tolerance, row_inverse, svd
+from manip_learn.errors import ConfigurationError, ConstraintError
+from manip_learn.linalg import Inverse
+from manip_learn.robot.frame_kinematics import is_plain
 from manip_learn.robot.robot import Robot
-
-# width of the escape from a singularity, as a share of the singular value at which damping sets in
-ESCAPE_WIDTH = 0.6
 
 
 @final
@@ -75,11 +63,10 @@ class ResolvedRateController:
             joint limits and scales nothing (the paper's law as printed).
         dt: Time for which a command is held [s], unless the call says otherwise.
         robot: Whose limits count; the features' own robot by default.
-        solver: `"active-set"` finds the bounded command by a method of the library; `"qp"` by DAQP (the extra `qp`).
+        solver: `"qp"` finds the bounded command by DAQP, `"active-set"` by a method of this library, more slowly.
 
     Raises:
         ConstraintError: The null policy belongs to another number of joints, or settings that are not positive.
-        MissingExtraError: DAQP is not installed.
     """
 
     def __init__(
@@ -94,7 +81,7 @@ class ResolvedRateController:
         limits: bool | Limits = True,
         dt: float = 0.01,
         robot: Robot | None = None,
-        solver: Solver = "active-set",
+        solver: Solver = "qp",
     ):
         if inverse not in ("exact", "truncated", "damped"):
             raise ConstraintError(f"inverse must be 'exact', 'truncated' or 'damped', not {inverse!r}")
@@ -115,13 +102,8 @@ class ResolvedRateController:
         self.solver: Solver = solver
         self._project = projection_by(solver)
         self._features_check = self.robot is not None and self.robot is constraint.robot
-        policy = self.null_policy
-        self._ascent = policy if isinstance(policy, ManipulabilityAscent) and policy.constraint is constraint else None
-        climbs = self._ascent is not None and self._ascent.max_speed is not None
-        climbs = climbs or (isinstance(policy, WeightedPolicies) and policy.climbs(constraint))
-        self._escapes = inverse == "damped" and climbs
-        self._samples = policy if isinstance(policy, SampledPolicy) else None
-        self._brakes = inverse == "damped" and self.limits is not None
+        settings = (self.inverse, self.threshold, self.damping)
+        self._law = ResolvedRateLaw(constraint, self.task, self.null_policy, *settings, self.limits)
 
     def __call__(
         self,
@@ -150,7 +132,7 @@ class ResolvedRateController:
             dt = self.dt
         elif not 0.0 < dt < math.inf:
             raise ConfigurationError(f"dt must be a positive number of seconds, got {dt!r}")
-        if not (self._features_check and type(q) is np.ndarray and q.dtype.char == "d"):
+        if not (self._features_check and type(q) is np.ndarray and is_plain(q)):
             q = self._checked_posture(q)
         return self._limited(q, dt, self._law(q, t, dt), previous, slide)
 
@@ -162,76 +144,8 @@ class ResolvedRateController:
         """The same controller with other limits."""
         other = copy.copy(self)
         other.limits = other._limits_of(limits)
-        other._brakes = other.inverse == "damped"
+        other._law = self._law.with_limits(limits)
         return other
-
-    def _law(self, q: np.ndarray, t: float, dt: float) -> Law:
-        """The parts of equation (2), before limits."""
-        ascent, vjp = self._ascent, None
-        if ascent is None and not self._escapes:
-            A = self.constraint(q)
-        else:  # one Hessian and one inverse serve the task and the policy
-            A, vjp = self.constraint.value_and_vjp(q)
-        b = self._checked(self.task.velocity(self.constraint, q, t), A.shape[0], "the task's velocity b")
-        E = self.task.error_jacobian(self.constraint, q, t)
-        if E is not None:  # orientation targets: the rows whose velocity b is are those of the error
-            return self._near_singularity(q, t, dt, E, b, None)._replace(mu=manipulability_of(A), barred=False)
-        inverse = row_inverse(A)
-        if inverse is None or (self.inverse == "damped" and inverse[2] < self.threshold):
-            return self._near_singularity(q, t, dt, A, b, vjp)
-        # nothing to damp or to truncate, the case of nearly every step
-        X, mu, smallest = inverse
-        pi = self._policy(q, t, dt) if ascent is None or vjp is None else ascent.from_inverse(X, mu, smallest, vjp, dt)
-        desired = Desired(b.dot(X), pi - A.dot(pi).dot(X), None)
-        return Law(A, b, desired, mu, smallest, False, None, vjp)
-
-    def _near_singularity(
-        self, q: np.ndarray, t: float, dt: float, A: np.ndarray, b: np.ndarray, vjp: Vjp | None
-    ) -> Law:
-        """The law by the singular value decomposition, see the class."""
-        ascent, escape = self._ascent, None
-        U, sigma, Vt = decomposition = Decomposition(*svd(A))
-        if ascent is None or vjp is None:
-            pi = self._policy(q, t, dt)
-        else:
-            pi = ascent.from_decomposition(A.shape, decomposition, vjp, dt)
-        k = sigma.shape[0]
-        along = b.dot(U[:, :k])
-        gains = inverse_singular_values(sigma, A.shape, self.inverse, self.threshold, self.damping)
-        task_part = (gains * along).dot(Vt[:k])
-        stable = stable_damping(sigma, along, self.threshold, dt)
-        if self._brakes and stable > self.damping and sigma[-1] > SINGULAR_RATIO * sigma[0]:
-            slope = smallest_gradient(decomposition, vjp or self.constraint.value_and_vjp(q)[1])
-            damping = pressed_damping(self.damping, stable, slope, task_part)
-            gains = inverse_singular_values(sigma, A.shape, self.inverse, self.threshold, damping)
-            task_part = (gains * along).dot(Vt[:k])
-        Z = Vt[np.count_nonzero(sigma > matlab_tolerance(sigma, A.shape)) :]
-        smallest, singular = float(sigma[-1]), bool(sigma[-1] <= SINGULAR_RATIO * sigma[0])
-        mu = math.prod(sigma.tolist()) if A.shape[0] <= A.shape[1] else 0.0
-        if self._escapes and vjp is not None:
-            escape = escape_velocity(decomposition, vjp, dt, ESCAPE_WIDTH * self.threshold)
-            if singular and self.limits is not None:
-                # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
-                escape = self.limits.freer_sense(q, escape)
-        desired = Desired(task_part, Z.dot(pi).dot(Z), escape)
-        return Law(A, b, desired, mu, smallest, singular, decomposition, vjp)
-
-    def _barrier(self, q: np.ndarray, dt: float, law: Law, u: np.ndarray) -> tuple[np.ndarray, float] | None:
-        """(g, least): the approach to a singularity, g u >= least, where u could exceed it; None elsewhere."""
-        A, smallest, limits = law.A, law.smallest, self.limits
-        if not (self._brakes and law.barred) or limits is None or law.singular or A.shape[0] > A.shape[1]:
-            return None
-        # |grad sigma| is about as large as A itself: no closer look where that is slow enough
-        size = float(np.vdot(A, A))
-        least_deceleration = BRAKING_SHARE * limits.weakest * math.sqrt(size)
-        rate = min(APPROACH_RATE, 0.5 / dt) * smallest
-        if float(u.dot(u)) * size < min(2.0 * least_deceleration * smallest, rate * rate):
-            return None
-        decomposition = law.decomposition or Decomposition(*svd(A))
-        vjp = law.vjp or self.constraint.value_and_vjp(q)[1]
-        slope = smallest_gradient(decomposition, vjp)
-        bound = approach_bound(smallest, slope, limits.acceleration, dt)
-        return (slope, -bound) if bound < math.inf else None
 
     def _limits_of(self, limits: bool | Limits) -> Limits | None:
         if isinstance(limits, Limits):
@@ -248,17 +162,6 @@ class ResolvedRateController:
             raise ConfigurationError(f"the posture is not finite: {vector.tolist()}")
         return vector
 
-    def _policy(self, q: np.ndarray, t: float, dt: float) -> np.ndarray:
-        pi = self.null_policy(q, t) if self._samples is None else self._samples(q, t, dt)
-        return self._checked(pi, self.constraint.nv, "the null-space policy's velocity")
-
-    @staticmethod
-    def _checked(vector: ArrayLike, size: int, what: str) -> np.ndarray:
-        array = np.asarray(vector, np.float64)
-        if array.shape != (size,) or not isfinite(sum(array.tolist())):
-            raise TargetError(f"{what} must be {size} finite numbers, got {array.tolist()}")
-        return array
-
     def _limited(self, q: np.ndarray, dt: float, law: Law, previous: np.ndarray | None, slide: float) -> Command:
         """The parts of the law brought within the limits, and added."""
         task, null, escape = law.desired
@@ -271,17 +174,23 @@ class ResolvedRateController:
         limits, damped = self.limits, self.inverse == "damped" and law.smallest < self.threshold
         if limits is None:
             return plain_command(law, velocity, damped)
-        barrier = self._barrier(q, dt, law, velocity)
-        slow = barrier is None or float(barrier[0].dot(velocity)) >= barrier[1]
+        barrier, slope = None, self._law.approach(q, dt, law, velocity)
+        approach = 0.0 if slope is None else -float(slope.dot(velocity))
+        slow = slope is None or approach <= approach_allowed(law.smallest, slope, limits.weakest, dt)
         if slow and limits.admit(q, dt, velocity, previous):
             return plain_command(law, velocity, damped)
+        if slope is not None and (bound := approach_bound(law.smallest, slope, limits.acceleration, dt)) < math.inf:
+            barrier, slow = (slope, -bound), approach <= bound
         bounds = limits.bounds(q, dt, previous)
         if slow and bounds.admit(velocity):
             return plain_command(law, velocity, damped, bounds.outside)
         low, high = np.array(bounds.low), np.array(bounds.high)
         # an explicit step of dt follows sliding that is damped that much
         blur = max(self.damping, math.sqrt(2.0 * dt * math.sqrt(law.b.dot(law.b))))
-        found = bounded_velocity(law.A, law.desired, low, high, limits.velocity, barrier, self._project, slide, blur)
+        found = bounded_velocity(
+            *(law.A, law.desired, law.null_space(), low, high, limits.velocity, barrier, self._project, slide, blur),
+            decomposition=law.decomposition,
+        )
         return bounded_command(law, found, bounds, damped)
 
     def __repr__(self) -> str:

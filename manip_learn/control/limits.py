@@ -59,12 +59,21 @@ class Bounds(NamedTuple):
         joint, cause, most = -1, -1, 0.0
         rows = zip(velocity.tolist(), desired.tolist(), self.low, self.high, strict=True)
         for j, (u, wish, low, high) in enumerate(rows):
-            tolerance = AT_BOUND * (1.0 + abs(u))
-            if u >= high - tolerance and wish - high > most:
+            if wish - high > most and u >= high - AT_BOUND * (1.0 + abs(u)):
                 joint, cause, most = j, self.high_cause[j], wish - high
-            elif u <= low + tolerance and low - wish > most:
+            elif low - wish > most and u <= low + AT_BOUND * (1.0 + abs(u)):
                 joint, cause, most = j, self.low_cause[j], low - wish
         return joint, cause
+
+
+@final
+class _Approaches(NamedTuple):
+    """How fast the joints may approach their limits in steps of dt, and the positions between which all speeds are."""
+
+    dt: float
+    joints: list[Approach]
+    low: list[float]
+    high: list[float]
 
 
 @final
@@ -141,7 +150,7 @@ class Limits:
         self._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, self.acceleration))
         self.weakest = float(self.acceleration.min())
         self._unknown: list[None] = [None] * robot.nv
-        self._approach: tuple[float, list[Approach]] = (0.0, [])
+        self._approach = _Approaches(0.0, [], [], [])
 
     def admit(
         self,
@@ -151,22 +160,32 @@ class Limits:
         previous: Float[np.ndarray, " nv"] | None,
     ) -> bool:
         """Whether a velocity is within `bounds` and no joint outside its limits, without making the bounds."""
-        if dt != self._approach[0]:
-            self._approach = (dt, [approach_of(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)])
+        if dt != self._approach.dt:
+            self._approach = self._approaches(dt)
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
-        for y, u, lower, upper, v, approach in zip(
-            x.tolist(), velocity.tolist(), *self._columns[:3], self._approach[1], strict=True
-        ):
+        velocities, (_, joints, low, high) = velocity.tolist(), self._approach
+        rows = zip(x.tolist(), velocities, low, high, *self._columns[:3], joints, strict=True)
+        for y, u, bottom, top, lower, upper, v, approach in rows:
+            if bottom <= y <= top:  # far from its limits
+                if -v <= u <= v:
+                    continue
+                return False
             below, above = y - lower, upper - y
             if not -v <= u <= v or below < 0.0 or above < 0.0:
                 return False
             distance = above if u > 0.0 else below
             if distance < approach.free and abs(u) > approach.speed(distance):
                 return False
-        if previous is None:
-            return True
-        changes = zip(velocity.tolist(), previous.tolist(), self._columns[3], strict=True)
+        return previous is None or self._admit_change(velocities, dt, previous)
+
+    def _admit_change(self, velocities: list[float], dt: float, previous: Float[np.ndarray, " nv"]) -> bool:
+        changes = zip(velocities, previous.tolist(), self._columns[3], strict=True)
         return all(abs(u - before) <= a * dt for u, before, a in changes)
+
+    def _approaches(self, dt: float) -> _Approaches:
+        joints = [approach_of(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)]
+        free = np.array([approach.free for approach in joints])
+        return _Approaches(dt, joints, (self.lower + free).tolist(), (self.upper - free).tolist())
 
     def bounds(self, q: Float[np.ndarray, " n"], dt: float, previous: Float[np.ndarray, " nv"] | None) -> Bounds:
         """Bounds on the velocity of the next dt.
@@ -176,21 +195,22 @@ class Limits:
             dt: Time that the next velocity is held [s].
             previous: Velocity commanded in the step before [rad/s or m/s]; None bounds no acceleration.
         """
-        if dt != self._approach[0]:
-            self._approach = (dt, [approach_of(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)])
+        if dt != self._approach.dt:
+            self._approach = self._approaches(dt)
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
         # loops over Python floats: NumPy calls on vectors as short as an arm's cost more
         low, high, low_cause, high_cause, outside = [], [], [], [], 0.0
         before = self._unknown if previous is None else previous.tolist()
-        rows = zip(x.tolist(), *self._columns, before, self._approach[1], strict=True)
+        rows = zip(x.tolist(), *self._columns, before, self._approach.joints, strict=True)
         for y, lower, upper, v, a, u, approach in rows:
             bottom, top, bottom_cause, top_cause = -v, v, VELOCITY, VELOCITY
-            below, above = y - lower, upper - y
-            if above < approach.free and (fastest := approach.speed(above)) < top:
+            below, above, free = y - lower, upper - y, approach.free
+            if above < free and (fastest := approach.speed(above)) < top:
                 top, top_cause = fastest, POSITION
-            if below < approach.free and (fastest := approach.speed(below)) < v:
+            if below < free and (fastest := approach.speed(below)) < v:
                 bottom, bottom_cause = -fastest, POSITION
-            outside = max(outside, -below, -above)
+            if below < outside or above < outside:
+                outside = min(below, above)
             if u is not None:
                 slowest, fastest = u - a * dt, u + a * dt
                 if slowest > bottom:
@@ -203,6 +223,7 @@ class Limits:
             high.append(top)
             low_cause.append(bottom_cause)
             high_cause.append(top_cause)
+        outside = -outside
         return Bounds(low, high, low_cause, high_cause, outside if outside > OUTSIDE else 0.0)
 
     def towards(
@@ -233,7 +254,7 @@ class Limits:
             other.jerk = _positive("jerk", jerk, self.robot.joint_names)
         other.weakest = float(other.acceleration.min())
         other._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, other.acceleration))
-        other._approach = (0.0, [])
+        other._approach = _Approaches(0.0, [], [], [])
         return other
 
     def freer_sense(self, q: Float[np.ndarray, " n"], direction: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:

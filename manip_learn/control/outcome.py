@@ -13,6 +13,7 @@ from manip_learn.control.command import Command
 from manip_learn.control.limits import ACCELERATION, POSITION, VELOCITY, Bounds
 from manip_learn.control.singularity import Decomposition
 from manip_learn.control.status import Status
+from manip_learn.linalg import rank_of
 
 # a task stalls where less than this share of the velocity asked for is left
 STALLED_BELOW = 0.01
@@ -41,15 +42,25 @@ class Law(NamedTuple):
     mu: float
     smallest: float
     singular: bool
-    decomposition: Decomposition | None
+    decomposition: Decomposition | None  # near singularities, X elsewhere
     vjp: Vjp | None
+    X: Float[np.ndarray, "s nv"] | None = None  # A^{+T}
+    slope: Float[np.ndarray, " nv"] | None = None  # grad of the smallest singular value, where it is known
     barred: bool = True  # whether the approach to the rows' singularities is bounded
+
+    def null_space(self) -> Float[np.ndarray, "nv k"]:
+        """Z with Z Z^T = N, the null basis near singularities and N itself elsewhere."""
+        if self.decomposition is not None:
+            return self.decomposition.Vt[rank_of(self.decomposition.sigma, self.A.shape) :].T
+        return np.eye(self.A.shape[1]) if self.X is None else np.eye(self.A.shape[1]) - self.A.T.dot(self.X)
 
 
 def plain_command(law: Law, velocity: Float[np.ndarray, " nv"], damped: bool, outside: float = 0.0) -> Command:
     """The command where no limit changes the law."""
     task, null, escape = law.desired
     progress, status, lost = 1.0, Status.OK, _direction_lost(law)
+    if not (damped or lost or outside):
+        return Command(velocity, status, law.mu, law.b, task, null, 1.0, 1.0, law.smallest, escape)
     if damped or lost:
         progress, status = _progress(law, velocity), Status.DAMPED
         if progress < STALLED_BELOW:
@@ -85,10 +96,9 @@ def bounded_command(law: Law, found: BoundedVelocity, bounds: Bounds, damped: bo
         status = Status.DAMPED
     else:
         status = Status.NULL_SCALED if bounds.admit(task) else Status.REROUTED
-    return Command(
-        *(velocity, status, law.mu, law.b, task_part, null_part, min(task_scale, 1.0), null_scale, law.smallest),
-        *(escape, progress, bounds.outside, joint),
-    )
+    scale, smallest, outside = min(task_scale, 1.0), law.smallest, bounds.outside
+    parts = (task_part, null_part, scale, null_scale, smallest, escape, progress, outside, joint)
+    return Command(velocity, status, law.mu, law.b, *parts)
 
 
 def next_slide(slide: float, command: Command, dt: float) -> float:

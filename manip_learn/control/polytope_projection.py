@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.util import find_spec
+from functools import cache
 from typing import Literal
 
+import daqp
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg.lapack import dposv  # pyright: ignore[reportAttributeAccessIssue]
 
-from manip_learn.errors import ConstraintError, MissingExtraError
+from manip_learn.errors import ConstraintError
 
 # how much a bound may be exceeded by rounding, in the unit of the bounds
 TOLERANCE = 1e-11
@@ -19,7 +20,10 @@ DEPENDENT = 1e-18
 # ... and than this share, it is projected twice
 REORTHOGONAL = 1e-2
 
-Solver = Literal["active-set", "qp"]
+# the same for DAQP, whose answer may be off by as much: commands are compared to 1e-12
+FINE = 1e-13
+SOLVED, INFEASIBLE = 1, -1  # exit flags of DAQP
+Solver = Literal["qp", "active-set"]
 Projection = Callable[
     [Float[np.ndarray, " k"], Float[np.ndarray, "m k"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]],
     "Float[np.ndarray, ' k'] | None",
@@ -27,19 +31,14 @@ Projection = Callable[
 
 
 def projection_by(solver: Solver) -> Projection:
-    """A solver by its name: `"active-set"`, or `"qp"` for DAQP (the optional extra `qp`).
+    """A solver by its name.
 
     Raises:
         ConstraintError: Unknown name.
-        MissingExtraError: DAQP is not installed.
     """
-    if solver == "active-set":
-        return project_by_active_set
-    if solver != "qp":
-        raise ConstraintError(f"solver must be 'active-set' or 'qp', not {solver!r}")
-    if find_spec("daqp") is None:
-        raise MissingExtraError("the solver 'qp'", "qp")
-    return project_by_daqp
+    if solver not in ("qp", "active-set"):
+        raise ConstraintError(f"solver must be 'qp' or 'active-set', not {solver!r}")
+    return project_by_active_set if solver == "active-set" else project_by_daqp
 
 
 def project_by_daqp(
@@ -48,14 +47,25 @@ def project_by_daqp(
     low: Float[np.ndarray, " m"],
     high: Float[np.ndarray, " m"],
 ) -> Float[np.ndarray, " k"] | None:
-    """The same by DAQP, a dual active-set solver in C (Arnstrom, Bemporad and Axehill, 2022)."""
-    import daqp
+    """argmin |y - x|^2 subject to low <= C y <= high, or None if no point meets the bounds.
 
-    rows = np.ascontiguousarray(C)
+    By DAQP, a dual active-set solver in C (Arnstrom, Bemporad and Axehill, "A dual active-set solver for embedded
+    quadratic programming using recursive LDL^T updates", 2022); where it gives up, by `project_by_active_set`.
+    """
     y, _, exit_flag, _ = daqp.solve(
-        np.eye(x.shape[0]), -x, rows, high, low, np.zeros(low.shape[0], dtype=np.int32), primal_tol=TOLERANCE
+        _unit(x.shape[0]), -x, C, high, low, np.zeros(low.shape[0], dtype=np.int32), primal_tol=FINE
     )
-    return np.asarray(y) if exit_flag == 1 else None
+    if exit_flag == SOLVED:
+        return np.asarray(y)
+    # where 0 is the only point, or one of few, DAQP may not see it
+    if exit_flag == INFEASIBLE and not (low.max() <= 0.0 <= high.min()):
+        return None
+    return project_by_active_set(x, C, low, high)
+
+
+@cache
+def _unit(size: int) -> np.ndarray:
+    return np.eye(size)  # DAQP takes no array that may not be written to, and does not write
 
 
 def project_by_active_set(
@@ -64,7 +74,7 @@ def project_by_active_set(
     low: Float[np.ndarray, " m"],
     high: Float[np.ndarray, " m"],
 ) -> Float[np.ndarray, " k"] | None:
-    """argmin |y - x|^2 subject to low <= C y <= high, by the dual active-set method of Goldfarb and Idnani (1983).
+    """The same by the dual active-set method of Goldfarb and Idnani (1983), without another library.
 
     Starts from x itself, and brings the row that is exceeded most to its bound, one after another; rows whose
     multiplier would change its sign are let go. The answer depends continuously on all arguments.

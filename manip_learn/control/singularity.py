@@ -7,6 +7,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg.lapack import dsyev  # pyright: ignore[reportAttributeAccessIssue]
 
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
@@ -43,10 +44,35 @@ def smallest_gradient(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarra
     """d sigma_min / dq = u_min^T (dA / dq) v_min, for a singular value that is neither 0 nor double."""
     U, sigma, Vt = decomposition
     last = sigma.shape[0] - 1
-    return vjp(np.outer(U[:, last], Vt[last]))
+    return vjp(U[:, last, None] * Vt[last])
 
 
-def escape_velocity(decomposition: Decomposition, vjp: Vjp, dt: float, width: float) -> Float[np.ndarray, " nv"]:
+def smallest_gradient_of(A: Float[np.ndarray, "s nv"], smallest: float, vjp: Vjp) -> Float[np.ndarray, " nv"]:
+    """The same away from singularities, from A A^T: v_min = A^T u_min / sigma_min, weights u_min v_min^T."""
+    s = A.shape[0]
+    if s == 1:
+        return vjp(A) / smallest
+    G = A.dot(A.T)
+    if s == 2:  # u u^T = (largest I - G) / (largest - smallest), in plain numbers
+        (a, b), (_, c) = G.tolist()
+        radius = math.hypot(0.5 * (a - c), b)
+        first, second, both = (radius - 0.5 * (a - c), radius + 0.5 * (a - c), -b) if radius > 0.0 else (1.0, 0.0, 0.0)
+        scale = 1.0 / ((2.0 * radius if radius > 0.0 else 1.0) * smallest)
+        projector = np.array(((first * scale, both * scale), (both * scale, second * scale)))
+        return vjp(projector.dot(A))
+    _, vectors, failed = dsyev(G)
+    u = vectors[:, 0] if not failed else np.linalg.svd(A)[0][:, -1]
+    return vjp(u[:, None] * (u.dot(A) / smallest))
+
+
+def escape_velocity(
+    decomposition: Decomposition,
+    vjp: Vjp,
+    dt: float,
+    width: float,
+    ascent: Float[np.ndarray, " nv"] | None = None,
+    slope: Float[np.ndarray, " nv"] | None = None,
+) -> Float[np.ndarray, " nv"]:
     """Joint velocity out of a singularity, along the directions v_i whose singular values are below `width`.
 
     The exact projector N leaves no motion along a direction that is nearly lost, and none that climbs out where mu is
@@ -66,25 +92,29 @@ def escape_velocity(decomposition: Decomposition, vjp: Vjp, dt: float, width: fl
         vjp: weights -> sum_ij weights_ij dA_ij / dq_k.
         dt: Time for which the velocity is held [s].
         width: Singular value at which it ends, in the constraint's units.
+        ascent: grad log mu, where it is known.
+        slope: Gradient of the smallest singular value, where it is known.
     """
     U, sigma, Vt = decomposition
     s, nv = U.shape[0], Vt.shape[0]
     smallest = float(sigma[-1])
     if smallest >= width or s > nv:
         return np.zeros(nv)
+    values = sigma.tolist()
     seed = SEED_SPEED * max(0.0, 1.0 - smallest / (SEED_SHARE * width))
-    lost = sigma <= SINGULAR_RATIO * sigma[0]
-    if lost[-1]:
+    if smallest <= SINGULAR_RATIO * values[0]:
         return seed * steepest_ascent(decomposition, vjp)
-    share = np.clip(1.0 - (sigma / width) ** 2, 0.0, None) ** 2
-    ascent = vjp((U / sigma).dot(Vt[:s]))
-    d = (share * Vt[:s].dot(ascent)).dot(Vt[:s])
+    shares = [max(0.0, 1.0 - (x / width) ** 2) ** 2 for x in values]
+    if ascent is None:
+        ascent = vjp((U / sigma).dot(Vt[:s]))
+    d = (np.array(shares) * Vt[:s].dot(ascent)).dot(Vt[:s])
     length = math.sqrt(d.dot(d))
     if length == 0.0:
         return d
-    slope = smallest_gradient(decomposition, vjp)
+    if slope is None:
+        slope = smallest_gradient(decomposition, vjp)
     ramp = dt * ESCAPE_SPEED * math.sqrt(slope.dot(slope)) / STABLE_SLOPE
-    speed = ESCAPE_SPEED * float(share[-1]) * smallest / math.hypot(smallest, ramp)
+    speed = ESCAPE_SPEED * shares[-1] * smallest / math.hypot(smallest, ramp)
     return (max(speed, seed) / length) * d
 
 
@@ -126,10 +156,18 @@ def approach_bound(
     length = math.sqrt(slope.dot(slope))
     if length == 0.0:
         return math.inf
-    usable = float(np.min(acceleration / np.maximum(np.abs(slope), 1e-12 * length)))
+    least, usable = 1e-12 * length, math.inf
+    for limit, part in zip(acceleration.tolist(), slope.tolist(), strict=True):
+        usable = min(usable, limit / max(abs(part), least))
     deceleration = BRAKING_SHARE * length * length * usable
     rate = min(APPROACH_RATE, 0.5 / dt)
     return length * CROSSING_SPEED + min(rate * smallest, math.sqrt(2.0 * deceleration * smallest))
+
+
+def approach_allowed(smallest: float, slope: Float[np.ndarray, " nv"], weakest: float, dt: float) -> float:
+    """A rate that `approach_bound` allows in any case, from the smallest acceleration limit of a joint."""
+    deceleration = BRAKING_SHARE * math.sqrt(slope.dot(slope)) * weakest
+    return min(min(APPROACH_RATE, 0.5 / dt) * smallest, math.sqrt(2.0 * deceleration * smallest))
 
 
 def stable_damping(
@@ -146,8 +184,9 @@ def stable_damping(
         threshold: Singular value below which a direction counts as nearly lost.
         dt: Time for which a velocity is held [s].
     """
-    beta = float(np.max(np.abs(along[sigma < threshold]), initial=0.0))
-    return math.sqrt(beta * float(sigma[0]) * dt / (2.0 * STABLE_SLOPE))
+    values = sigma.tolist()
+    beta = max([0.0, *(abs(x) for x, value in zip(along.tolist(), values, strict=True) if value < threshold)])
+    return math.sqrt(beta * values[0] * dt / (2.0 * STABLE_SLOPE))
 
 
 def pressed_damping(

@@ -16,15 +16,9 @@ from numpy.typing import ArrayLike
 from manip_learn.errors import ConfigurationError, UnknownNameError
 from manip_learn.robot.description.mimic import Coupling, Mimic
 from manip_learn.robot.frame import Frame, FrameLike
+from manip_learn.robot.frame_kinematics import FrameKinematics, is_plain
 from manip_learn.robot.joints import JointBlock, build_coupling, joint_kind, joint_limits
-from manip_learn.robot.kinematic_hessian import (
-    REFERENCES,
-    centre_of_mass_derivative,
-    closed_form,
-    columns_to_joints,
-    pinocchio_order_is_known,
-    reordered,
-)
+from manip_learn.robot.kinematic_hessian import centre_of_mass_derivative, columns_to_joints
 
 Reference = Literal["world", "local"]
 
@@ -39,7 +33,7 @@ class Robot:
     vectors (nv) [rad/s or m/s]. Everything that moves is counted: mimic joints are driven by their leaders and do not
     count as degrees of freedom.
 
-    One robot can be used from many threads: each has its own Pinocchio data.
+    One robot can be used from many threads: each has its own Pinocchio data (see `FrameKinematics`).
 
     Attributes:
         name: Name of the robot.
@@ -88,8 +82,8 @@ class Robot:
         self.position_lower, self.position_upper, self.velocity_limit = limits.lower, limits.upper, limits.velocity
         self.warnings = (*warnings, *limits.warnings)
         self._build_frames()
-        self._fast_hessian = pinocchio_order_is_known(model)
         self._columns_to_joints = columns_to_joints(model)
+        self._frame_kinematics: dict[int, FrameKinematics] = {}
         self._local = threading.local()
 
     # ---- building -------------------------------------------------------------------------------------------------
@@ -116,7 +110,7 @@ class Robot:
             )
             nq, nv = nq + joint.nq, nv + joint.nv
         self.blocks = tuple(blocks)
-        self.nq, self.nv = nq, nv
+        self.nq, self.nv, self._shape = nq, nv, (nv,)
         self.joint_names: tuple[str, ...] = tuple(n for b in blocks for n in b.coordinate_names)
         self._places = np.concatenate([[], *(np.arange(b.pin_q.start, b.pin_q.stop) for b in blocks)]).astype(np.int64)
         self._coupling, self._followers = build_coupling(model, blocks, self.mimics)
@@ -198,6 +192,8 @@ class Robot:
         return self._finite_vector(q)
 
     def _finite_vector(self, q: ArrayLike) -> np.ndarray:
+        if type(q) is np.ndarray and q.shape == self._shape and is_plain(q) and math.isfinite(sum(q.tolist())):
+            return q  # the case of every control step
         vector = _float_vector(q, "a configuration")
         if vector.ndim != 1 or vector.shape[0] not in (self.nq, self.nv):
             sizes = f"{self.nv}" if self.nq == self.nv else f"{self.nq} (configuration) or {self.nv} (joint positions)"
@@ -376,13 +372,12 @@ class Robot:
 
     # ---- kinematics -----------------------------------------------------------------------------------------------
 
-    @property
-    def _data(self) -> pin.Data:
-        try:
-            return self._local.data
-        except AttributeError:
-            self._local.data = self._model.createData()
-            return self._local.data
+    def frame_kinematics(self, frame: FrameLike) -> FrameKinematics:
+        """Kinematics of one frame alone: the same numbers as `pose`, `jacobian` and so on, without looking it up."""
+        if type(frame) is not Frame:
+            frame = self.frame(frame)
+        found = self._frame_kinematics.get(frame.index)
+        return found or self._frame_kinematics.setdefault(frame.index, FrameKinematics(self, frame))
 
     def pose(self, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, "4 4"]:
         """Homogeneous transform from the frame to the robot's base [m].
@@ -390,10 +385,7 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        data = self._data
-        index = frame.index if type(frame) is Frame else self.frame(frame).index
-        pin.forwardKinematics(self._model, data, self.pinocchio_configuration(q))
-        return pin.updateFramePlacement(self._model, data, index).homogeneous  # a copy
+        return self.frame_kinematics(frame).pose(q)
 
     def position(self, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, " 3"]:
         """Origin of the frame in the robot's base [m]: the last column of `pose`.
@@ -401,12 +393,7 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        data = self._data
-        index = frame.index if type(frame) is Frame else self.frame(frame).index
-        pin.forwardKinematics(
-            self._model, data, self._finite_vector(q) if self._plain else self.pinocchio_configuration(q)
-        )
-        return pin.updateFramePlacement(self._model, data, index).translation.copy()
+        return self.frame_kinematics(frame).position(q)
 
     def jacobian(self, q: ArrayLike, frame: FrameLike, reference: Reference = "world") -> Float[np.ndarray, "6 nv"]:
         """Frame Jacobian, linear rows first: velocity of the frame's origin [m/s] and angular velocity [rad/s] per
@@ -415,13 +402,7 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        index = frame.index if type(frame) is Frame else self.frame(frame).index
-        J = pin.computeFrameJacobian(
-            self._model, self._data, self.pinocchio_configuration(q), index, REFERENCES[reference]
-        )
-        if J.ndim == 1:  # nv == 1
-            J = J.reshape(6, 1)
-        return J if self._coupling is None else J @ self._coupling.lift
+        return self.frame_kinematics(frame).jacobian(q, reference)
 
     def jacobian_and_derivative(
         self, q: ArrayLike, frame: FrameLike, reference: Reference = "world"
@@ -432,22 +413,7 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        model, data, ref = self._model, self._data, REFERENCES[reference]
-        pin_q = self.pinocchio_configuration(q)
-        index = frame.index if type(frame) is Frame else self.frame(frame).index
-        if self._fast_hessian:
-            pin.computeJointKinematicHessians(model, data, pin_q)
-            pin.updateFramePlacement(model, data, index)
-            J = pin.getFrameJacobian(model, data, index, ref)
-            H = reordered(pin.getFrameKinematicHessian(model, data, index, ref), model.nv)
-            J = J.reshape(6, model.nv)
-        else:
-            J = pin.computeFrameJacobian(model, data, pin_q, index, ref).reshape(6, model.nv)
-            H = closed_form(J, self._columns_to_joints, reference)
-        if self._coupling is not None:
-            lift = self._coupling.lift
-            return J @ lift, lift.T @ (H @ lift)
-        return J, H
+        return self.frame_kinematics(frame).jacobian_and_derivative(q, reference)
 
     def weighted_jacobian_vjp(
         self, q: ArrayLike, frame: FrameLike, reference: Reference, selection: Float[np.ndarray, "s 6"]
@@ -459,24 +425,15 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        if not self._fast_hessian:
-            J, H = self.jacobian_and_derivative(q, frame, reference)
-            flat = H.reshape(6 * self.nv, self.nv)
-            return selection.dot(J), lambda weights: selection.T.dot(weights).reshape(-1).dot(flat)
-        model, data, ref = self._model, self._data, REFERENCES[reference]
-        index = frame.index if type(frame) is Frame else self.frame(frame).index
-        pin.computeJointKinematicHessians(
-            model, data, self._finite_vector(q) if self._plain else self.pinocchio_configuration(q)
-        )
-        pin.updateFramePlacement(model, data, index)
-        J = pin.getFrameJacobian(model, data, index, ref)
-        # Pinocchio's buffer as it lies in memory is [k, j, i] (see `reordered`)
-        by_joint = pin.getFrameKinematicHessian(model, data, index, ref).reshape(model.nv, -1)
-        A = selection.dot(J) if J.ndim == 2 else selection.dot(J.reshape(6, 1))  # nv == 1
-        if self._coupling is not None:
-            lift = self._coupling.lift
-            return A.dot(lift), lambda w: by_joint.dot(lift.dot(w.T).dot(selection).reshape(-1)).dot(lift)
-        return A, lambda weights: by_joint.dot(weights.T.dot(selection).reshape(-1))
+        return self.frame_kinematics(frame).weighted_vjp(q, reference, selection)
+
+    @property
+    def _data(self) -> pin.Data:
+        try:
+            return self._local.data
+        except AttributeError:
+            self._local.data = self._model.createData()
+            return self._local.data
 
     @property
     def mass(self) -> float:
@@ -508,7 +465,7 @@ class Robot:
         return f"Robot({self.name!r}, nq={self.nq}, nv={self.nv}, joints={', '.join(self.joint_names)})"
 
     def __getstate__(self) -> dict[str, Any]:
-        state = self.__dict__.copy()
+        state = {**self.__dict__, "_frame_kinematics": {}}
         del state["_local"]
         return state
 

@@ -79,14 +79,23 @@ def left_jacobian(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
 def left_jacobian_inverse(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     """The inverse of `left_jacobian`, dr/dt = J^-1 w; finite for angles below a full turn, half a turn included.
 
-    J^-1 = I - [r]x / 2 + (1 - (a / 2) cot(a / 2)) / a^2 [r]x^2, a = |r|.
+    J^-1 = I - [r]x / 2 + (1 - (a / 2) cot(a / 2)) / a^2 [r]x^2, a = |r|;  [r]x^2 = r r^T - a^2 I.
     """
-    square = float(vector.dot(vector))
+    x, y, z = vector.tolist()
+    square = x * x + y * y + z * z
     angle = math.sqrt(square)
     if angle < SMALL_ANGLE:
         second = 1.0 / 12.0 + square / 720.0 * (1.0 + square / 42.0 * (1.0 + square / 40.0))
     else:
         half = 0.5 * angle
         second = (1.0 - half * math.cos(half) / math.sin(half)) / square
-    K = skew(vector)
-    return np.eye(3) - 0.5 * K + second * K.dot(K)
+    rest = 1.0 - second * square
+    a, b, c = second * x, second * y, second * z
+    x2, y2, z2 = 0.5 * x, 0.5 * y, 0.5 * z
+    return np.array(
+        (
+            (rest + a * x, a * y + z2, a * z - y2),
+            (a * y - z2, rest + b * y, b * z + x2),
+            (a * z + y2, b * z - x2, rest + c * z),
+        )
+    )

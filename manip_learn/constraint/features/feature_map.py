@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ class FeatureMap(ABC):
     row_names: tuple[str, ...]
     row_units: tuple[str, ...]
 
-    @property
+    @cached_property  # read at every control step
     def n_rows(self) -> int:
         """Number of rows p."""
         return len(self.row_names)
@@ -125,6 +126,12 @@ class FeatureMap(ABC):
             TargetError: Wrong size or not finite.
         """
         return None
+
+    def error_and_jacobian(
+        self, target: ArrayLike, q: ArrayLike
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
+        """`error_to` and `error_jacobian` together, cheaper than one by one where a child shares work."""
+        return self.error_to(target, q), self.error_jacobian(target, q)
 
     def describe(self) -> dict[str, Any]:
         """What a saved constraint needs to build this feature map again.

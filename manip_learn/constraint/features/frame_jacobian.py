@@ -14,15 +14,15 @@ from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, Weigh
 from manip_learn.constraint.features.pose_error import (
     carried_goal,
     coordinate_rates,
-    error_rates,
     goal_rotation,
+    placement_error,
     pose_coordinates,
-    pose_error,
+    turn_rates,
 )
 from manip_learn.errors import FeatureError, TargetError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Reference, Robot
-from manip_learn.robot.rotations import rotation_matrix, rotation_vector
+from manip_learn.robot.rotations import rotation_matrix, rotation_vector, skew
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 NAMED_AXES = {"xyz": ("x", "y", "z"), "pose": AXES, "planar": ("x", "y", "rz"), "rotation": ("rx", "ry", "rz")}
@@ -72,6 +72,8 @@ class FrameJacobian(FeatureMap):
             raise FeatureError(f"reference must be 'world' or 'local', not {reference!r}")
         self.robot = robot
         self.frame = robot.frame(frame)
+        self._kinematics = robot.frame_kinematics(self.frame)
+        self._known_goal: tuple[Any, Any, Any] = (None, None, None)
         self.row_names = parse_axes(axes)
         self.row_units = tuple("rad/s" if n.startswith("r") else "m/s" for n in self.row_names)
         self.reference: Reference = reference
@@ -89,7 +91,7 @@ class FrameJacobian(FeatureMap):
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        return self.robot.jacobian(q, self.frame, self.reference)[self._rows]
+        return self._kinematics.jacobian(q, self.reference)[self._rows]
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
         """dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k.
@@ -112,7 +114,7 @@ class FrameJacobian(FeatureMap):
 
     def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s 6"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
         """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
-        return self.robot.weighted_jacobian_vjp(q, self.frame, self.reference, padded)
+        return self._kinematics.weighted_vjp(q, self.reference, padded)
 
     def batch(self, q: ArrayLike, *, compiled: bool | None = None) -> Float[np.ndarray, "n p nv"]:
         """Phi at n postures, the rows of q, in bulk.
@@ -159,14 +161,23 @@ class FrameJacobian(FeatureMap):
         Raises:
             TargetError: Wrong size, not finite, or a local map that needs all of x y z (or rx ry rz) or a pose.
         """
-        goal = np.asarray(target, dtype=np.float64)
+        goal = target if type(target) is np.ndarray else np.asarray(target, dtype=np.float64)
         if self.only_linear and goal.shape == (self.n_rows,):
             # the usual reaching task, many times a second: no orientation is needed
-            displacement = goal - self.robot.position(q, self.frame)[self._rows]
+            displacement = goal - self._kinematics.position(q)[self._rows]
             if math.isfinite(sum(displacement.tolist())):
                 return displacement
-        pose = self.robot.pose(q, self.frame)
-        return pose_error(pose, self._goal(goal, pose)[0], self.reference == "local")[self._rows]
+        return self._error(goal, q)[0][self._rows]
+
+    def error_and_jacobian(
+        self, target: ArrayLike, q: ArrayLike
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
+        """`error_to` and `error_jacobian` from one look at the pose."""
+        if self.only_linear:
+            return self.error_to(target, q), None
+        error, numbers, R = self._error(np.asarray(target, dtype=np.float64), q)
+        J = self._kinematics.jacobian_beside_vjp(q, self.reference)
+        return error[self._rows], self._rates(error, numbers, R, J)[self._rows]
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
         """Rate of the coordinates per unit joint velocity, exact (see `FeatureMap`)."""
@@ -183,24 +194,44 @@ class FrameJacobian(FeatureMap):
         """
         if self.only_linear:
             return None
-        pose, own_axes = self.robot.pose(q, self.frame), self.reference == "local"
-        goal, numbers = self._goal(np.asarray(target, dtype=np.float64), pose)
-        error = pose_error(pose, goal, own_axes)
-        M = error_rates(error, own_axes)
+        return self.error_and_jacobian(target, q)[1]
+
+    def _error(
+        self, goal: np.ndarray, q: ArrayLike
+    ) -> tuple[Float[np.ndarray, " 6"], Float[np.ndarray, " 6"] | None, Float[np.ndarray, "3 3"]]:
+        """All six rows of the error, the goal's numbers where it was given as numbers, and the frame's rotation."""
+        position, rotation = self._kinematics.placement(q)
+        place, turn, numbers = self._goal(goal, position, rotation)
+        error = placement_error(position, rotation, place, turn, self.reference == "local")
+        return error, numbers, rotation
+
+    def _rates(
+        self, error: np.ndarray, numbers: np.ndarray | None, rotation: np.ndarray, J: Float[np.ndarray, "6 nv"]
+    ) -> Float[np.ndarray, "6 nv"]:
+        """M J, with d/dt error = -M (v, w); J is written to."""
+        own_axes = self.reference == "local"
+        M = turn_rates(error[3:], own_axes)
         given = [i - 3 for i in self._row_numbers if i >= 3]
         if numbers is not None and 0 < len(given) < 3:
-            M[3:, 3:] -= carried_goal(rotation_vector(pose[:3, :3]), numbers[3:], given, error[3:])
-        return M[self._rows] @ self.robot.jacobian(q, self.frame, self.reference)
+            M -= carried_goal(rotation_vector(rotation), numbers[3:], given, error[3:])
+        if own_axes:
+            J[:3] -= skew(error[:3]).dot(J[3:])
+        J[3:] = M.dot(J[3:])
+        return J
 
-    def _goal(self, goal: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """The target as a pose, and its six numbers where it was given as numbers."""
-        out = np.eye(4)
+    def _goal(
+        self, goal: np.ndarray, position: np.ndarray, rotation: np.ndarray
+    ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"], Float[np.ndarray, " 6"] | None]:
+        """Place and rotation of the target, and its six numbers where it was given as numbers."""
+        if goal is self._known_goal[0]:
+            return self._known_goal[1], self._known_goal[2], None
         if goal.shape == (4, 4) and np.all(np.isfinite(goal)):
-            out[:3, :3], out[:3, 3] = goal_rotation(goal[:3, :3]), goal[:3, 3]
-            return out, None
-        numbers = self._completed(goal, pose_coordinates(pose))
-        out[:3, :3], out[:3, 3] = rotation_matrix(numbers[3:]), numbers[:3]
-        return out, numbers
+            place, turn = goal[:3, 3].copy(), goal_rotation(goal[:3, :3])
+            if not goal.flags.writeable:  # a task's own, checked once
+                self._known_goal = (goal, place, turn)
+            return place, turn, None
+        numbers = self._completed(goal, np.concatenate([position, rotation_vector(rotation)]))
+        return numbers[:3], rotation_matrix(numbers[3:]), numbers
 
     def _completed(self, goal: np.ndarray, here: np.ndarray) -> np.ndarray:
         if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):

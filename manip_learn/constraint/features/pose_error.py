@@ -53,11 +53,24 @@ def pose_error(
     pose: Float[np.ndarray, "4 4"], goal: Float[np.ndarray, "4 4"], own_axes: bool
 ) -> Float[np.ndarray, " 6"]:
     """e, along the axes of the base or of the frame."""
-    dp, R = goal[:3, 3] - pose[:3, 3], pose[:3, :3]
-    turn = rotation_vector(goal[:3, :3].dot(R.T))
+    return placement_error(pose[:3, 3], pose[:3, :3], goal[:3, 3], goal[:3, :3], own_axes)
+
+
+def placement_error(
+    position: Float[np.ndarray, " 3"],
+    rotation: Float[np.ndarray, "3 3"],
+    goal: Float[np.ndarray, " 3"],
+    goal_rotation: Float[np.ndarray, "3 3"],
+    own_axes: bool,
+) -> Float[np.ndarray, " 6"]:
+    """The same from positions and rotations."""
+    out = np.empty(6)
+    turn = rotation_vector(goal_rotation.dot(rotation.T))
     if own_axes:
-        dp, turn = R.T @ dp, R.T @ turn
-    return np.concatenate([dp, turn])
+        out[:3], out[3:] = (goal - position).dot(rotation), turn.dot(rotation)
+    else:
+        out[:3], out[3:] = goal - position, turn
+    return out
 
 
 def error_rates(error: Float[np.ndarray, " 6"], own_axes: bool) -> Float[np.ndarray, "6 6"]:
@@ -65,8 +78,13 @@ def error_rates(error: Float[np.ndarray, " 6"], own_axes: bool) -> Float[np.ndar
     M = np.eye(6)
     if own_axes:
         M[:3, 3:] = -skew(error[:3])
-    M[3:, 3:] = left_jacobian_inverse(error[3:] if own_axes else -error[3:])
+    M[3:, 3:] = turn_rates(error[3:], own_axes)
     return M
+
+
+def turn_rates(turn: Float[np.ndarray, " 3"], own_axes: bool) -> Float[np.ndarray, "3 3"]:
+    """The part of M that turns the rotation error: Jl^-1 or Jr^-1."""
+    return left_jacobian_inverse(turn if own_axes else -turn)
 
 
 def carried_goal(

@@ -86,7 +86,7 @@ class ManipulabilityAscent(SampledPolicy):
         """The same away from singularities, where d log mu = A^{+T} : dA, from X = A^{+T} that the controller has."""
         if not self.logarithmic:
             return vjp(X) * (self.gain * mu)
-        return self._bounded(vjp(X), smallest, dt)
+        return self.bounded(vjp(X), smallest, dt)
 
     def from_decomposition(
         self, shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp, dt: float
@@ -103,10 +103,16 @@ class ManipulabilityAscent(SampledPolicy):
             return min(self.max_speed, SEED_SPEED) * steepest_ascent(Decomposition(*decomposition), vjp)
         if 1 < shape[0] <= shape[1] and sigma[-2] <= SINGULAR_RATIO * sigma[0]:
             return escape_direction(decomposition, vjp) * (self.gain / SINGULAR_RATIO)
-        return self._bounded(gradient / max(mu, floor, 1e-300), smallest, dt)
+        return self.bounded(gradient / max(mu, floor, 1e-300), smallest, dt)
 
-    def _bounded(self, slope: np.ndarray, smallest: float, dt: float) -> np.ndarray:
-        """gain * grad log mu, shortened to the bound."""
+    def bounded(self, slope: Float[np.ndarray, " nv"], smallest: float, dt: float) -> Float[np.ndarray, " nv"]:
+        """gain * grad log mu, shortened to the bound.
+
+        Args:
+            slope: grad log mu.
+            smallest: Smallest singular value of A.
+            dt: Time for which the velocity is held [s].
+        """
         if self.max_speed is None:
             return slope * self.gain
         steepness = math.sqrt(slope.dot(slope))

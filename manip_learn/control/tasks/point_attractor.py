@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -70,7 +70,20 @@ class PointAttractor(Task):
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
         """gain * displacement, scaled down to max_speed."""
-        b = self.gain * self.displacement(constraint, q)
+        return self._attraction(self.displacement(constraint, q))
+
+    def velocity_and_jacobian(
+        self, constraint: Constraint, q: np.ndarray, t: float
+    ) -> tuple[Any, Float[np.ndarray, "s nv"] | None]:
+        """b and E from one look at the pose."""
+        features, shape = constraint.features, self.target.shape
+        if type(self) is PointAttractor and (shape == (features.n_rows,) or shape == (4, 4)):
+            error, E = features.error_and_jacobian(self.target, q)
+            return self._attraction(constraint.selection.dot(error)), None if E is None else constraint.selection.dot(E)
+        return super().velocity_and_jacobian(constraint, q, t)
+
+    def _attraction(self, displacement: Float[np.ndarray, " s"]) -> Float[np.ndarray, " s"]:
+        b = self.gain * displacement
         if self.max_speed is not None:
             speed = math.sqrt(b.dot(b))
             if speed > self.max_speed:

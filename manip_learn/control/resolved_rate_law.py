@@ -1,0 +1,203 @@
+"""The law u = A^+ b + N pi before limits, in every posture."""
+
+from __future__ import annotations
+
+import math
+from math import isfinite
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.feature_map import Vjp
+from manip_learn.constraint.manipulability import SINGULAR_RATIO, manipulability_of
+from manip_learn.control.bounded_velocity import Desired
+from manip_learn.control.limits import Limits
+from manip_learn.control.outcome import Law
+from manip_learn.control.policies import ManipulabilityAscent, NullSpacePolicy, SampledPolicy, WeightedPolicies
+from manip_learn.control.singularity import (
+    APPROACH_RATE,
+    BRAKING_SHARE,
+    Decomposition,
+    escape_velocity,
+    pressed_damping,
+    smallest_gradient,
+    smallest_gradient_of,
+    stable_damping,
+)
+from manip_learn.control.tasks import Hold, PointAttractor, Task
+from manip_learn.errors import TargetError
+from manip_learn.linalg import Inverse, inverse_singular_values, rank_of, row_inverse, svd
+
+# width of the escape from a singularity, as a share of the singular value at which damping sets in
+ESCAPE_WIDTH = 0.6
+
+
+@final
+class ResolvedRateLaw:
+    """Equation (2) of Manavalan and Howard, u = A^+ b + N pi, as `ResolvedRateController` describes it, before limits.
+
+    Args:
+        constraint: A(q).
+        task: b(q, t).
+        null_policy: pi(q, t).
+        inverse: Kind of A^+.
+        threshold: Singular value of A at which damping sets in.
+        damping: Damping factor at a singular value of 0.
+        limits: Within which the command will be brought; None for none.
+    """
+
+    def __init__(
+        self,
+        constraint: Constraint,
+        task: Task,
+        null_policy: NullSpacePolicy,
+        inverse: Inverse,
+        threshold: float,
+        damping: float,
+        limits: Limits | None,
+    ):
+        self.constraint, self.task, self.null_policy, self.limits = constraint, task, null_policy, limits
+        self.inverse: Inverse = inverse
+        self.threshold, self.damping = threshold, damping
+        self._own_task = type(task) in (PointAttractor, Hold)  # whose velocities need no check
+        policy = null_policy
+        self._ascent = policy if isinstance(policy, ManipulabilityAscent) and policy.constraint is constraint else None
+        climbs = self._ascent is not None and self._ascent.max_speed is not None
+        climbs = climbs or (isinstance(policy, WeightedPolicies) and policy.climbs(constraint))
+        self._escapes = inverse == "damped" and climbs
+        self._samples = policy if isinstance(policy, SampledPolicy) else None
+        self._brakes = inverse == "damped" and limits is not None
+
+    def with_limits(self, limits: Limits) -> ResolvedRateLaw:
+        """The same law for a command within other limits."""
+        settings = (self.inverse, self.threshold, self.damping)
+        return ResolvedRateLaw(self.constraint, self.task, self.null_policy, *settings, limits)
+
+    def __call__(self, q: np.ndarray, t: float, dt: float) -> Law:
+        """The parts of the law at a posture.
+
+        Raises:
+            ConfigurationError: The posture has the wrong size or is not finite.
+            TargetError: The task's target does not fit the constraint, or a velocity is not finite.
+        """
+        ascent, vjp = self._ascent, None
+        if ascent is None and not self._escapes:
+            A = self.constraint(q)
+        else:  # one Hessian and one inverse serve the task and the policy
+            A, vjp = self.constraint.value_and_vjp(q)
+        b, E = self.task.velocity_and_jacobian(self.constraint, q, t)
+        if not self._own_task:
+            b = self._checked(b, A.shape[0], "the task's velocity b")
+        if E is not None:  # orientation targets: the rows whose velocity b is are those of the error
+            return self._of_error_rows(q, t, dt, A, E, b, vjp)
+        inverse = row_inverse(A)
+        if inverse is None or (self.inverse == "damped" and inverse[2] < self.threshold):
+            return self._near_singularity(q, t, dt, A, b, vjp)
+        # nothing to damp or to truncate, the case of nearly every step
+        X, mu, smallest = inverse
+        pi = self._policy(q, t, dt) if ascent is None or vjp is None else ascent.from_inverse(X, mu, smallest, vjp, dt)
+        desired = Desired(b.dot(X), pi - A.dot(pi).dot(X), None)
+        return Law(A, b, desired, mu, smallest, False, None, vjp, X)
+
+    def _of_error_rows(
+        self, q: np.ndarray, t: float, dt: float, A: np.ndarray, E: np.ndarray, b: np.ndarray, vjp: Vjp | None
+    ) -> Law:
+        """The law with E in the place of A (see `Task.error_jacobian`); mu and its ascent are those of A."""
+        own, ascent = row_inverse(A), self._ascent
+        if ascent is None or vjp is None:
+            pi = self._policy(q, t, dt)
+        elif own is None:
+            pi = ascent.from_decomposition(A.shape, svd(A), vjp, dt)
+        else:
+            pi = ascent.from_inverse(*own, vjp, dt)
+        mu, inverse = manipulability_of(A) if own is None else own[1], row_inverse(E)
+        if inverse is None or (self.inverse == "damped" and inverse[2] < self.threshold):
+            return self._near_singularity(q, t, dt, E, b, None, pi)._replace(mu=mu, barred=False)
+        X, _, smallest = inverse
+        return Law(
+            E, b, Desired(b.dot(X), pi - E.dot(pi).dot(X), None), mu, smallest, False, None, None, X, barred=False
+        )
+
+    def _near_singularity(
+        self,
+        q: np.ndarray,
+        t: float,
+        dt: float,
+        A: np.ndarray,
+        b: np.ndarray,
+        vjp: Vjp | None,
+        pi: np.ndarray | None = None,
+    ) -> Law:
+        """The law by the singular value decomposition, see the class."""
+        U, sigma, Vt = decomposition = Decomposition(*svd(A))
+        values, ascent, climb, slope, escape = sigma.tolist(), self._ascent, None, None, None
+        smallest, k = values[-1], len(values)
+        V, singular, fits = Vt[:k], smallest <= SINGULAR_RATIO * values[0], A.shape[0] <= A.shape[1]
+        if pi is None and ascent is not None and vjp is not None:
+            if singular or not (fits and ascent.logarithmic):
+                pi = ascent.from_decomposition(A.shape, decomposition, vjp, dt)
+            else:
+                climb = vjp((U / sigma).dot(V))  # grad log mu
+                pi = ascent.bounded(climb, smallest, dt)
+        elif pi is None:
+            pi = self._policy(q, t, dt)
+        along = b.dot(U[:, :k])
+        damping, stable = self.damping, stable_damping(sigma, along, self.threshold, dt)
+        task_part = (self._gains(sigma, A, damping) * along).dot(V)
+        if self._brakes and stable > damping and not singular:
+            slope = smallest_gradient(decomposition, vjp or self.constraint.value_and_vjp(q)[1])
+            damping = pressed_damping(damping, stable, slope, task_part)
+            task_part = (self._gains(sigma, A, damping) * along).dot(V)
+        Z = Vt[rank_of(sigma, A.shape) :]
+        if self._escapes and vjp is not None:
+            escape = escape_velocity(decomposition, vjp, dt, ESCAPE_WIDTH * self.threshold, climb, slope)
+            if singular and self.limits is not None:
+                # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
+                escape = self.limits.freer_sense(q, escape)
+        desired = Desired(task_part, Z.dot(pi).dot(Z), escape)
+        mu = math.prod(values) if fits else 0.0
+        return Law(A, b, desired, mu, smallest, singular, decomposition, vjp, None, slope)
+
+    def _gains(self, sigma: np.ndarray, A: np.ndarray, damping: float) -> np.ndarray:
+        return inverse_singular_values(sigma, A.shape, self.inverse, self.threshold, damping)
+
+    def approach(
+        self, q: Float[np.ndarray, " n"], dt: float, law: Law, u: Float[np.ndarray, " nv"]
+    ) -> Float[np.ndarray, " nv"] | None:
+        """Gradient of the smallest singular value, where u could approach the singularity too fast; None elsewhere.
+
+        Args:
+            q: Posture.
+            dt: Time for which the velocity is held [s].
+            law: Of this posture.
+            u: Joint velocity [rad/s or m/s].
+        """
+        A, smallest, limits = law.A, law.smallest, self.limits
+        if not (self._brakes and law.barred) or limits is None or law.singular or A.shape[0] > A.shape[1]:
+            return None
+        # |grad sigma| is about as large as A itself: no closer look where that is slow enough
+        size = float(np.vdot(A, A))
+        least_deceleration = BRAKING_SHARE * limits.weakest * math.sqrt(size)
+        rate = min(APPROACH_RATE, 0.5 / dt) * smallest
+        if float(u.dot(u)) * size < min(2.0 * least_deceleration * smallest, rate * rate):
+            return None
+        if law.slope is not None:
+            return law.slope
+        vjp = law.vjp or self.constraint.value_and_vjp(q)[1]
+        if law.decomposition is None:
+            return smallest_gradient_of(A, smallest, vjp)
+        return smallest_gradient(law.decomposition, vjp)
+
+    def _policy(self, q: np.ndarray, t: float, dt: float) -> np.ndarray:
+        pi = self.null_policy(q, t) if self._samples is None else self._samples(q, t, dt)
+        return self._checked(pi, self.constraint.nv, "the null-space policy's velocity")
+
+    @staticmethod
+    def _checked(vector: ArrayLike, size: int, what: str) -> np.ndarray:
+        array = np.asarray(vector, np.float64)
+        if array.shape != (size,) or not isfinite(sum(array.tolist())):
+            raise TargetError(f"{what} must be {size} finite numbers, got {array.tolist()}")
+        return array

@@ -1,0 +1,90 @@
+"""Kinematics of one frame: the joints that carry it give the numbers of the whole robot, whatever was asked before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from conftest import tip_of
+
+from manip_learn.robot.frame_kinematics import FrameKinematics
+from manip_learn.robot.kinematic_hessian import REFERENCES
+from manip_learn.robot.robot import Reference, Robot
+
+RobotOf = Callable[[str], Robot]
+ROBOTS = ["planar3", "sawyer", "panda", "kinova", "gantry", "wrist", "tree", "mimic", "one"]
+
+
+def frames_of(robot: Robot, name: str) -> list[str]:
+    return [tip_of(name), robot.frame_names[0], robot.frame_names[len(robot.frame_names) // 2]]
+
+
+@pytest.mark.parametrize("reference", ["world", "local"])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_joints_that_carry_a_frame_are_enough(
+    name: str, reference: Reference, robot_of: RobotOf, rng: np.random.Generator
+) -> None:
+    """Pose and Jacobian are those of Pinocchio's model of the whole robot, at configurations and joint positions."""
+    robot = robot_of(name)
+    model = robot.pinocchio_model
+    data = model.createData()
+    for frame in frames_of(robot, name):
+        index = robot.frame(frame).index
+        for _ in range(5):
+            q = robot.random_configuration(rng)
+            for posture in (q, robot.positions(q)):
+                full = robot.pinocchio_configuration(posture)
+                J = pin.computeFrameJacobian(model, data, full, index, REFERENCES[reference]).reshape(6, model.nv)
+                if robot.coupling is not None:
+                    J = J @ robot.coupling.lift
+                pin.forwardKinematics(model, data, full)
+                pose = pin.updateFramePlacement(model, data, index).homogeneous
+                np.testing.assert_allclose(robot.jacobian(posture, frame, reference), J, rtol=0, atol=1e-13)
+                np.testing.assert_allclose(robot.pose(posture, frame), pose, rtol=0, atol=1e-13)
+                np.testing.assert_array_equal(robot.position(posture, frame), robot.pose(posture, frame)[:3, 3])
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_no_number_depends_on_what_was_asked_before(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """In any order of calls, at any postures in between, every answer is the same to the last bit."""
+    robot = robot_of(name)
+    frame, selection = robot.frame(tip_of(name)), np.eye(6)[:2]
+    kinematics = FrameKinematics(robot, frame)
+    asked: list[Callable[[np.ndarray], tuple[np.ndarray, ...]]] = [
+        lambda q: (kinematics.pose(q),),
+        lambda q: (kinematics.position(q),),
+        lambda q: (kinematics.jacobian(q, "world"),),
+        lambda q: (kinematics.jacobian(q, "local"),),
+        lambda q: kinematics.jacobian_and_derivative(q, "local"),
+        lambda q: (kinematics.jacobian_beside_vjp(q, "world"),),
+        lambda q: (lambda A, vjp: (A, vjp(np.ones(A.shape))))(*kinematics.weighted_vjp(q, "world", selection)),
+    ]
+    postures = [robot.random_configuration(rng) for _ in range(3)]
+    expected = {}
+    for k, ask in enumerate(asked):
+        for i, q in enumerate(postures):
+            fresh, kinematics = kinematics, FrameKinematics(robot, frame)
+            expected[k, i] = ask(q)
+            kinematics = fresh
+    for k, i in rng.integers((len(asked), len(postures)), size=(300, 2)):
+        for a, b in zip(asked[k](postures[i]), expected[k, i], strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_a_changed_array_is_another_posture(robot_of: RobotOf) -> None:
+    """A posture is known by its numbers, not by the array that holds them."""
+    robot = robot_of("sawyer")
+    q = np.full(robot.nv, 0.3)
+    before = robot.position(q, "right_hand")
+    q[1] += 0.2
+    after = robot.position(q, "right_hand")
+    np.testing.assert_array_equal(after, robot.pose(q.copy(), "right_hand")[:3, 3])
+    assert np.linalg.norm(after - before) > 0.01
+
+
+def test_what_does_not_carry_the_frame_costs_nothing(robot_of: RobotOf) -> None:
+    """Fingers beside the chain of the hand, and the other arm of a tree, are not in the model of its kinematics."""
+    assert robot_of("tree").frame_kinematics("tip").model.nv < robot_of("tree").pinocchio_model.nv
+    assert robot_of("tree").frame_kinematics("tip") is robot_of("tree").frame_kinematics("tip")
