@@ -8,9 +8,11 @@ from generated_motions import angle_deg, arm_features, guided_motions, oblique
 
 from manip_learn.errors import RecordingError
 from manip_learn.learning import ConstraintLearner
+from manip_learn.recordings import local_fit as local_fit_module
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import best_window, derive_velocities, local_fit, with_velocities
+from manip_learn.robot import load_robot
 
 FEATURES = arm_features()
 ROBOT = FEATURES.robot
@@ -170,3 +172,30 @@ def test_every_length_from_three_up(n: int):
     derived = derive_velocities(noisy[0], ROBOT)
     assert len(derived) >= 2
     assert np.all(np.isfinite(derived.u))
+
+
+@pytest.mark.parametrize("stamps", ["even", "jittered"])
+def test_weights_of_a_grid_are_found_once(monkeypatch, stamps):
+    """Recordings that are sampled alike share their weights, whenever they begin if the steps are even."""
+    rng, robot = np.random.default_rng(5), load_robot("planar3")
+    steps = np.full(80, 0.01) if stamps == "even" else rng.uniform(0.005, 0.015, 80)
+    later = 12.5 if stamps == "even" else 0.0
+    solved = []
+    for kept in (local_fit_module._kept_trial, local_fit_module._kept_weights, local_fit_module._even_weights):
+        kept.cache_clear()
+    monkeypatch.setattr(local_fit_module, "_solved_weights", _counted(local_fit_module._solved_weights, solved))
+    q = np.cumsum(rng.standard_normal((80, 3)) * 1e-3, axis=0) + np.linspace(0.0, 0.5, 80)[:, None]
+    first = derive_velocities(Trajectory(np.cumsum(steps), q), robot)
+    assert len(solved) >= 10
+    solved.clear()
+    second = derive_velocities(Trajectory(later + np.cumsum(steps), q), robot)
+    assert len(solved) <= 1
+    np.testing.assert_allclose(second.u, first.u, rtol=1e-9, atol=1e-12)
+
+
+def _counted(function, calls):
+    def call(*arguments):
+        calls.append(arguments)
+        return function(*arguments)
+
+    return call

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
@@ -13,10 +15,15 @@ HALF_WIDTHS = (2, 3, 5, 7, 10, 15, 20, 30)
 DEGREES = (2, 3, 5)
 # noise averages out over the samples of a recording, bias does not
 BIAS_WEIGHT = 4.0
-# share of a window by which its time stamps may be off an even grid
+# share of a step by which time stamps may be off an even grid
 EVEN = 1e-9
 # windows among which degree and width are compared, spread over the trajectory
 COMPARED = 150
+# weights [numbers] and stamps of one recording that are kept for the next one that is sampled alike
+KEPT_NUMBERS, KEPT_STAMPS = 20_000, 5_000
+
+# step of evenly spaced stamps [s], or all stamps as bytes
+Grid = float | bytes
 
 
 def local_fit(
@@ -34,26 +41,48 @@ def local_weights(time: np.ndarray, half_width: int, degree: int) -> Float[np.nd
 
     The coefficient of power 1 is a slope [1/s]; those of power k > 1 belong to time over the window's longest offset.
     """
-    weights = _weights(_offsets(time, half_width), degree)
-    return np.broadcast_to(weights, (len(time) - 2 * half_width, *weights.shape[1:]))
+    keep = len(time) * (2 * half_width + 1) <= KEPT_NUMBERS
+    found = (_kept_weights if keep else _weights)(np.ascontiguousarray(time).tobytes(), half_width, degree)
+    return np.broadcast_to(found, (len(time) - 2 * half_width, *found.shape[1:]))
 
 
-def _offsets(time: Float[np.ndarray, " T"], half_width: int, stride: int = 1) -> Float[np.ndarray, "m W"]:
+def _grid(time: Float[np.ndarray, " T"]) -> Grid:
+    """What a choice of windows depends on, the same for all recordings that are sampled alike."""
+    stamps = np.ascontiguousarray(time - time[0], dtype=np.float64)
+    step = float(f"{stamps[-1] / max(len(stamps) - 1, 1):.13g}")  # without the rounding of the stamps themselves
+    even = np.max(np.abs(stamps - step * np.arange(len(stamps)))) <= 0.5 * EVEN * step
+    return step if even else stamps.tobytes()
+
+
+def _offsets(grid: Grid, half_width: int, stride: int = 1) -> Float[np.ndarray, "m W"]:
     """Time from the centre of each window [s]; of one window only where time is evenly sampled: it serves for all."""
-    windows = np.lib.stride_tricks.sliding_window_view(time, 2 * half_width + 1)[::stride]
-    offset = windows - windows[:, half_width : half_width + 1]
+    if not isinstance(grid, bytes):
+        return grid * np.arange(-half_width, half_width + 1.0)[None]
+    windows = np.lib.stride_tricks.sliding_window_view(np.frombuffer(grid), 2 * half_width + 1)[::stride]
+    return windows - windows[:, half_width : half_width + 1]
+
+
+def _weights(stamps: bytes, half_width: int, degree: int) -> Float[np.ndarray, "m d W"]:
+    """Weights of each window, or of the one that serves for all."""
+    offset = _offsets(stamps, half_width)
     shortest = np.min(np.max(np.abs(offset), axis=1))
-    return offset[:1] if np.max(np.abs(offset - offset[0])) <= EVEN * shortest else offset
+    if np.max(np.abs(offset - offset[0])) <= EVEN * shortest:
+        return _even_weights(offset[0].tobytes(), degree)
+    return _solved_weights(offset, degree)
 
 
-def _weights(offset: Float[np.ndarray, "m W"], degree: int) -> Float[np.ndarray, "m d W"]:
-    return _even_weights(tuple(offset[0].tolist()), degree) if len(offset) == 1 else _solved_weights(offset, degree)
+@functools.lru_cache(maxsize=16)
+def _kept_weights(stamps: bytes, half_width: int, degree: int) -> Float[np.ndarray, "m d W"]:
+    """Weights for the next recording with the same stamps."""
+    weights = _weights(stamps, half_width, degree)
+    weights.setflags(write=False)
+    return weights
 
 
 @functools.lru_cache(maxsize=512)
-def _even_weights(offset: tuple[float, ...], degree: int) -> Float[np.ndarray, "1 d W"]:
+def _even_weights(offset: bytes, degree: int) -> Float[np.ndarray, "1 d W"]:
     """Weights of one window; recordings of one rate share them."""
-    weights = _solved_weights(np.array([offset]), degree)
+    weights = _solved_weights(np.frombuffer(offset)[None], degree)
     weights.setflags(write=False)
     return weights
 
@@ -66,11 +95,48 @@ def _solved_weights(offset: Float[np.ndarray, "m W"], degree: int) -> Float[np.n
     return weights
 
 
-def _applied(weights: Float[np.ndarray, "m W"], windows: Float[np.ndarray, "N nv W"]) -> Float[np.ndarray, "N nv"]:
-    """Each window's own weighted sum, or with the same weights for all where there is one row of them only."""
-    if len(weights) == 1:
-        return windows @ weights[0]
-    return np.einsum("nw,njw->nj", weights, windows, optimize=True)
+@final
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """The windows of one width, with the polynomials that may be fitted to them.
+
+    Attributes:
+        richer: What a polynomial of two degrees more adds to the weights of each slope, shape (m, W, d) [1/s].
+        own: Mean sum of squares of these, shape (d,).
+        spread: That of the weights of the slopes themselves, shape (d,).
+    """
+
+    richer: Float[np.ndarray, "m W d"]
+    own: Float[np.ndarray, " d"]
+    spread: Float[np.ndarray, " d"]
+
+    def errors(self, windows: Float[np.ndarray, "N nv W"], noise2: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " d"]:
+        """Estimated error of the slope for each degree: bias and noise, all joints together."""
+        difference = windows @ (self.richer[0] if len(self.richer) == 1 else self.richer)  # (N, nv, d)
+        square = np.einsum("njd,njd->dj", difference, difference) / len(windows)
+        # the difference of the two fits holds the bias and its own share of the noise: take that off again
+        bias2 = np.maximum(square - self.own[:, None] * noise2, 0.0)
+        return np.sum(BIAS_WEIGHT * bias2 + self.spread[:, None] * noise2, axis=1)
+
+
+@functools.lru_cache(maxsize=32)
+def _kept_trial(grid: Grid, half_width: int, degrees: tuple[int, ...], stride: int) -> _Trial:
+    """Polynomials that recordings which are sampled alike share."""
+    return _trial(grid, half_width, degrees, stride)
+
+
+def _is_short(grid: Grid) -> bool:
+    """Whether it is worth keeping what depends on a grid."""
+    return not isinstance(grid, bytes) or len(grid) <= 8 * KEPT_STAMPS
+
+
+def _trial(grid: Grid, half_width: int, degrees: tuple[int, ...], stride: int) -> _Trial:
+    """Polynomials of some degrees fitted to windows of one width."""
+    offset = _offsets(grid, half_width, stride)
+    slopes = {d: _solved_weights(offset, d)[:, 1] for d in {*degrees, *(degree + 2 for degree in degrees)}}
+    richer = np.stack([slopes[d + 2] - slopes[d] for d in degrees], axis=2)
+    own = np.mean(np.sum(richer**2, axis=1), axis=0)
+    return _Trial(richer, own, np.array([np.mean(np.sum(slopes[d] ** 2, axis=1)) for d in degrees]))
 
 
 def best_window(
@@ -81,26 +147,21 @@ def best_window(
     longest: int | None = None,
 ) -> tuple[int, int]:
     """Half width [samples] and degree whose slope has the smallest estimated error, all joints together."""
-    noise2 = noise_variance(time, x)
+    noise2, grid = noise_variance(time, x), _grid(time)
     best, best_error = (half_widths[0], degrees[0]), np.inf
     for m in half_widths:
         if 2 * m + 1 > len(time):
             break
+        usable = tuple(degree for degree in degrees if fits(m, degree, longest or x.shape[0]))
+        if not usable:
+            continue
         stride = max(1, (len(time) - 2 * m) // COMPARED)
         windows = np.lib.stride_tricks.sliding_window_view(x, 2 * m + 1, axis=0)[::stride]
-        offset = _offsets(time, m, stride)
-        for degree in degrees:
-            if not fits(m, degree, longest or x.shape[0]):
-                continue
-            slope = _weights(offset, degree)[:, 1]
-            richer = _weights(offset, degree + 2)[:, 1] - slope
-            difference = _applied(richer, windows)
-            # the difference of the two fits holds the bias and its own share of the noise: take that off again
-            own = np.mean(np.sum(richer**2, axis=1)) * noise2
-            bias2 = np.maximum(np.mean(difference**2, axis=0) - own, 0.0)
-            error = float(np.sum(BIAS_WEIGHT * bias2 + np.mean(np.sum(slope**2, axis=1)) * noise2))
-            if error < best_error:
-                best, best_error = (m, degree), error
+        trial = _kept_trial if _is_short(grid) else _trial
+        errors = trial(grid, m, usable, stride if isinstance(grid, bytes) else 1).errors(windows, noise2)
+        i = int(np.argmin(errors))
+        if errors[i] < best_error:
+            best, best_error = (m, usable[i]), float(errors[i])
     return best
 
 
@@ -110,12 +171,23 @@ def fits(half_width: int, degree: int, longest: int) -> bool:
 
 
 def noise_variance(time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, " nv"]:
-    """Variance of white noise on the samples from what a local parabola through five points leaves over."""
-    windows_t = np.lib.stride_tricks.sliding_window_view(time, 5)
-    offset = windows_t - windows_t[:, 2:3]
-    powers = (offset / np.max(np.abs(offset), axis=1, keepdims=True))[:, None, :] ** np.arange(4)[None, :, None]
-    fit = powers.transpose(0, 2, 1) @ np.linalg.solve(powers @ powers.transpose(0, 2, 1), powers)
+    """Variance of white noise on the samples from what a local cubic through five points leaves over."""
+    grid = _grid(time)
+    fit = (_kept_cubics if _is_short(grid) else _cubics)(grid)
     windows = np.lib.stride_tricks.sliding_window_view(x, 5, axis=0)
-    left = windows - np.einsum("nvw,njw->njv", fit, windows, optimize=True)
+    left = windows - windows @ (fit[0] if len(fit) == 1 else fit)
     # a cubic leaves one degree of freedom of five; the median passes over the few places where the motion is not smooth
-    return np.median(np.sum(left**2, axis=2), axis=0) / 0.455
+    return np.median(np.einsum("njw,njw->nj", left, left), axis=0) / 0.455
+
+
+def _cubics(grid: Grid) -> Float[np.ndarray, "m w w"]:
+    """Projections of five values on the cubics in their times, symmetric."""
+    offset = _offsets(grid, 2)
+    powers = (offset / np.max(np.abs(offset), axis=1, keepdims=True))[:, None, :] ** np.arange(4)[None, :, None]
+    return powers.transpose(0, 2, 1) @ np.linalg.solve(powers @ powers.transpose(0, 2, 1), powers)
+
+
+@functools.lru_cache(maxsize=8)
+def _kept_cubics(grid: Grid) -> Float[np.ndarray, "m w w"]:
+    """Projections for the next recording that is sampled alike."""
+    return _cubics(grid)

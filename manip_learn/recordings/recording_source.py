@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Unpack, final
 
 from manip_learn.recordings.load_demonstrations import Paths, ReadOptions, open_recordings, read_recordings
-from manip_learn.recordings.readers.file_format import LEROBOT
+from manip_learn.recordings.readers.file_format import LEROBOT, FileFormat
 from manip_learn.recordings.readers.json_file import read_json
 from manip_learn.recordings.readers.lerobot_dataset import open_dataset
 from manip_learn.recordings.readers.lerobot_episodes import episode_number
-from manip_learn.recordings.readers.recording_files import RecordingFile, recording_files
+from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.recording_files import RecordingFile
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource
 from manip_learn.robot import Robot
@@ -39,7 +40,7 @@ class RecordingSource(TrajectorySource):
         files, self._request, notes = open_recordings(paths, robot, options)
         self._notes = tuple(notes)
         chosen = self._request.chosen
-        self._parts = _in_parts([Path(os.path.abspath(path)) for file in files for path in _pieces(file, chosen)])
+        self._parts = _in_parts([piece for file in files for piece in _pieces(file, chosen)])
 
     @property
     def n_parts(self) -> int:
@@ -53,33 +54,69 @@ class RecordingSource(TrajectorySource):
             RecordingError: A recording that cannot be trusted.
             MissingExtraError: The format needs a library that is not installed.
         """
-        files, _said = recording_files(self._parts[index])
-        yield from read_recordings(files, self._request, notes)
-        if notes is not None and index == 0:
-            notes += self._notes
+        yield from _read(self._parts[index], self._request, self._notes if index == 0 else (), notes)
+
+    def alone(self, index: int) -> TrajectorySource:
+        """The files of one part, without the names of all others."""
+        return FilesOfPart(self._parts[index], self._request, self._notes if index == 0 else ())
 
 
-def _pieces(file: RecordingFile, chosen: frozenset[int] | None) -> list[Path]:
+@final
+class FilesOfPart(TrajectorySource):
+    """Files that are read one after the other."""
+
+    def __init__(self, files: list[RecordingFile], request: ReadRequest, notes: tuple[str, ...]):
+        self._files = files
+        self._request = request
+        self._notes = notes
+
+    @property
+    def n_parts(self) -> int:
+        """One."""
+        return 1
+
+    def part(self, index: int, notes: list[str] | None = None) -> Iterator[Trajectory]:
+        """The demonstrations in the files, as `RecordingSource.part`."""
+        yield from _read(self._files, self._request, self._notes, notes)
+
+
+def _read(
+    files: list[RecordingFile], request: ReadRequest, said: tuple[str, ...], notes: list[str] | None
+) -> Iterator[Trajectory]:
+    yield from read_recordings(files, request, notes)
+    if notes is not None:
+        notes += said
+
+
+def _pieces(file: RecordingFile, chosen: frozenset[int] | None) -> list[RecordingFile]:
     """Files that can be read one by one: a LeRobot data set of version 2 has one per episode, perhaps not chosen."""
     if file.format is not LEROBOT or not file.path.is_dir():
-        return [file.path]
+        return [_named_alike_everywhere(file.path, file.format)]
     described = read_json(file.path / "meta" / "info.json")
     version = described.get("codebase_version") if isinstance(described, dict) else None
     if isinstance(version, str) and version.startswith("v2."):
-        files = open_dataset(file.path).files
-        return [f for f in files if chosen is None or (number := episode_number(f)) is None or number in chosen]
-    return [file.path]  # an episode may go on in the next file
+        return [
+            _named_alike_everywhere(path, LEROBOT)
+            for path in open_dataset(file.path).files
+            if chosen is None or (number := episode_number(path)) is None or number in chosen
+        ]
+    return [_named_alike_everywhere(file.path, file.format)]  # an episode may go on in the next file
 
 
-def _in_parts(paths: list[Path]) -> list[list[Path]]:
-    parts: list[list[Path]] = [[]]
+def _named_alike_everywhere(path: Path, kind: FileFormat) -> RecordingFile:
+    """The file for workers too, whose working folder is another."""
+    return RecordingFile(Path(os.path.abspath(path)), kind)
+
+
+def _in_parts(files: list[RecordingFile]) -> list[list[RecordingFile]]:
+    parts: list[list[RecordingFile]] = [[]]
     size = 0
-    for path in paths:
+    for file in files:
         if parts[-1] and size >= PART_BYTES:
             parts.append([])
             size = 0
-        parts[-1].append(path)
-        size += _bytes(path)
+        parts[-1].append(file)
+        size += _bytes(file.path)
     return parts
 
 

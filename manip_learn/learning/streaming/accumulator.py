@@ -145,9 +145,7 @@ def accumulate(accumulator: Accumulator, samples: Iterable[Chunk], notes: Sequen
     return None if total is None else accumulator.finish(total, tuple(notes))
 
 
-def accumulate_part(
-    accumulator: Accumulator, samples: Iterator[Chunk] | list[Chunk], first_trajectory: int, notes: list[str]
-) -> Any:
+def accumulate_part(accumulator: Accumulator, samples: Iterable[Chunk], first_trajectory: int, notes: list[str]) -> Any:
     """Total of a part whose trajectories are counted on from `first_trajectory`."""
     return accumulate(accumulator, (_counted_on(chunk, first_trajectory) for chunk in samples), notes)
 

@@ -100,24 +100,18 @@ def recognise(path: Path) -> FileFormat:
         head = file.read(4096)
     if not head.strip():
         raise RecordingError(f"{path.name}: the file is empty", code="empty", path=path)
-    if _may_be_saved(path, head) and file_header(path) is not None:
-        return SAVED
+    if head.startswith(b"PK\x03\x04"):
+        return _archive(path)
+    if head.startswith((b"\x89MCAP0\r\n", MARK.encode())) or b'{"format": "manip_learn.' in head[:64]:
+        if file_header(path) is not None:
+            return SAVED
     for magic, known in MAGIC:
         if head.startswith(magic):
             return known
     for magic, code, sentence in REFUSED_MAGIC:
         if head.startswith(magic):
             raise RecordingError(f"{path.name}: this is {sentence}", code=code, path=path)
-    if head.startswith(b"PK\x03\x04"):
-        return _archive(path)
     return _text(path, head)
-
-
-def _may_be_saved(path: Path, head: bytes) -> bool:
-    """Whether the library may have written it: text with its mark, an MCAP file or a NumPy archive."""
-    if head.startswith(b"PK\x03\x04"):
-        return _archive(path) is NPZ
-    return head.startswith((b"\x89MCAP0\r\n", MARK.encode())) or b'{"format": "manip_learn.' in head[:64]
 
 
 def _archive(path: Path) -> FileFormat:
@@ -129,7 +123,7 @@ def _archive(path: Path) -> FileFormat:
             f"{path.name}: the archive is damaged ({reason(error)}): copy or save it again", code="damaged", path=path
         ) from error
     if any(n.endswith(".npy") for n in names):
-        return NPZ
+        return SAVED if "format.npy" in names and file_header(path) is not None else NPZ
     if any(n.startswith("xl/") for n in names):
         raise RecordingError(f"{path.name}: this is an Excel workbook: save the sheet as CSV", code="excel", path=path)
     raise RecordingError(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import io
 import math
 import zipfile
 from collections.abc import Callable, Collection
@@ -17,6 +19,7 @@ from manip_learn.recordings.readers.recording import float_array, reason
 LARGEST = 16_000_000_000  # bytes of all arrays together
 ALWAYS_FINE, BOMB_RATIO = 50_000_000, 100  # bytes, and how much smaller packed: measured motions shrink 1 to 20 times
 LONGEST_TEXT = 1_000_000  # characters of one text
+SMALL = 4_000_000  # bytes, packed and unpacked, of an archive that is read at once
 
 
 @final
@@ -62,11 +65,15 @@ class NpzArchive:
         self._members: dict[str, zipfile.ZipInfo] = {}
         self.headers: dict[str, ArrayHeader] = {}
         self.ignored: list[str] = []
+        self._contents: dict[str, bytes] = {}
         try:
             size = path.stat().st_size
             with zipfile.ZipFile(path) as archive:
                 self._find(archive, {*numbers, *texts}, renamed)
+                small = max(size, sum(info.file_size for info in self._members.values())) <= SMALL
                 for name, info in self._members.items():
+                    if small:
+                        self._contents[name] = archive.read(info)
                     self.headers[name] = self._header(archive, name, info, "fiu" if name in numbers else "US")
         except DAMAGE as error:
             raise self._damaged(error) from error
@@ -130,7 +137,7 @@ class NpzArchive:
                 self.ignored.append(name)
 
     def _header(self, archive: zipfile.ZipFile, name: str, info: zipfile.ZipInfo, kinds: str) -> ArrayHeader:
-        with archive.open(info) as file:
+        with self._opened(archive, name, info) as file:
             header = _parse_header(file)
             data_bytes = info.file_size - file.tell()
         if header.dtype.hasobject:
@@ -172,9 +179,7 @@ class NpzArchive:
         header = self.headers[name]
         count = math.prod(header.shape)
         try:
-            with zipfile.ZipFile(self.path) as archive, archive.open(self._members[name]) as file:
-                _parse_header(file)
-                content = file.read(count * header.dtype.itemsize + 1)
+            content = self._data(name, count * header.dtype.itemsize + 1)
             if len(content) != count * header.dtype.itemsize:
                 raise self.refusal("damaged", f"the array {name!r} ends too early: copy or save it again")
             flat = np.frombuffer(content, dtype=header.dtype, count=count) if content else np.zeros(count, header.dtype)
@@ -182,12 +187,35 @@ class NpzArchive:
         except DAMAGE as error:
             raise self._damaged(error) from error
 
+    def _opened(self, archive: zipfile.ZipFile, name: str, info: zipfile.ZipInfo) -> IO[bytes]:
+        return io.BytesIO(self._contents[name]) if name in self._contents else archive.open(info)
+
+    def _data(self, name: str, most: int) -> bytes:
+        """What follows the header of an array, no more than so many bytes."""
+        if name in self._contents:
+            file = io.BytesIO(self._contents[name])
+            _parse_header(file)
+            return file.read(most)
+        with zipfile.ZipFile(self.path) as archive, archive.open(self._members[name]) as packed:
+            _parse_header(packed)
+            return packed.read(most)
+
     def _damaged(self, error: Exception) -> RecordingError:
         return self.refusal("damaged", f"the archive is damaged ({reason(error)}): copy or save it again")
 
 
 def _parse_header(file: IO[bytes]) -> ArrayHeader:
     version = np.lib.format.read_magic(file)
-    parse = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    width = 2 if version == (1, 0) else 4
+    length = file.read(width)
+    text = file.read(int.from_bytes(length, "little")) if len(length) == width else b""
+    return _parsed_header(version == (1, 0), length + text)
+
+
+@functools.lru_cache(maxsize=256)
+def _parsed_header(is_first: bool, content: bytes) -> ArrayHeader:
+    """What follows the magic number; arrays of the same shape share it, and parsing it costs more than reading them."""
+    file = io.BytesIO(content)
+    parse = np.lib.format.read_array_header_1_0 if is_first else np.lib.format.read_array_header_2_0
     shape, fortran_order, dtype = parse(file)
     return ArrayHeader(tuple(shape), dtype, fortran_order)

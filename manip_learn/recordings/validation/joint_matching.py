@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +29,7 @@ def angular_coordinates(robot: Robot) -> Bool[np.ndarray, " nv"]:
     return angular
 
 
+@functools.lru_cache(maxsize=8)
 def unmoved_joint_names(robot: Robot) -> tuple[str, ...]:
     """Joints of the description that are no degrees of freedom: locked, fixed and mimic joints."""
     frames = robot.pinocchio_model.frames

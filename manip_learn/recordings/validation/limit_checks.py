@@ -68,6 +68,8 @@ def _refuse_degrees(
     largest = np.abs(q).max(axis=0)
     unlimited = angular & ~np.isfinite(robot.position_lower) & ~np.isfinite(robot.position_upper)
     turning = unlimited & (largest > MANY_TURNS) & fast
+    if not np.any((far & angular & (largest > 2 * np.pi)) | turning):
+        return
     # one faulty sample, a sign or a full turn is another fault
     mostly = np.mean((q < robot.position_lower) | (q > robot.position_upper), axis=0) > MOSTLY
     other = np.array([_other_guess(robot, q[:, i], i) is not None for i in range(robot.nv)])
@@ -122,6 +124,8 @@ def _fast_notes(robot: Robot, time: Float[np.ndarray, " T"], q: Float[np.ndarray
     width = int(np.clip(time.shape[0] // 20, 1, 10))
     with np.errstate(over="ignore"):  # stamps may differ by next to nothing
         speed = np.abs(q[width:] - q[:-width]) / (time[width:] - time[:-width])[:, None]
+    if np.all(speed.max(axis=0) <= FAST * robot.velocity_limit):
+        return []
     typical = np.percentile(speed, 95, axis=0)
     fast = typical > FAST * robot.velocity_limit
     if not np.any(fast):

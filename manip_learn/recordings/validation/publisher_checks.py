@@ -18,6 +18,7 @@ SMALLEST = 0.02  # [rad or m]: a flickering encoder jumps by less
 QUANTA, LARGEST_QUANTUM = 3.0, 0.02  # a coarse encoder flickers by one or two quanta [rad or m]
 OPPOSITE, ALIKE = -0.9, 0.6  # cosine and ratio of the sizes of a jump and the jump back
 MOSTLY = 0.9  # of the jumps
+COMPARED, ROUNDING = 1000, 1e-9  # steps that are compared in pairs, and of a cosine
 
 
 @final
@@ -70,11 +71,15 @@ def alternation(q: Float[np.ndarray, "T nv"]) -> Alternation | None:
         return None
     steps = np.diff(q, axis=0)
     size = np.linalg.norm(steps, axis=1)
-    nearest = size.copy()
-    for lag in range(2, LAGS + 1):
-        np.minimum(nearest[lag - 1 :], np.linalg.norm(q[lag:] - q[:-lag], axis=1), out=nearest[lag - 1 :])
-    usual = float(np.quantile(nearest, 0.9))
-    jumps = np.flatnonzero(size > max(CLEAR * usual, SMALLEST, QUANTA * _quantum(q)))
+    if np.count_nonzero(size > SMALLEST) < FEWEST_JUMPS:
+        return None
+    least = max(SMALLEST, QUANTA * _quantum(q))
+    if np.count_nonzero(size > least) < FEWEST_JUMPS:
+        return None
+    if not _some_lead_back(steps[size > least]):
+        return None
+    usual = _usual_distance(q, size)
+    jumps = np.flatnonzero(size > max(CLEAR * usual, least))
     if jumps.size < FEWEST_JUMPS:
         return None
     there, back = steps[jumps[:-1]], steps[jumps[1:]]
@@ -86,6 +91,24 @@ def alternation(q: Float[np.ndarray, "T nv"]) -> Alternation | None:
     by_joint = np.median(np.abs(steps[jumps]), axis=0)
     joint = int(np.argmax(by_joint))
     return Alternation(jumps, joint, float(by_joint[joint]), usual)
+
+
+def _some_lead_back(steps: Float[np.ndarray, "k nv"]) -> bool:
+    """Whether any of some long steps are opposite to each other; True where they are too many to compare quickly."""
+    if len(steps) > COMPARED:
+        return True
+    unit = steps / np.linalg.norm(steps, axis=1)[:, None]
+    return bool(np.min(unit @ unit.T) < OPPOSITE + ROUNDING)
+
+
+def _usual_distance(q: Float[np.ndarray, "T nv"], size: Float[np.ndarray, " n"]) -> float:
+    """Distance from a sample to the closest of those before it, that nine of ten do not exceed [rad or m]."""
+    columns = np.ascontiguousarray(q.T)
+    nearest = size**2
+    for lag in range(2, LAGS + 1):
+        apart = columns[:, lag:] - columns[:, :-lag]
+        np.minimum(nearest[lag - 1 :], np.einsum("vn,vn->n", apart, apart), out=nearest[lag - 1 :])
+    return float(np.quantile(np.sqrt(nearest), 0.9))
 
 
 def _quantum(q: Float[np.ndarray, "T nv"]) -> float:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from manip_learn.errors import advice
 from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording
-from manip_learn.recordings.validation.time_checks import unit_refusal
+from manip_learn.recordings.validation.time_checks import unit_refusal, usual_step
 
 DEGREE = math.degrees(1.0)
 MOVED = 0.02  # [rad or m] a joint must move to be judged
@@ -47,7 +47,7 @@ def compare_velocities(
     steps = np.diff(time)
     width = int(np.clip(time.shape[0] // 20, 1, LONGEST_WINDOW))
     travel = np.vstack([np.zeros(u.shape[1]), np.cumsum(0.5 * (u[1:] + u[:-1]) * steps[:, None], axis=0)])
-    gaps = np.concatenate([[0], np.cumsum(steps > GAP_FACTOR * np.median(steps))])
+    gaps = np.concatenate([[0], np.cumsum(steps > GAP_FACTOR * usual_step(steps))])
     whole = gaps[width:] == gaps[:-width]
     dq = (q[width:] - q[:-width])[whole]
     du = (travel[width:] - travel[:-width])[whole]
