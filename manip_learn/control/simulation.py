@@ -90,7 +90,7 @@ def simulate(
     report = progress or _silent
     if np.ndim(q0) == 2:
         return _simulate_table(robot, controller, np.asarray(q0), steps, dt, method, report)
-    if isinstance(controller, CompiledController) and controller.robot is robot:
+    if isinstance(controller, CompiledController) and controller.robot is robot and not _averages(controller, method):
         rollout = _compiled_rollout(controller, np.asarray(controller.robot.checked_posture(q0)), steps, dt, method)
         report("simulating", 1.0)
         return rollout
@@ -175,6 +175,12 @@ def _compiles(controller: Controller, robot: Robot | None) -> TypeGuard[Resolved
     if not isinstance(controller, ResolvedRateController) or controller.robot is not robot:
         return False
     return find_spec("numba") is not None and why_not(controller) is None
+
+
+def _averages(controller: CompiledController, method: Method) -> bool:
+    """Whether jerk limits ask for the average of commands that a servo loop keeps."""
+    limits = controller.controller.limits
+    return method == "euler" and limits is not None and limits.jerk is not None
 
 
 def _compiled_rollout(

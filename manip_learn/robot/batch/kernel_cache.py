@@ -24,8 +24,21 @@ _SETTINGS: Any = None if numba is None else numba.config  # pyright: ignore[repo
 PACKAGE = Path(__file__).resolve().parents[2]
 KERNEL_FILES = (
     "robot/batch/compiled_kinematics.py",
-    "control/kernel_linalg.py",
-    "control/kernel.py",
+    "control/compiled/row_inverse.py",
+    "control/compiled/step_table.py",
+    "control/compiled/decomposition.py",
+    "control/compiled/polytope.py",
+    "control/compiled/joint_limits.py",
+    "control/compiled/constrained_rows.py",
+    "control/compiled/near_singularity.py",
+    "control/compiled/null_policy.py",
+    "control/compiled/bounded_step.py",
+    "control/compiled/outcome.py",
+    "control/compiled/barrier.py",
+    "control/compiled/free_step.py",
+    "control/compiled/singular_parts.py",
+    "control/compiled/control_step.py",
+    "control/compiled/rollout.py",
 )
 # the constants that the kernels take from elsewhere
 CONSTANT_FILES = (
@@ -34,6 +47,10 @@ CONSTANT_FILES = (
     "control/approach.py",
     "control/limits.py",
     "control/singularity.py",
+    "control/outcome.py",
+    "control/bounded_velocity.py",
+    "control/polytope_projection.py",
+    "constraint/manipulability.py",
 )
 
 _lock = threading.Lock()
@@ -67,12 +84,24 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
     Without numba it is the function itself.
     """
+    return _compiled(function)
+
+
+def compiled_inside(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same for a function that only compiled ones call: there is nothing of it to call from Python.
+
+    Without numba it is the function itself.
+    """
+    return _compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
+def _compiled(function: Callable[..., Any], **options: bool) -> Callable[..., Any]:
     if numba is None:
         return function
     with _lock:
         before = _SETTINGS.CACHE_DIR
         _SETTINGS.CACHE_DIR = str(_FOLDER)
         try:
-            return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+            return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
         finally:
             _SETTINGS.CACHE_DIR = before

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 from manip_learn.linalg import LEAST_SINGULAR_RATIO
-from manip_learn.robot.batch.kernel_cache import compiled
+from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 SWEEPS = 8  # of Jacobi rotations: converged to the last bit for six rows
 
 
-@compiled
+@compiled_inside
 def smallest_and_largest(G, L):
     """Smallest and largest eigenvalue of a symmetric matrix G (s, s), with Cholesky's factor L; G is destroyed."""
     s = G.shape[0]
@@ -38,7 +38,7 @@ def smallest_and_largest(G, L):
     return smallest, largest
 
 
-@compiled
+@compiled_inside
 def row_inverse(A, X, G, L):
     """X = A^{+T} (s, n); returns the volume and the smallest singular value, or zeros if A is ill-conditioned."""
     s, n = A.shape

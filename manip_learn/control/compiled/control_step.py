@@ -1,0 +1,121 @@
+"""One control step as loops over plain numbers: the law of `controller`, in every state.
+
+numba compiles these functions (the optional extra `fast`); without it they are plain Python, the same function objects.
+Handed back to Python is what is not finite, a lost direction where the inverse is "exact", and one where a policy has
+no bound. Calls are nested as little as possible: numba optimises a function again in each of its callers.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from manip_learn.control.compiled.barrier import barrier, is_singular
+from manip_learn.control.compiled.bounded_step import FOUND, HIGH, LOW, PROGRAM, SLOPE, bounded_step
+from manip_learn.control.compiled.constrained_rows import public_rows
+from manip_learn.control.compiled.decomposition import complete, decompose, row_space
+from manip_learn.control.compiled.free_step import free_step
+from manip_learn.control.compiled.joint_limits import binding, bounds_of, within
+from manip_learn.control.compiled.outcome import bounded_outcome, plain_outcome, split_parts
+from manip_learn.control.compiled.singular_parts import singular_parts
+from manip_learn.control.compiled.step_table import (
+    CHAIN,
+    DAMPED,
+    DAMPING,
+    ESCAPE_PART,
+    FACTS,
+    HAS_ESCAPE,
+    ILL_CONDITIONED,
+    INVERSE,
+    LIMIT,
+    LIMITS,
+    MATRICES,
+    N_CONSTRAINTS,
+    N_JOINTS,
+    NV,
+    REFUSED,
+    SMALLEST,
+    TASK_PART,
+    TASK_VELOCITY,
+    THRESHOLD,
+    VELOCITY,
+)
+from manip_learn.robot.batch.compiled_kinematics import JOINTS
+from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
+
+
+@compiled
+def control_step(constants, q, dt, previous, slide, parts, work):
+    """Write one command, u = A^+ b + N pi within the limits; return its status, or REFUSED.
+
+    Args:
+        constants: The table, see `step_table`.
+        q: Joint positions [rad or m].
+        dt: Time for which the command is held [s].
+        previous: Velocity in the step before [rad/s or m/s], NaN where no acceleration is bounded.
+        slide: See `ResolvedRateController`.
+        parts: The velocity, its parts and b, in the rows of `step_table`.
+        work: Its row FACTS holds the command's numbers afterwards.
+    """
+    state = free_step(constants, q, dt, previous, parts, work)
+    if state >= REFUSED:
+        return state
+    joints, nv, s = int(constants[0, N_JOINTS]), int(constants[0, NV]), int(constants[0, N_CONSTRAINTS])
+    A, Ut, sigma, Vt = np.empty((s, nv)), np.empty((s, s)), np.empty(s), np.empty((nv, nv))
+    space, causes = np.empty((PROGRAM + nv + 2, nv + 2)), np.empty((2, nv), dtype=np.int64)
+    public_rows(constants, s, joints, work, MATRICES, A)
+    rank, sigma[0] = s, -1.0  # unknown
+    if state == ILL_CONDITIONED:
+        rank = singular_parts(constants, q, dt, A, Ut, sigma, Vt, parts, work)
+        if rank < 0 or not _finite(parts):
+            return REFUSED
+    else:
+        row_space(A, s, Vt)
+    singular = is_singular(sigma)
+    damped = int(constants[0, INVERSE]) == DAMPED and work[FACTS, SMALLEST] < constants[0, THRESHOLD]
+    if constants[0, LIMITS] == 0.0:
+        return plain_outcome(A, singular, damped, 0.0, parts, work[FACTS])
+    barred = barrier(constants, A, Ut, sigma, Vt, dt, parts[VELOCITY], space, work)
+    dofs = CHAIN + JOINTS + joints
+    outside = bounds_of(constants, dofs, nv, q, dt, previous, space[LOW], space[HIGH], causes[0], causes[1])
+    if within(parts[VELOCITY], space[LOW], space[HIGH], nv, 0.0) and not (barred and _too_fast(parts, space)):
+        return plain_outcome(A, singular, damped, outside, parts, work[FACTS])
+    if not singular:
+        complete(Vt, s)
+    if sigma[0] < 0.0 and slide > 0.0:
+        decompose(A, s, Ut, sigma, Vt)
+    # an explicit step of dt follows sliding that is damped that much
+    blur = max(constants[1, DAMPING], math.sqrt(2.0 * dt * _length(parts[TASK_VELOCITY], s)))
+    escape, escapes = parts[ESCAPE_PART], work[FACTS, HAS_ESCAPE] != 0.0
+    fastest = constants[dofs : dofs + nv, LIMIT]
+    scale = bounded_step(A, parts, escape, escapes, fastest, sigma, Vt, rank, space, barred, slide, blur)
+    fits = within(parts[TASK_PART], space[LOW], space[HIGH], nv, 0.0)
+    joint, cause = binding(space[FOUND], parts, space[LOW], space[HIGH], causes, nv)
+    split_parts(space[FOUND], Vt, rank, scale >= 0.0, parts, work[FACTS])
+    return bounded_outcome(A, singular, damped, outside, joint, cause, max(scale, 0.0), fits, parts, work[FACTS])
+
+
+@compiled_inside
+def _finite(parts):
+    total = 0.0
+    for j in range(parts.shape[1]):
+        total += parts[VELOCITY, j]
+    return math.isfinite(total)
+
+
+@compiled_inside
+def _length(b, s):
+    square = 0.0
+    for i in range(s):
+        square += b[i] * b[i]
+    return math.sqrt(square)
+
+
+@compiled_inside
+def _too_fast(parts, space):
+    """Whether the velocity approaches a singularity faster than the barrier allows."""
+    rate, nv = 0.0, parts.shape[1]
+    for j in range(nv):
+        rate += space[SLOPE, j] * parts[VELOCITY, j]
+    return rate < space[LOW, nv]

@@ -1,0 +1,148 @@
+"""The control step where A is well-conditioned and no limit changes the law, as in most steps."""
+
+from __future__ import annotations
+
+import math
+
+from manip_learn.control.compiled.constrained_rows import turn_joints
+from manip_learn.control.compiled.joint_limits import admitted
+from manip_learn.control.compiled.null_policy import policy_velocity
+from manip_learn.control.compiled.row_inverse import row_inverse
+from manip_learn.control.compiled.step_table import (
+    ACCELERATION,
+    CHAIN,
+    DAMPED,
+    ERROR,
+    FACTS,
+    GAIN,
+    HAS_ESCAPE,
+    ILL_CONDITIONED,
+    INVERSE,
+    LIMITED,
+    LIMITING_JOINT,
+    LIMITS,
+    MATRICES,
+    MAX_SPEED,
+    MU,
+    N_CONSTRAINTS,
+    N_JOINTS,
+    NULL_PART,
+    NULL_SCALE,
+    NV,
+    OK,
+    OUTSIDE,
+    PI,
+    PROGRESS,
+    REACHES,
+    REFUSED,
+    SLIDE,
+    SMALLEST,
+    TARGET_POINT,
+    TASK_PART,
+    TASK_SCALE,
+    TASK_VELOCITY,
+    THRESHOLD,
+    VELOCITY,
+)
+from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE
+from manip_learn.robot.batch.compiled_kinematics import JOINTS, SOURCE, TARGET, columns_of
+from manip_learn.robot.batch.kernel_cache import compiled_inside
+
+
+@compiled_inside
+def free_step(constants, q, dt, previous, parts, work):
+    """Write the law into `parts`; return OK, or LIMITED or ILL_CONDITIONED where more is to be done, or REFUSED."""
+    joints, nv, s = int(constants[0, N_JOINTS]), int(constants[0, NV]), int(constants[0, N_CONSTRAINTS])
+    for j in range(nv):
+        if not math.isfinite(q[j]):
+            return REFUSED
+    dofs = CHAIN + JOINTS + joints
+    rows, base, facts = dofs + nv, MATRICES + 3 * s, work[FACTS]
+    p0, p1, p2 = chain_rows(constants, rows, s, joints, q, work, base)
+    facts[ERROR] = task_velocity(constants, rows, s, p0, p1, p2, parts[TASK_VELOCITY])
+    A, X = work[MATRICES : MATRICES + s, :joints], work[MATRICES + s : MATRICES + 2 * s, :joints]
+    squares = work[MATRICES + 2 * s : MATRICES + 3 * s]
+    volume, smallest = row_inverse(A, X, squares[:, :s], squares[:, s : 2 * s])
+    facts[MU], facts[SMALLEST], facts[HAS_ESCAPE] = volume, smallest, 0.0
+    facts[TASK_SCALE] = facts[NULL_SCALE] = facts[PROGRESS] = 1.0
+    facts[OUTSIDE], facts[LIMITING_JOINT] = 0.0, -1.0
+    damps = int(constants[0, INVERSE]) == DAMPED
+    if volume == 0.0 or (damps and smallest < constants[0, THRESHOLD]):
+        return ILL_CONDITIONED
+    policy_velocity(constants, dofs, rows, nv, joints, s, q, dt, volume, X, work, base)
+    size = regular_parts(constants, joints, nv, s, A, X, work[PI], parts)
+    square, weakest = 0.0, math.inf
+    for j in range(nv):
+        square += parts[VELOCITY, j] * parts[VELOCITY, j]
+        weakest = min(weakest, constants[dofs + j, ACCELERATION])
+    if not math.isfinite(square + size):
+        return REFUSED
+    if constants[0, LIMITS] == 0.0:
+        return OK
+    if damps:
+        # |grad sigma| is about as large as A itself: slow enough to stop at a singularity
+        rate = min(APPROACH_RATE, 0.5 / dt) * smallest
+        if square * size >= min(2.0 * BRAKING_SHARE * weakest * math.sqrt(size) * smallest, rate * rate):
+            return LIMITED
+    return OK if admitted(constants, dofs, nv, q, dt, parts[VELOCITY], previous) else LIMITED
+
+
+@compiled_inside
+def chain_rows(constants, rows, s, joints, q, work, base):
+    """A in columns of the chain, into the rows from MATRICES on; returns the frame's position."""
+    turn_joints(constants, joints, q, work, base)
+    p0, p1, p2 = columns_of(constants, CHAIN, joints, work, base, SLIDE, 1, work, base)
+    for i in range(s):
+        for j in range(joints):
+            # the joint that moves column j, as many as there are from the base
+            total = 0.0
+            for k in range(6):
+                total += constants[rows + i, k] * work[base + j, k]
+            work[MATRICES + i, j] = total
+    return p0, p1, p2
+
+
+@compiled_inside
+def task_velocity(constants, rows, s, p0, p1, p2, b):
+    """Write the task velocity b = gain Lambda (r* - r(q)), norm at most max_speed; return the error."""
+    error = 0.0
+    if constants[0, REACHES] == 0.0:
+        for i in range(s):
+            b[i] = 0.0
+        return error
+    at = CHAIN + 1
+    d0, d1 = constants[at, TARGET_POINT] - p0, constants[at, TARGET_POINT + 1] - p1
+    d2 = constants[at, TARGET_POINT + 2] - p2
+    for i in range(s):
+        b[i] = constants[rows + i, 0] * d0 + constants[rows + i, 1] * d1 + constants[rows + i, 2] * d2
+        error += b[i] * b[i]
+    error = math.sqrt(error)
+    gain, fastest = constants[0, GAIN], constants[0, MAX_SPEED]
+    if gain * error > fastest:
+        gain *= fastest / (gain * error)
+    for i in range(s):
+        b[i] *= gain
+    return error
+
+
+@compiled_inside
+def regular_parts(constants, joints, nv, s, A, X, pi, parts):
+    """A^+ b and N pi from X = A^{+T}, and their sum; returns the sum of the squares of A."""
+    size = 0.0
+    for j in range(nv):
+        parts[TASK_PART, j], parts[NULL_PART, j] = 0.0, pi[j]
+    for i in range(s):
+        along = 0.0
+        for j in range(joints):
+            k = CHAIN + JOINTS + j
+            a = A[i, int(constants[k, TARGET])]
+            along += a * pi[int(constants[k, SOURCE])]
+            size += a * a
+        for j in range(joints):
+            k = CHAIN + JOINTS + j
+            x, column = X[i, int(constants[k, TARGET])], int(constants[k, SOURCE])
+            parts[TASK_PART, column] += parts[TASK_VELOCITY, i] * x
+            parts[NULL_PART, column] -= along * x
+    for j in range(nv):
+        parts[VELOCITY, j] = parts[TASK_PART, j] + parts[NULL_PART, j]
+    return size

@@ -1,0 +1,113 @@
+"""`limits.Limits` as loops over plain numbers: bounds on the next velocity, and what they do to it."""
+
+from __future__ import annotations
+
+import math
+
+from manip_learn.control.approach import APPROACH_RATE, BRAKING_SHARE, RETURN_SPEED
+from manip_learn.control.compiled.step_table import ACCELERATION, LIMIT, LOWER, NULL_PART, TASK_PART, UPPER
+from manip_learn.control.limits import ACCELERATION as BY_ACCELERATION
+from manip_learn.control.limits import AT_BOUND, OUTSIDE, POSITION, ROOM_TO_LEAVE, VELOCITY
+from manip_learn.robot.batch.kernel_cache import compiled_inside
+
+
+@compiled_inside
+def allowed_speed(distance, velocity, acceleration, dt):
+    """Fastest approach to a position limit with a deceleration, as `Approach`; negative outside it."""
+    rate = min(APPROACH_RATE, 0.5 / dt)
+    half = 0.5 * acceleration * dt
+    joined = acceleration / rate - half
+    linear = joined / rate
+    if distance <= linear:
+        return min(max(rate * distance, -RETURN_SPEED * min(velocity, 1e6)), velocity)
+    offset = linear - joined * (joined + acceleration * dt) / (2.0 * acceleration)
+    return min(math.sqrt(half * half + 2.0 * acceleration * (distance - offset)) - half, velocity)
+
+
+@compiled_inside
+def admitted(constants, dofs, nv, q, dt, u, previous):
+    """Whether `Limits.bounds` admit the velocity u; `previous` is NaN where no acceleration is bounded."""
+    for j in range(nv):
+        k = dofs + j
+        v, a, speed = constants[k, LIMIT], constants[k, ACCELERATION], abs(u[j])
+        above, below = constants[k, UPPER] - q[j], q[j] - constants[k, LOWER]
+        if above < 0.0 or below < 0.0:
+            return False
+        if speed > v or abs(u[j] - previous[j]) > a * dt:
+            return False
+        distance = above if u[j] > 0.0 else below
+        if speed > allowed_speed(distance, v, BRAKING_SHARE * a, dt):
+            return False
+    return True
+
+
+@compiled_inside
+def bounds_of(constants, dofs, nv, q, dt, previous, low, high, low_cause, high_cause):
+    """`Limits.bounds`: write the lowest and highest velocities and their causes; return how far a joint is outside."""
+    outside = 0.0
+    for j in range(nv):
+        k = dofs + j
+        v, a = constants[k, LIMIT], constants[k, ACCELERATION]
+        above, below = constants[k, UPPER] - q[j], q[j] - constants[k, LOWER]
+        bottom, top, bottom_cause, top_cause = -v, v, VELOCITY, VELOCITY
+        fastest = allowed_speed(above, v, BRAKING_SHARE * a, dt)
+        if fastest < v:
+            top, top_cause = fastest, POSITION
+        fastest = allowed_speed(below, v, BRAKING_SHARE * a, dt)
+        if fastest < v:
+            bottom, bottom_cause = -fastest, POSITION
+        outside = max(outside, -below, -above)
+        if not math.isnan(previous[j]):
+            slowest, fastest = previous[j] - a * dt, previous[j] + a * dt
+            if slowest > bottom:
+                bottom, bottom_cause = slowest, BY_ACCELERATION
+            if fastest < top:
+                top, top_cause = fastest, BY_ACCELERATION
+            if bottom > top:  # too fast, or too far, for what the acceleration limit allows: it has precedence
+                bottom = slowest if top < slowest else fastest
+                top = bottom
+        low[j], high[j], low_cause[j], high_cause[j] = bottom, top, bottom_cause, top_cause
+    return outside if outside > OUTSIDE else 0.0
+
+
+@compiled_inside
+def within(u, low, high, nv, tolerance):
+    """Whether a velocity is within bounds, but for a tolerance."""
+    for j in range(nv):
+        if not low[j] - tolerance <= u[j] <= high[j] + tolerance:
+            return False
+    return True
+
+
+@compiled_inside
+def binding(u, parts, low, high, causes, nv):
+    """The joint at a bound that task and null part exceed most, and the limit that sets it; (-1, -1) if none."""
+    joint, cause, most = -1, -1, 0.0
+    for j in range(nv):
+        tolerance, wish = AT_BOUND * (1.0 + abs(u[j])), parts[TASK_PART, j] + parts[NULL_PART, j]
+        if u[j] >= high[j] - tolerance and wish - high[j] > most:
+            joint, cause, most = j, causes[1, j], wish - high[j]
+        elif u[j] <= low[j] + tolerance and low[j] - wish > most:
+            joint, cause, most = j, causes[0, j], low[j] - wish
+    return joint, cause
+
+
+@compiled_inside
+def turn_to_freer_sense(constants, dofs, nv, q, direction):
+    """Turn a direction round where position limits leave its opposite more room, as `Limits.freer_sense`."""
+    fastest = 0.0
+    for j in range(nv):
+        fastest = max(fastest, abs(direction[j]))
+    if fastest == 0.0:
+        return
+    ahead = behind = math.inf
+    for j in range(nv):
+        speed = abs(direction[j])
+        if speed > 1e-3 * fastest:
+            up, down = constants[dofs + j, UPPER] - q[j], q[j] - constants[dofs + j, LOWER]
+            if direction[j] < 0.0:
+                up, down = down, up
+            ahead, behind = min(ahead, up / speed), min(behind, down / speed)
+    if ahead < min(behind, ROOM_TO_LEAVE / fastest):
+        for j in range(nv):
+            direction[j] = -direction[j]

@@ -1,0 +1,121 @@
+"""Null-space policies as loops over plain numbers; see `policies`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from manip_learn.constraint.manipulability import SINGULAR_RATIO
+from manip_learn.control.compiled.constrained_rows import jacobian_vjp, vjp
+from manip_learn.control.compiled.decomposition import leading
+from manip_learn.control.compiled.near_singularity import lost_rates, norm, outer_sum, steepest_ascent
+from manip_learn.control.compiled.step_table import (
+    CHAIN,
+    GRADIENT,
+    LOG_ASCENT,
+    LONGEST,
+    NO_POLICY,
+    PI,
+    POLICY,
+    POLICY_GAIN,
+    REST,
+    REST_AT,
+    WEIGHTS,
+    WRAPS,
+)
+from manip_learn.control.singularity import SEED_SPEED, STABLE_SLOPE
+from manip_learn.robot.batch.compiled_kinematics import JOINTS, LOCAL, SOURCE, TARGET
+from manip_learn.robot.batch.kernel_cache import compiled_inside
+
+
+@compiled_inside
+def rest_velocity(constants, dofs, nv, q, pi):
+    """gain (rest - q), the short way round for joints that wrap (`JointAttractor`); zeros for no policy."""
+    gain = constants[0, POLICY_GAIN] if int(constants[0, POLICY]) == REST else 0.0
+    for j in range(nv):
+        d = constants[dofs + j, REST_AT] - q[j]
+        if constants[dofs + j, WRAPS] != 0.0:
+            d -= 2.0 * math.pi * math.floor(d / (2.0 * math.pi) + 0.5)
+        pi[j] = gain * d
+
+
+@compiled_inside
+def bounded_gain(constants, steepness, dt):
+    """Factor on grad log mu of a norm: the gain, or less for the bound of `ManipulabilityAscent`."""
+    gain, fastest = constants[0, POLICY_GAIN], constants[0, LONGEST]
+    if fastest == math.inf:
+        return gain
+    ramp = dt * fastest * steepness / STABLE_SLOPE
+    longest = fastest / math.sqrt(1.0 + ramp * ramp)
+    return gain if not gain * steepness > longest else longest / steepness
+
+
+@compiled_inside
+def policy_velocity(constants, dofs, rows, nv, joints, s, q, dt, volume, X, work, base):
+    """Write the null-space policy's velocity pi, away from singularities, into the work space.
+
+    Manipulability ascent is equation (13), grad mu = mu A^{+T} : dA/dq, or grad log mu without the factor mu.
+    """
+    policy = int(constants[0, POLICY])
+    if policy == REST or policy == NO_POLICY:
+        rest_velocity(constants, dofs, nv, q, work[PI])
+        return
+    for j in range(nv):
+        work[PI, j] = 0.0
+    for j in range(joints):
+        for k in range(6):
+            total = 0.0
+            for i in range(s):
+                total += X[i, j] * constants[rows + i, k]
+            work[base + j, WEIGHTS + k] = total
+    jacobian_vjp(work, base, joints, constants[CHAIN + 1, LOCAL] != 0.0)
+    scale = constants[0, POLICY_GAIN] * volume
+    if policy == LOG_ASCENT:
+        steepness = 0.0
+        for j in range(joints):
+            steepness += work[base + j, GRADIENT] * work[base + j, GRADIENT]
+        scale = bounded_gain(constants, math.sqrt(steepness), dt)
+    for j in range(joints):
+        k = CHAIN + JOINTS + j
+        work[PI, int(constants[k, SOURCE])] = scale * work[base + int(constants[k, TARGET]), GRADIENT]
+
+
+@compiled_inside
+def ascent_near_singularity(constants, rows, s, joints, Ut, sigma, Vt, dt, weights, work, base, pi):
+    """`ManipulabilityAscent.from_decomposition` into pi; Vt is complete where a direction is lost. False: Python's."""
+    nv, smallest, edge = Vt.shape[1], sigma[s - 1], SINGULAR_RATIO * sigma[0]
+    logarithmic = int(constants[0, POLICY]) == LOG_ASCENT
+    if logarithmic and constants[0, LONGEST] < math.inf and smallest <= edge:
+        steepest_ascent(constants, rows, s, joints, Ut, sigma, Vt, weights, work, base, pi)
+        for j in range(nv):
+            pi[j] *= min(constants[0, LONGEST], SEED_SPEED)
+        return True
+    if smallest <= edge and (logarithmic or (s > 1 and sigma[s - 2] <= edge)):
+        return False
+    others = np.empty(s)
+    mu = 1.0
+    for i in range(s):
+        mu *= sigma[i]
+        others[i] = 1.0
+        for k in range(s):
+            others[i] *= sigma[k] if k != i else 1.0
+    if smallest <= edge:  # steepest ascent of the cone, `manipulability._cone_ascent`
+        M = np.empty((nv - s + 1, nv))
+        lost_rates(constants, rows, s, joints, Ut, s - 1, Vt, s - 1, weights, work, base, M)
+        rate = others[s - 1] * leading(M, pi)
+        for j in range(nv):
+            pi[j] *= rate
+    else:
+        outer_sum(Ut, others, Vt, s, weights)
+        vjp(constants, rows, s, joints, weights, work, base, pi)
+    scale = constants[0, POLICY_GAIN]
+    if logarithmic:
+        floor = edge * others[s - 1]
+        volume = max(mu, floor, 1e-300)
+        for j in range(nv):
+            pi[j] /= volume
+        scale = bounded_gain(constants, norm(pi), dt)
+    for j in range(nv):
+        pi[j] *= scale
+    return True

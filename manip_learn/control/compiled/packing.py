@@ -1,0 +1,88 @@
+"""Which controllers are compiled, and the table of their constants."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.control.compiled import step_table as table
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
+from manip_learn.control.resolved_rate_law import ESCAPE_WIDTH
+from manip_learn.control.tasks import Hold, PointAttractor
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+
+LARGEST_ACCELERATION = 1e12  # [rad/s2] stands for none in the kernel, which must stay finite
+
+
+def why_not(controller: ResolvedRateController) -> str | None:
+    """Why a controller cannot be compiled; None if it can where numba is installed."""
+    features, task, policy = controller.constraint.features, controller.task, controller.null_policy
+    if not isinstance(features, FrameJacobian):
+        return f"the features are {type(features).__name__}, not FrameJacobian"
+    kinematics = batch_kinematics(features.robot, features.frame)
+    if not kinematics.fast or kinematics.public_columns is None:
+        return (
+            "not all joints between the base and the frame are revolute, continuous or prismatic ones that move freely"
+        )
+    if controller.robot is not features.robot:
+        return "its limits are those of another robot"
+    if any(b.kind in ("floating", "planar", "other") for b in features.robot.blocks):
+        return "the robot's base moves"
+    if controller.constraint.n_constraints > len(kinematics.public_columns):
+        return "it has more rows than joints"
+    reaches = isinstance(task, PointAttractor) and features.only_linear and task.target.shape == (features.n_rows,)
+    if not (reaches or isinstance(task, Hold)):
+        return f"the task is {task!r} with rows {' '.join(features.row_names)} ({features.reference})"
+    if isinstance(policy, ManipulabilityAscent):
+        return None if policy.constraint is controller.constraint else "the policy climbs another constraint's mu"
+    if isinstance(policy, JointAttractor):
+        known = policy.robot is features.robot or (policy.robot is None and policy.rest.shape == (features.nv,))
+        return None if known else "the rest posture belongs to another robot"
+    return None if isinstance(policy, ZeroPolicy) else f"the policy is {type(policy).__name__}"
+
+
+def packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
+    """All constants of the step in one table: one argument costs less than thirty."""
+    from manip_learn.robot.batch.compiled_kinematics import JOINTS  # and with it numba
+
+    constraint, task = controller.constraint, controller.task
+    features: FrameJacobian = constraint.features  # type: ignore[assignment]
+    chain = batch_kinematics(features.robot, features.frame).chain_table(features.reference)
+    rows = np.zeros((constraint.n_constraints, chain.shape[1]))
+    rows[:, :6] = features.padded(constraint.selection)
+    dofs = np.zeros((constraint.nv, chain.shape[1]))
+    limits = controller.limits
+    if limits is not None:
+        dofs[:, :3] = np.stack((limits.velocity, limits.lower, limits.upper), axis=1)
+        dofs[:, table.ACCELERATION] = np.minimum(limits.acceleration, LARGEST_ACCELERATION)
+    header = np.zeros((table.CHAIN, chain.shape[1]))
+    header[0, table.N_JOINTS] = chain.shape[0] - JOINTS
+    header[0, table.NV], header[0, table.N_CONSTRAINTS] = constraint.nv, constraint.n_constraints
+    header[0, table.INVERSE] = table.INVERSES.index(controller.inverse)
+    header[0, table.THRESHOLD] = controller.threshold
+    header[0, table.LIMITS] = limits is not None
+    header[1, table.DAMPING], header[1, table.ESCAPE_WIDTH] = controller.damping, ESCAPE_WIDTH * controller.threshold
+    if isinstance(task, PointAttractor):
+        header[0, table.REACHES], header[0, table.GAIN] = True, task.gain
+        header[0, table.MAX_SPEED] = np.inf if task.max_speed is None else task.max_speed
+        places = [table.TARGET_POINT + "xyz".index(name) for name in features.row_names]
+        chain[1, places] = task.target
+    _pack_policy(controller, header, dofs)
+    return np.concatenate([header, chain, dofs, rows])
+
+
+def _pack_policy(controller: ResolvedRateController, header: np.ndarray, dofs: np.ndarray) -> None:
+    policy = controller.null_policy
+    header[0, table.POLICY] = table.NO_POLICY
+    if isinstance(policy, ManipulabilityAscent):
+        header[0, table.POLICY] = table.LOG_ASCENT if policy.logarithmic else table.ASCENT
+        header[0, table.POLICY_GAIN] = policy.gain
+        header[0, table.LONGEST] = np.inf if policy.max_speed is None else policy.max_speed
+        header[1, table.ESCAPES] = controller.inverse == "damped" and policy.max_speed is not None
+    elif isinstance(policy, JointAttractor):
+        header[0, table.POLICY], header[0, table.POLICY_GAIN] = table.REST, policy.gain
+        dofs[:, table.REST_AT] = controller.robot.positions(policy.rest)  # type: ignore[union-attr]
+        for block in policy.robot.blocks if policy.robot is not None else ():
+            dofs[block.v, table.WRAPS] = block.kind == "continuous"

@@ -1,0 +1,64 @@
+"""A rollout as loops over plain numbers: `integration.next_posture` and the servo loop's rule, step by step."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from manip_learn.control.compiled.control_step import control_step
+from manip_learn.control.compiled.outcome import next_slide
+from manip_learn.control.compiled.step_table import (
+    ERROR,
+    FACTS,
+    LEAST_WIDTH,
+    MATRICES,
+    MU,
+    N_CONSTRAINTS,
+    N_JOINTS,
+    PARTS,
+    PROGRESS,
+    REFUSED,
+    VELOCITY,
+)
+from manip_learn.robot.batch.kernel_cache import compiled
+
+
+@compiled
+def rollout(constants, first, dt, rk4, q, u, mu, error, code, state):
+    """From row `first` of q (T, nv) on; returns the row that Python must do, or T.
+
+    `state` holds the velocity before row `first`, NaN for every step where no acceleration is bounded, and `slide`.
+    """
+    nv, steps = q.shape[1], q.shape[0]
+    joints, s = int(constants[0, N_JOINTS]), int(constants[0, N_CONSTRAINTS])
+    parts, work = np.empty((PARTS, nv)), np.empty((MATRICES + 3 * s + joints, max(LEAST_WIDTH, nv, 2 * s)))
+    point, slope = np.empty(nv), np.empty(nv)
+    bounded = not math.isnan(state[0])
+    for i in range(first, steps):
+        for j in range(nv):
+            point[j], slope[j] = q[i, j], 0.0
+        for stage in range(4 if rk4 and i + 1 < steps else 1):
+            if stage > 0:
+                length = dt if stage == 3 else 0.5 * dt
+                for j in range(nv):
+                    point[j] = q[i, j] + length * parts[VELOCITY, j]
+            done = control_step(constants, point, dt, state, state[nv], parts, work)
+            if done == REFUSED:
+                return i
+            if stage == 0:
+                code[i], mu[i], error[i] = done, work[FACTS, MU], work[FACTS, ERROR]
+                for j in range(nv):
+                    u[i, j] = parts[VELOCITY, j]
+                    if bounded:
+                        state[j] = u[i, j]
+                if bounded:
+                    state[nv] = next_slide(state[nv], done, work[FACTS, PROGRESS], dt)
+            weight = 2.0 if stage == 1 or stage == 2 else 1.0
+            for j in range(nv):
+                slope[j] += weight * parts[VELOCITY, j]
+        if i + 1 < steps:
+            factor = dt / 6.0 if rk4 else dt
+            for j in range(nv):
+                q[i + 1, j] = q[i, j] + factor * slope[j]
+    return steps

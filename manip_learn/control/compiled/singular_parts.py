@@ -1,0 +1,119 @@
+"""The law by the singular value decomposition, as loops over plain numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from manip_learn.constraint.manipulability import SINGULAR_RATIO
+from manip_learn.control.compiled.decomposition import complete, decompose
+from manip_learn.control.compiled.joint_limits import turn_to_freer_sense
+from manip_learn.control.compiled.near_singularity import (
+    escape_velocity,
+    pressed_damping,
+    rank_of,
+    smallest_gradient,
+    stable_damping,
+    task_part,
+    truncation,
+)
+from manip_learn.control.compiled.null_policy import ascent_near_singularity, rest_velocity
+from manip_learn.control.compiled.step_table import (
+    ASCENT,
+    CHAIN,
+    DAMPED,
+    DAMPING,
+    ESCAPE_PART,
+    ESCAPE_WIDTH,
+    ESCAPES,
+    EXACT,
+    FACTS,
+    HAS_ESCAPE,
+    INVERSE,
+    LIMITS,
+    LOG_ASCENT,
+    MATRICES,
+    MU,
+    N_JOINTS,
+    NULL_PART,
+    PI,
+    POLICY,
+    SMALLEST,
+    TASK_PART,
+    TASK_VELOCITY,
+    THRESHOLD,
+    VELOCITY,
+)
+from manip_learn.robot.batch.compiled_kinematics import JOINTS
+from manip_learn.robot.batch.kernel_cache import compiled_inside
+
+
+@compiled_inside
+def singular_parts(constants, q, dt, A, Ut, sigma, Vt, parts, work):
+    """Write the law near a singularity, `ResolvedRateController._near_singularity`; return the rank, -1 if refused."""
+    s, nv = A.shape
+    joints = int(constants[0, N_JOINTS])
+    dofs = CHAIN + JOINTS + joints
+    rows, base = dofs + nv, MATRICES + 3 * s
+    weights, along, facts, pi = np.empty((s, nv)), np.empty(s), work[FACTS], work[PI, :nv]
+    decompose(A, s, Ut, sigma, Vt)
+    singular = sigma[s - 1] <= SINGULAR_RATIO * sigma[0]
+    rank = rank_of(sigma, truncation(sigma, nv))
+    if singular:
+        if int(constants[0, INVERSE]) == EXACT:
+            return -1
+        complete(Vt, rank_of(sigma, 0.0))
+    facts[MU], facts[SMALLEST] = 1.0, sigma[s - 1]
+    for i in range(s):
+        facts[MU] *= sigma[i]
+        along[i] = 0.0
+        for k in range(s):
+            along[i] += Ut[i, k] * parts[TASK_VELOCITY, k]
+    policy = int(constants[0, POLICY])
+    if policy == ASCENT or policy == LOG_ASCENT:
+        if not ascent_near_singularity(constants, rows, s, joints, Ut, sigma, Vt, dt, weights, work, base, pi):
+            return -1
+    else:
+        rest_velocity(constants, dofs, nv, q, pi)
+    _damped_task(constants, rows, s, joints, Ut, sigma, Vt, dt, along, weights, work, base, parts[TASK_PART])
+    _null_part(Vt, rank, pi, parts[NULL_PART])
+    for j in range(nv):
+        parts[VELOCITY, j] = parts[TASK_PART, j] + parts[NULL_PART, j]
+    if constants[1, ESCAPES] != 0.0:
+        escape, width = parts[ESCAPE_PART], constants[1, ESCAPE_WIDTH]
+        facts[HAS_ESCAPE] = 1.0
+        escape_velocity(constants, rows, s, joints, Ut, sigma, Vt, dt, width, weights, work, base, escape)
+        if singular and constants[0, LIMITS] != 0.0:
+            # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
+            turn_to_freer_sense(constants, dofs, nv, q, escape)
+        for j in range(nv):
+            parts[VELOCITY, j] += escape[j]
+    return rank
+
+
+@compiled_inside
+def _damped_task(constants, rows, s, joints, Ut, sigma, Vt, dt, along, weights, work, base, task):
+    """A^+ b, with the damping that a task needs which presses into the singularity."""
+    damping = constants[1, DAMPING]
+    task_part(constants, sigma, along, damping, Vt, task)
+    if int(constants[0, INVERSE]) != DAMPED or constants[0, LIMITS] == 0.0:
+        return
+    stable = stable_damping(sigma, along, constants[0, THRESHOLD], dt)
+    if stable > damping and sigma[s - 1] > SINGULAR_RATIO * sigma[0]:
+        slope = np.empty(Vt.shape[1])
+        length = smallest_gradient(constants, rows, s, joints, Ut, Vt, weights, work, base, slope)
+        damping = pressed_damping(damping, stable, slope, length, task)
+        task_part(constants, sigma, along, damping, Vt, task)
+
+
+@compiled_inside
+def _null_part(Vt, rank, pi, null):
+    """N pi, pi less its parts along the rows of A."""
+    nv = Vt.shape[1]
+    for j in range(nv):
+        null[j] = pi[j]
+    for i in range(rank):
+        along = 0.0
+        for j in range(nv):
+            along += Vt[i, j] * null[j]
+        for j in range(nv):
+            null[j] -= along * Vt[i, j]

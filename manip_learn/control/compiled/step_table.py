@@ -1,0 +1,47 @@
+"""Where a compiled control step finds its constants, and where it writes its results."""
+
+from __future__ import annotations
+
+from manip_learn.control.status import STATUSES, Status
+
+# The constants of a controller are one table of twelve columns: two rows of settings, the chain's table, one row per
+# degree of freedom (velocity limit, lower, upper, rest posture, whether it wraps, acceleration limit), and one per row
+# of Lambda (padded to six).
+N_JOINTS, NV, N_CONSTRAINTS, POLICY, POLICY_GAIN, INVERSE, THRESHOLD, LIMITS, REACHES, GAIN, MAX_SPEED, LONGEST = range(
+    12
+)
+DAMPING, ESCAPES, ESCAPE_WIDTH = range(3)  # columns of the second row
+CHAIN = 2
+TARGET_POINT = 6  # column of the chain's second row, after the tool's position, sign and reference
+LIMIT, LOWER, UPPER, REST_AT, WRAPS, ACCELERATION = range(6)
+NO_POLICY, ASCENT, LOG_ASCENT, REST = range(4)
+DAMPED, EXACT, TRUNCATED = range(3)
+INVERSES = ("damped", "exact", "truncated")
+
+# Rows of the parts of a command, each as long as there are degrees of freedom; b takes the first s of them.
+VELOCITY, TASK_PART, NULL_PART, ESCAPE_PART, TASK_VELOCITY, PARTS = range(6)
+# Rows of the work space: numbers of the command, then scratch.
+FACTS, PI, MATRICES = range(3)
+MU, SMALLEST, ERROR, TASK_SCALE, NULL_SCALE, PROGRESS, OUTSIDE, LIMITING_JOINT, HAS_ESCAPE, N_FACTS = range(10)
+# columns of a joint's row of scratch, after (v, w) and the origin
+WEIGHTS, SLIDE, GRADIENT = 9, 15, 18
+LEAST_WIDTH = 19
+
+# what `free_step` may return instead of a status: a limit binds, or A is ill-conditioned
+LIMITED, ILL_CONDITIONED = -2, -3
+REFUSED = -1  # Python decides: what is not finite, and lost directions that "exact" inverts
+OK = STATUSES.index(Status.OK)
+DAMPED_STATUS = STATUSES.index(Status.DAMPED)
+STALLED = STATUSES.index(Status.STALLED)
+SINGULAR = STATUSES.index(Status.SINGULAR)
+OUTSIDE_LIMITS = STATUSES.index(Status.OUTSIDE_LIMITS)
+POSITION_LIMITED = STATUSES.index(Status.POSITION_LIMITED)
+VELOCITY_LIMITED = STATUSES.index(Status.VELOCITY_LIMITED)
+ACCELERATION_LIMITED = STATUSES.index(Status.ACCELERATION_LIMITED)
+REROUTED = STATUSES.index(Status.REROUTED)
+NULL_SCALED = STATUSES.index(Status.NULL_SCALED)
+
+
+def work_shape(joints: int, nv: int, s: int) -> tuple[int, int]:
+    """Shape of the work space of `control_step`."""
+    return MATRICES + 3 * s + joints, max(LEAST_WIDTH, nv, 2 * s)
