@@ -423,7 +423,7 @@ def test_files_are_a_source(features, held, tmp_path, monkeypatch):
 
 
 def test_lerobot_episodes_are_parts(tmp_path, monkeypatch):
-    """A LeRobot data set of version 2 is read episode by episode, one of version 3 as a whole."""
+    """LeRobot data is read file by file, as a whole where an episode goes on in the next file or some are chosen."""
     pa = pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")
     import pyarrow.parquet as pq
 
@@ -431,8 +431,8 @@ def test_lerobot_episodes_are_parts(tmp_path, monkeypatch):
 
     monkeypatch.setattr(recording_source, "PART_BYTES", 1)
     robot = load_robot("planar3")
-    for version, parts in (("v2.1", 4), ("v3.0", 1)):
-        root = tmp_path / version
+    for version, parts, first in (("v2.1", 4, 0), ("v3.0", 4, 0), ("v3.0", 1, 1)):
+        root = tmp_path / f"{version} {first}"
         (root / "meta").mkdir(parents=True)
         (root / "data").mkdir()
         state = {"dtype": "float32", "shape": [3], "names": list(robot.joint_names)}
@@ -447,9 +447,17 @@ def test_lerobot_episodes_are_parts(tmp_path, monkeypatch):
                 "frame_index": pa.array(np.arange(30)),
                 "episode_index": pa.array(np.full(30, episode)),
             }
-            pq.write_table(pa.table(columns), root / "data" / f"episode_{episode}.parquet")
+            table, name = pa.table(columns), f"episode_{episode}.parquet"
+            if first == 1 and episode == 0:  # all but its first samples are at the beginning of the next file
+                pq.write_table(table[:10], root / "data" / "file-000.parquet")
+                before = table[10:]
+                continue
+            if first == 1 and episode == 1:
+                table = pa.concat_tables([before, table])
+            pq.write_table(table, root / "data" / (name if version == "v2.1" else f"file-{episode:03d}.parquet"))
         source = RecordingSource(root, robot, units="radians")
         assert source.n_parts == parts
+        assert version == "v2.1" or RecordingSource(root, robot, units="radians", episodes="0:2").n_parts == 1
         read = [t for i in range(parts) for t in source.part(i)]
         loaded = load_demonstrations(root, robot, units="radians")
         assert len(read) == len(loaded) == 4

@@ -10,15 +10,15 @@ from typing import Unpack, final
 from manip_learn.recordings.load_demonstrations import Paths, ReadOptions, open_recordings, read_recordings
 from manip_learn.recordings.readers.file_format import LEROBOT, FileFormat
 from manip_learn.recordings.readers.json_file import read_json
-from manip_learn.recordings.readers.lerobot_dataset import open_dataset
-from manip_learn.recordings.readers.lerobot_episodes import episode_number
+from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER, open_dataset
+from manip_learn.recordings.readers.lerobot_episodes import episode_number, separate_files
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording_files import RecordingFile
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource
 from manip_learn.robot import Robot
 
-PART_BYTES = 16_000_000  # of files that make a part, so that small ones share a task
+PART_BYTES = 4_000_000  # of files that make a part: small ones share a task, and workers get even shares
 
 
 @final
@@ -89,7 +89,10 @@ def _read(
 
 
 def _pieces(file: RecordingFile, chosen: frozenset[int] | None) -> list[RecordingFile]:
-    """Files that can be read one by one: a LeRobot data set of version 2 has one per episode, perhaps not chosen."""
+    """Files that can be read one by one: those of a LeRobot data set, if no episode goes on in the next one.
+
+    Version 2 has one file per episode; those that are not chosen are left out.
+    """
     if file.format is not LEROBOT or not file.path.is_dir():
         return [_named_alike_everywhere(file.path, file.format)]
     described = read_json(file.path / "meta" / "info.json")
@@ -100,7 +103,11 @@ def _pieces(file: RecordingFile, chosen: frozenset[int] | None) -> list[Recordin
             for path in open_dataset(file.path).files
             if chosen is None or (number := episode_number(path)) is None or number in chosen
         ]
-    return [_named_alike_everywhere(file.path, file.format)]  # an episode may go on in the next file
+    is_ours = (file.path / DATASET_HEADER).is_file()  # its header speaks for the folder, not for a file in it
+    runs = [] if chosen is not None or is_ours else separate_files(file.path)
+    if len(runs) > 1 and all(len(run) == 1 for run in runs):
+        return [_named_alike_everywhere(path, LEROBOT) for (path,) in runs]
+    return [_named_alike_everywhere(file.path, file.format)]  # an episode goes on in the next file
 
 
 def _named_alike_everywhere(path: Path, kind: FileFormat) -> RecordingFile:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from manip_learn.errors import RecordingError, UnknownNameError, advice
+from manip_learn.recordings.readers.episode_spans import FIRST, LAST
 from manip_learn.recordings.readers.lerobot_dataset import SEARCHED_LEVELS, open_dataset
 from manip_learn.recordings.readers.natural_order import natural_order
 from manip_learn.recordings.readers.parser_process import parsed_rows
@@ -16,6 +17,7 @@ from manip_learn.recordings.readers.recording import reason
 
 ONE_EPISODE = re.compile(r"episode_(\d{1,9})\.parquet")  # files of version 2
 ROWS = "manip_learn.recordings.readers.parquet_rows"  # the parser of what describes the episodes
+SPANS = "manip_learn.recordings.readers.episode_spans"  # and that of the first and last episode of a file
 MOST_BYTES = 200_000_000  # of meta/episodes.jsonl: a million episodes
 
 
@@ -40,6 +42,25 @@ def episode_numbers(path: Path) -> tuple[int, ...]:
         else:
             numbers |= {int(row["episode_index"]) for row in parsed_rows(ROWS, file, ("episode_index",))}
     return tuple(sorted(numbers))
+
+
+def separate_files(path: Path) -> list[list[Path]]:
+    """Files of a data set of version 3 in runs that share no episode: each run can be read without the others.
+
+    Raises:
+        RecordingError: No data set, or damaged.
+        MissingExtraError: The extra `lerobot` is not installed.
+    """
+    runs: list[list[Path]] = []
+    before: int | None = None
+    for file in open_dataset(path).files:
+        span = next(parsed_rows(SPANS, file, ("episode_index",)), None)
+        if runs and (span is None or before is None or span[FIRST] == before):
+            runs[-1].append(file)
+        else:
+            runs.append([file])
+        before = None if span is None else span[LAST]
+    return runs
 
 
 def episodes_of_task(path: Path, task: str) -> frozenset[int]:

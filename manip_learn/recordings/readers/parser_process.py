@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, final
@@ -19,6 +19,7 @@ from typing import Any, final
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError, command_flags
+from manip_learn.recordings.readers.answer_pipe import AnswerPipe
 from manip_learn.recordings.readers.parser_request import ParserRequest
 from manip_learn.recordings.readers.recording import Recording, reason
 
@@ -111,6 +112,7 @@ class _Child:
         if self._process.stdin is None or self._process.stdout is None:
             raise RecordingError("the process that parses recordings has no pipes", code="parser-crashed")
         self._stdin, self._stdout = self._process.stdin, self._process.stdout
+        self._pipe = AnswerPipe(self._stdout.fileno())
         self._timed_out = False
         self._skipped = 0
 
@@ -160,22 +162,22 @@ class _Child:
             )
 
     def _answer(self, path: Path, job: dict[str, Any], patience: float) -> Answer:
-        timer = threading.Timer(patience, self._end_silence)
-        timer.daemon = True
-        timer.start()
+        deadline = time.monotonic() + patience
         try:
-            line = self._stdout.readline()
+            line = self._pipe.line(deadline)
             if not line.endswith(b"\n"):
                 raise self._lost(path, job)
             words = json.loads(line)
             arrays: dict[str, Any] = {}
             for name, shape in words.get("shapes", {}).items():
-                content = self._stdout.read(8 * math.prod(shape))
+                content = self._pipe.content(8 * math.prod(shape), deadline)
                 if len(content) < 8 * math.prod(shape):
                     raise self._lost(path, job)
                 arrays[name] = np.frombuffer(content, dtype=np.float64).reshape(shape)
-        finally:
-            timer.cancel()
+        except TimeoutError as error:
+            self._timed_out = True
+            self._process.kill()
+            raise self._lost(path, job) from error
         return words, arrays
 
     def _finish(self, path: Path, job: dict[str, Any]) -> None:
@@ -186,10 +188,6 @@ class _Child:
                 if self._skipped > MOST_SKIPPED:
                     return
             self.is_free = True
-
-    def _end_silence(self) -> None:
-        self._timed_out = True
-        self._process.kill()
 
     def _lost(self, path: Path, job: dict[str, Any]) -> RecordingError:
         code = self._process.wait()
@@ -216,6 +214,7 @@ class _Child:
             self._process.wait()
         with contextlib.suppress(BrokenPipeError):
             self._stdin.close()
+        self._pipe.close()
         self._stdout.close()
         self._errors.close()
 
