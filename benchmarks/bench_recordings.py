@@ -1,20 +1,24 @@
-"""Promise: an hour of joint states at 100 Hz is read within 5 s, from any bag; a table of a million rows as well."""
+"""An hour of joint states at 100 Hz from any bag, and a table of a million rows, over plain ways to read the same file.
+
+Promises: a bag takes less time than looping over its messages with rosbags and deserialising each; a table no more than
+NumPy's own `loadtxt`.
+"""
 
 from __future__ import annotations
 
 import struct
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from references import check
 
 from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import load_robot
 
 SAMPLES = 360_000
-PROMISED = 5.0  # [s]
+PROMISED = 1.0  # times the plain way
 START = 1_700_000_000 * 10**9
 JOINTS = ("joint1", "joint2", "joint3")
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -64,18 +68,39 @@ def write_table(path: Path, kind: str) -> Path:
     return path
 
 
+def plain_bag(path: Path) -> int:
+    """Every message deserialised, as the rosbags documentation shows it."""
+    from rosbags.highlevel import AnyReader
+
+    count = 0
+    with AnyReader([path]) as reader:
+        for connection, _, raw in reader.messages():
+            count += len(reader.deserialize(raw, connection.msgtype).position) == len(JOINTS)
+    return count
+
+
+def plain_table(path: Path) -> int:
+    """NumPy's own reader."""
+    return len(np.loadtxt(path, delimiter=",", skiprows=1))
+
+
 @pytest.mark.bench
-@pytest.mark.timeout(300)
-@pytest.mark.parametrize(
-    ("kind", "write"), [("ros1", write_bag), ("sqlite", write_bag), ("mcap", write_bag), ("table", write_table)]
-)
-def test_recordings_are_read_within_five_seconds(kind: str, write: Callable[[Path, str], Path], tmp_path: Path) -> None:
-    """360,000 messages, or a million rows, are read, checked and right within 5 s."""
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("kind", ["ros1", "sqlite", "mcap", "table"])
+def test_recordings_are_read_as_fast_as_by_plain_means(kind: str, tmp_path: Path) -> None:
+    """360,000 messages, or a million rows, are read, checked and right, in the time of the plain way."""
     robot = load_robot("planar3")
-    path = write(tmp_path / "hour.bag", kind)
-    start = time.perf_counter()
-    demos = load_demonstrations(path, robot)
-    seconds = time.perf_counter() - start
-    print(f"{kind}: {demos.n_samples:,} samples in {seconds:.2f} s")
+    path = write_table(tmp_path / "table.csv", kind) if kind == "table" else write_bag(tmp_path / "hour.bag", kind)
+    seconds = {"plain": [], "ours": []}
+    for _ in range(3):  # on the wall: bags are parsed in a child process
+        begin = time.perf_counter()
+        assert (plain_table if kind == "table" else plain_bag)(path) >= SAMPLES
+        seconds["plain"].append(time.perf_counter() - begin)
+        begin = time.perf_counter()
+        demos = load_demonstrations(path, robot)
+        seconds["ours"].append(time.perf_counter() - begin)
     np.testing.assert_allclose(demos[0].q, motion(demos.n_samples)[0], rtol=0, atol=1e-6)
-    assert seconds < PROMISED
+    ratio = min(seconds["ours"]) / min(seconds["plain"])
+    print(f"{kind}: {demos.n_samples:,} samples in {ratio:.2f} of the plain way's time")
+    assert ratio <= PROMISED
+    check("recordings", {kind: ratio})

@@ -54,8 +54,7 @@ class Arm(NamedTuple):
 
 def arm_of(name: str, rows: str = "xyz") -> Arm:
     """The robot with two oblique rows of its frame's position (one row for the planar arm), reaching a point."""
-    description, frame, locked = ROBOTS[name]
-    robot = ml.load_robot(description, locked=locked)
+    robot, frame, _ = robot_of(name)
     features = ml.FrameJacobian(robot, frame, "x y" if name == "planar3" else rows)
     Lambda = np.linalg.qr(np.random.default_rng(7).normal(size=(features.n_rows, features.n_rows)))[0]
     constraint = ml.Constraint(Lambda[: 1 if name == "planar3" else 2], features)
@@ -64,6 +63,12 @@ def arm_of(name: str, rows: str = "xyz") -> Arm:
     reach = max(float(np.linalg.norm(features.coordinates(inside(robot, rng)))) for rng in seeds(9, 500))
     far = target * (reach + BEYOND) / float(np.linalg.norm(target))
     return Arm(robot, controller_of(constraint, target), controller_of(constraint, far), bare_step(constraint))
+
+
+def robot_of(name: str) -> tuple[ml.Robot, str, tuple[str, ...]]:
+    """Robot, frame and locked joints."""
+    description, frame, locked = ROBOTS[name]
+    return ml.load_robot(description, locked=locked), frame, locked
 
 
 def controller_of(constraint: ml.Constraint, target: np.ndarray) -> ml.ResolvedRateController:
@@ -170,13 +175,16 @@ def singular(arm: Arm, q: np.ndarray, exactly: bool, rng: np.random.Generator) -
     """A posture whose smallest singular value is below 0.04 (near) or 1e-9 (at), by descending."""
     constraint = arm.controller.constraint
     wanted = 0.0 if exactly else float(rng.uniform(0.002, 0.04))
-    for _ in range(60):
+    for _ in range(40):
         A, vjp = constraint.value_and_vjp(q)
         U, sigma, Vt = np.linalg.svd(A)
-        if sigma[-1] <= (1e-9 if exactly else wanted):
+        k = len(sigma) - 1
+        if sigma[k] <= (1e-12 if exactly else wanted):
             break
-        slope = vjp(np.outer(U[:, len(sigma) - 1], Vt[len(sigma) - 1]))
-        step = (0.98 * wanted - sigma[-1]) * slope / max(float(slope @ slope), 1e-9)
+        # u^T A is sigma v^T: all of it has to fall, not its length alone, which is a cone
+        rows = [vjp(np.outer(U[:, k], v)) for v in (Vt[k:] if exactly else Vt[k : k + 1])]
+        residual = np.array([sigma[k] - 0.98 * wanted] + [0.0] * (len(rows) - 1))
+        step = -np.linalg.pinv(np.array(rows), rcond=1e-3) @ residual
         q = q + step * min(1.0, 0.3 / max(float(np.linalg.norm(step)), 1e-12))
     else:
         return None

@@ -110,3 +110,41 @@ def test_sizes_and_bad_numbers(robot_of: RobotOf) -> None:
     q[3, 2] = np.nan
     with pytest.raises(ConfigurationError, match="row 3"):
         manipulability_batch(constraint, q)
+
+
+@pytest.mark.parametrize("reference", ["world", "local"])
+@pytest.mark.parametrize("name", ["planar3", "sawyer", "panda", "kinova", "gantry", "tree", "mimic", "one"])
+def test_compiled_code_and_threads_give_the_same(
+    name: str, reference: str, robot_of: RobotOf, rng: np.random.Generator
+) -> None:
+    """numba agrees with NumPy to 1e-12, singular postures included; the number of threads changes no bit."""
+    pytest.importorskip("numba", reason="the extra 'fast' is not installed")
+    robot = robot_of(name)
+    q = np.stack([robot.positions(robot.random_configuration(rng)) for _ in range(60)])
+    q[:5] = 0.0
+    many = np.tile(q, (100, 1))
+    for constraint in constraints_of(FrameJacobian(robot, tip_of(name), "pose", reference), rng):
+        expected = manipulability_batch(constraint, q, compiled=False)
+        scale = 1.0 + float(np.max(np.abs(expected.gradient)))
+        compiled = manipulability_batch(constraint, q, compiled=True)
+        np.testing.assert_allclose(compiled.mu, expected.mu, rtol=0, atol=1e-12 * scale)
+        np.testing.assert_allclose(compiled.gradient, expected.gradient, rtol=0, atol=1e-11 * scale)
+        for way in (False, True):
+            alone, shared = (manipulability_batch(constraint, many, compiled=way, workers=n) for n in (1, 3))
+            for a, b in zip(alone, shared, strict=True):
+                np.testing.assert_array_equal(a, b)
+
+
+def test_what_is_wrong_is_named_whatever_thread_finds_it(robot_of: RobotOf) -> None:
+    """The row of a bad posture is its row in the table; a number of threads that makes no sense is refused."""
+    robot = robot_of("sawyer")
+    constraint = Constraint(np.eye(3)[:2], FrameJacobian(robot, "right_hand"))
+    q = np.zeros((9000, 7))
+    q[7000, 3] = np.nan
+    for way in (False, None):
+        with pytest.raises(ConfigurationError, match="7000"):
+            manipulability_batch(constraint, q, compiled=way, workers=3)
+        with pytest.raises(ConfigurationError, match="7000"):
+            constraint.features.batch(q, compiled=way, workers=3)  # type: ignore[call-arg]
+    with pytest.raises(ConfigurationError, match="workers"):
+        manipulability_batch(constraint, np.zeros((3, 7)), workers=0)

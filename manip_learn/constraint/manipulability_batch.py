@@ -8,6 +8,7 @@ value decomposition.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, final
 
 import numpy as np
@@ -15,7 +16,11 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_of
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics, kernels
+from manip_learn.robot.batch.postures import checked_postures, positions_of
+from manip_learn.robot.batch.threads import in_threads
 
 LEAST_LENGTH_RATIO = 1e-3  # shortest orthogonalised row over longest row of A; below it the SVD takes over
 
@@ -40,31 +45,77 @@ class ManipulabilityBatch(NamedTuple):
         return self.gradient / np.maximum(np.maximum(self.mu, self.floor), np.finfo(np.float64).tiny)[:, None]
 
 
-def manipulability_batch(constraint: Constraint, q: ArrayLike) -> ManipulabilityBatch:
+def manipulability_batch(
+    constraint: Constraint, q: ArrayLike, *, compiled: bool | None = None, workers: int | None = 1
+) -> ManipulabilityBatch:
     """mu(q) and its gradient at n postures, the rows of q.
+
+    Args:
+        constraint: A(q).
+        q: Configurations (nq) or joint positions (nv), one per row.
+        compiled: Use numba (equal to 1e-12), for rows of one frame's Jacobian; None: where it is installed and n is
+            large.
+        workers: Number of threads; None for one per core. The numbers do not depend on it.
 
     Raises:
         ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        MissingExtraError: `compiled=True` without numba.
     """
-    features, selection = constraint.features, constraint.selection
+    features = constraint.features
     postures = np.asarray(q, dtype=np.float64)
     n = postures.shape[0] if postures.ndim else 0
-    mu, floor, ill = np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool)
+    out = ManipulabilityBatch(np.zeros(n), np.zeros((n, constraint.nv)), np.zeros(n))
     if constraint.n_constraints > constraint.nv:
         features.batch(postures[:1])  # for its checks
-        return ManipulabilityBatch(mu, np.zeros((n, constraint.nv)), floor)
-
-    def weigh(Phi: np.ndarray, part: slice) -> np.ndarray:
-        A = np.tensordot(selection, Phi, axes=1)
-        X, mu[part], ill[part] = row_inverses(A)
-        return np.tensordot(selection.T, X * mu[part], axes=1)
-
-    gradient = features.batch_vjp(postures, weigh)
+        return out
+    robot = constraint.robot
+    if robot is not None:
+        checked_postures(robot, postures)  # here, where a row's number is that of the caller
+    ill = np.zeros(n, dtype=bool)
+    fill = _compiled(constraint, postures, out, ill) if kernels(compiled, n) is not None else None
+    in_threads(n, workers, fill or (lambda part: _in_bulk(constraint, postures, part, out, ill)))
     bad = np.flatnonzero(ill)
     if bad.size:
         A, dA = _constraint_matrices(constraint, postures[bad])
-        mu[bad], gradient[bad], floor[bad] = _through_svd(A, dA)
-    return ManipulabilityBatch(mu, gradient, floor)
+        out.mu[bad], out.gradient[bad], out.floor[bad] = _through_svd(A, dA)
+    return out
+
+
+def _compiled(
+    constraint: Constraint, postures: np.ndarray, out: ManipulabilityBatch, ill: np.ndarray
+) -> Callable[[slice], None] | None:
+    """What fills a part of mu, gradient and `ill` in compiled code; None where these features have none."""
+    features = constraint.features
+    if not isinstance(features, FrameJacobian):
+        return None
+    kinematics = batch_kinematics(features.robot, features.frame)
+    public = kinematics.public_columns
+    if public is None:
+        return None
+    from manip_learn.constraint.compiled_manipulability import manipulability_and_gradient
+
+    positions = positions_of(features.robot, postures)
+    table, selection = kinematics.chain_table(features.reference), features.padded(constraint.selection)
+
+    def fill(part: slice) -> None:
+        results = (out.mu[part], ill[part], out.gradient[part])
+        manipulability_and_gradient(table, positions[part], selection, public, LEAST_LENGTH_RATIO, *results)
+
+    return fill
+
+
+def _in_bulk(
+    constraint: Constraint, postures: np.ndarray, some: slice, out: ManipulabilityBatch, ill: np.ndarray
+) -> None:
+    """The same in NumPy."""
+    selection, mu_here, ill_here = constraint.selection, out.mu[some], ill[some]
+
+    def weigh(Phi: np.ndarray, part: slice) -> np.ndarray:
+        A = np.tensordot(selection, Phi, axes=1)
+        X, mu_here[part], ill_here[part] = row_inverses(A)
+        return np.tensordot(selection.T, X * mu_here[part], axes=1)
+
+    out.gradient[some] = constraint.features.batch_vjp(postures[some], weigh)
 
 
 def row_inverses(

@@ -260,15 +260,14 @@ class Limits:
     def freer_sense(self, q: Float[np.ndarray, " n"], direction: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
         """A direction, or its opposite where position limits leave that more room."""
         x = self.robot.positions(q)
-        speeds = np.abs(direction)
-        moving = speeds > 1e-3 * np.max(speeds, initial=0.0)
-        if not np.any(moving):
-            return direction
-        up, down = self.upper - x, x - self.lower
-        ahead = np.where(direction > 0.0, up, down)[moving] / speeds[moving]
-        behind = np.where(direction > 0.0, down, up)[moving] / speeds[moving]
-        enough = ROOM_TO_LEAVE / float(speeds.max())
-        return direction if float(ahead.min()) >= min(float(behind.min()), enough) else -direction
+        d = direction.tolist()
+        fastest = max(map(abs, d), default=0.0)
+        ahead = behind = math.inf
+        for y, speed, lower, upper in zip(x.tolist(), d, *self._columns[:2], strict=True):
+            if abs(speed) > 1e-3 * fastest:
+                up, down = (upper - y) / abs(speed), (y - lower) / abs(speed)
+                ahead, behind = min(ahead, up if speed > 0.0 else down), min(behind, down if speed > 0.0 else up)
+        return direction if fastest == 0.0 or ahead >= min(behind, ROOM_TO_LEAVE / fastest) else -direction
 
 
 def _positive(what: str, values: ArrayLike, names: tuple[str, ...]) -> Float[np.ndarray, " nv"]:

@@ -26,6 +26,7 @@ from manip_learn.control.singularity import (
     smallest_gradient,
     smallest_gradient_of,
     stable_damping,
+    steepest_ascent,
 )
 from manip_learn.control.tasks import Hold, PointAttractor, Task
 from manip_learn.errors import TargetError
@@ -137,7 +138,10 @@ class ResolvedRateLaw:
         smallest, k = values[-1], len(values)
         V, singular, fits = Vt[:k], smallest <= SINGULAR_RATIO * values[0], A.shape[0] <= A.shape[1]
         if pi is None and ascent is not None and vjp is not None:
-            if singular or not (fits and ascent.logarithmic):
+            if singular and fits and ascent.logarithmic and ascent.max_speed is not None:
+                climb = steepest_ascent(decomposition, vjp)
+                pi = ascent.seed * climb
+            elif singular or not (fits and ascent.logarithmic):
                 pi = ascent.from_decomposition(A.shape, decomposition, vjp, dt)
             else:
                 climb = vjp((U / sigma).dot(V))  # grad log mu

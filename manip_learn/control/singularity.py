@@ -11,6 +11,7 @@ from scipy.linalg.lapack import dsyev  # pyright: ignore[reportAttributeAccessIs
 
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
+from manip_learn.linalg import svd
 
 # [rad/s] speed at which a singularity is left
 ESCAPE_SPEED = 0.2
@@ -92,7 +93,7 @@ def escape_velocity(
         vjp: weights -> sum_ij weights_ij dA_ij / dq_k.
         dt: Time for which the velocity is held [s].
         width: Singular value at which it ends, in the constraint's units.
-        ascent: grad log mu, where it is known.
+        ascent: grad log mu, where it is known; at the singularity itself its steepest ascent.
         slope: Gradient of the smallest singular value, where it is known.
     """
     U, sigma, Vt = decomposition
@@ -103,7 +104,7 @@ def escape_velocity(
     values = sigma.tolist()
     seed = SEED_SPEED * max(0.0, 1.0 - smallest / (SEED_SHARE * width))
     if smallest <= SINGULAR_RATIO * values[0]:
-        return seed * steepest_ascent(decomposition, vjp)
+        return seed * (steepest_ascent(decomposition, vjp) if ascent is None else ascent)
     shares = [max(0.0, 1.0 - (x / width) ** 2) ** 2 for x in values]
     if ascent is None:
         ascent = vjp((U / sigma).dot(Vt[:s]))
@@ -127,13 +128,13 @@ def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarray,
     U, sigma, Vt = decomposition
     rank = int(np.count_nonzero(sigma > SINGULAR_RATIO * sigma[0]))
     Z = Vt[rank:]
-    M = np.stack([vjp(np.outer(u, z)) for u in U[:, rank:].T for z in Z])
-    _, all_rates, _ = np.linalg.svd(M, full_matrices=False)
-    _, rates, Yt = np.linalg.svd(M @ Z.T, full_matrices=False)
+    M = np.array([vjp(u[:, None] * z) for u in U[:, rank:].T for z in Z])
+    _, all_rates, directions = svd(M)
     if all_rates[0] == 0.0:
         return np.zeros(M.shape[1])
-    direction = Yt[0] @ Z if rates[0] > 1e-6 * all_rates[0] else np.linalg.svd(M, full_matrices=False)[2][0]
-    return -direction if direction[np.argmax(np.abs(direction))] < 0.0 else direction
+    _, rates, Yt = svd(M.dot(Z.T))
+    direction = Yt[0].dot(Z) if rates[0] > 1e-6 * all_rates[0] else directions[0]
+    return -direction if direction[np.abs(direction).argmax()] < 0.0 else direction
 
 
 def approach_bound(

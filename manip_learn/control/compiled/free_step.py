@@ -35,7 +35,6 @@ from manip_learn.control.compiled.step_table import (
     PROGRESS,
     REACHES,
     REFUSED,
-    SLIDE,
     SMALLEST,
     TARGET_POINT,
     TASK_PART,
@@ -46,6 +45,7 @@ from manip_learn.control.compiled.step_table import (
 )
 from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE
 from manip_learn.robot.batch.compiled_kinematics import JOINTS, SOURCE, TARGET, columns_of
+from manip_learn.robot.batch.compiled_vjp import SLIDE
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 

@@ -7,12 +7,11 @@ import math
 import numpy as np
 
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
-from manip_learn.control.compiled.constrained_rows import jacobian_vjp, vjp
+from manip_learn.control.compiled.constrained_rows import vjp
 from manip_learn.control.compiled.decomposition import leading
 from manip_learn.control.compiled.near_singularity import lost_rates, norm, outer_sum, steepest_ascent
 from manip_learn.control.compiled.step_table import (
     CHAIN,
-    GRADIENT,
     LOG_ASCENT,
     LONGEST,
     NO_POLICY,
@@ -21,11 +20,11 @@ from manip_learn.control.compiled.step_table import (
     POLICY_GAIN,
     REST,
     REST_AT,
-    WEIGHTS,
     WRAPS,
 )
 from manip_learn.control.singularity import SEED_SPEED, STABLE_SLOPE
 from manip_learn.robot.batch.compiled_kinematics import JOINTS, LOCAL, SOURCE, TARGET
+from manip_learn.robot.batch.compiled_vjp import GRADIENT, WEIGHTS, jacobian_vjp
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 

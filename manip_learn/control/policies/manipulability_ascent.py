@@ -92,18 +92,23 @@ class ManipulabilityAscent(SampledPolicy):
         self, shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp, dt: float
     ) -> Float[np.ndarray, " nv"]:
         """The same near a singularity too, see `gradient_from`."""
+        sigma = decomposition[1]
+        smallest = float(sigma[-1])
+        if self.logarithmic and shape[0] > shape[1]:
+            return np.zeros(shape[1])
+        if self.logarithmic and self.max_speed is not None and smallest <= SINGULAR_RATIO * sigma[0]:
+            return self.seed * steepest_ascent(Decomposition(*decomposition), vjp)
         mu, gradient, floor = gradient_from(shape, decomposition, vjp)
         if not self.logarithmic:
             return gradient * self.gain
-        sigma = decomposition[1]
-        smallest = float(sigma[-1])
-        if shape[0] > shape[1]:
-            return np.zeros(shape[1])
-        if self.max_speed is not None and smallest <= SINGULAR_RATIO * sigma[0]:
-            return min(self.max_speed, SEED_SPEED) * steepest_ascent(Decomposition(*decomposition), vjp)
         if 1 < shape[0] <= shape[1] and sigma[-2] <= SINGULAR_RATIO * sigma[0]:
             return escape_direction(decomposition, vjp) * (self.gain / SINGULAR_RATIO)
         return self.bounded(gradient / max(mu, floor, 1e-300), smallest, dt)
+
+    @property
+    def seed(self) -> float:
+        """Speed at a singularity itself [rad/s]; only where the policy is bounded."""
+        return SEED_SPEED if self.max_speed is None else min(self.max_speed, SEED_SPEED)
 
     def bounded(self, slope: Float[np.ndarray, " nv"], smallest: float, dt: float) -> Float[np.ndarray, " nv"]:
         """gain * grad log mu, shortened to the bound.

@@ -17,6 +17,7 @@ from manip_learn.robot.batch.chain import Chain, ChainColumns, chain_to
 from manip_learn.robot.batch.forward_kinematics import SweepBuffers, sweep, tip_position
 from manip_learn.robot.batch.jacobian import ChainMotion, jacobian_vjp, write_derivative, write_jacobian
 from manip_learn.robot.batch.postures import checked_postures, positions_of
+from manip_learn.robot.batch.threads import in_threads
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Reference, Robot
 
@@ -94,6 +95,7 @@ class BatchKinematics:
         rows: Sequence[int] = ALL_ROWS,
         *,
         compiled: bool | None = None,
+        workers: int | None = 1,
     ) -> Float[np.ndarray, "n p nv"]:
         """Frame Jacobians, linear rows first [m/s, rad/s per unit joint velocity].
 
@@ -102,24 +104,31 @@ class BatchKinematics:
             reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
             rows: Which of x y z rx ry rz, as 0 .. 5.
             compiled: Use the numba kernels (equal to 1e-12); None: where numba is installed and n is large.
+            workers: Number of threads; None for one per core. The numbers do not depend on it.
 
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
             MissingExtraError: `compiled=True` without numba.
         """
         postures = checked_postures(self._robot, q)
-        numba_kernels = kernels(compiled, len(postures))
+        numba_kernels, n = kernels(compiled, len(postures)), len(postures)
         if not self.fast:
             return self._looped(postures, reference, rows)[0]
-        if numba_kernels is not None and self._columns.public is not None:
-            J = self._new_table(len(postures), len(rows), self._robot.nv)
-            table = self.chain_table(reference)
+        public = self._columns.public
+        if numba_kernels is not None and public is not None:
+            J, table = self._new_table(n, len(rows), self._robot.nv), self.chain_table(reference)
             positions = positions_of(self._robot, postures)
-            numba_kernels.jacobians(table, positions, np.array(rows), self._columns.public, J)
+            fill = numba_kernels.jacobians
+            in_threads(n, workers, lambda p: fill(table, positions[p], np.array(rows), public, J[p]))
             return J
-        out = self._new_table(len(rows), self._robot.nv, len(postures))
-        for part, motion in self._motions(postures, reference, CHUNK):
-            write_jacobian(motion, rows, self._columns, out[..., part])
+        out = self._new_table(len(rows), self._robot.nv, n)
+
+        def write(some: slice) -> None:
+            here = out[..., some]
+            for part, motion in self._motions(postures[some], reference, CHUNK):
+                write_jacobian(motion, rows, self._columns, here[..., part])
+
+        in_threads(n, workers, write)
         return out.transpose(2, 0, 1)
 
     def jacobian_and_derivative(
@@ -129,8 +138,11 @@ class BatchKinematics:
         rows: Sequence[int] = ALL_ROWS,
         *,
         compiled: bool | None = None,
+        workers: int | None = 1,
     ) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Frame Jacobians J and dJ/dq; entry [n, i, j, k] = d J_ij / d q_k along tangent coordinate k, exact.
+
+        Arguments as for `jacobian`.
 
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
@@ -141,16 +153,22 @@ class BatchKinematics:
         if not self.fast:
             return self._looped(postures, reference, rows)
         p, n, nv = len(rows), len(postures), self._robot.nv
-        if numba_kernels is not None and self._columns.public is not None:
+        public = self._columns.public
+        if numba_kernels is not None and public is not None:
             J, H = self._new_table(n, p, nv), self._new_table(n, p, nv, nv)
-            table = self.chain_table(reference)
-            positions = positions_of(self._robot, postures)
-            numba_kernels.jacobians_and_derivatives(table, positions, np.array(rows), self._columns.public, J, H)
+            table, positions = self.chain_table(reference), positions_of(self._robot, postures)
+            fill = numba_kernels.jacobians_and_derivatives
+            in_threads(n, workers, lambda k: fill(table, positions[k], np.array(rows), public, J[k], H[k]))
             return J, H
         J, H = self._new_table(p, nv, n), self._new_table(p, nv, nv, n)
-        for part, motion in self._motions(postures, reference, DERIVATIVE_CHUNK):
-            write_jacobian(motion, rows, self._columns, J[..., part])
-            write_derivative(motion, rows, self._columns, H[..., part])
+
+        def write(some: slice) -> None:
+            J_here, H_here = J[..., some], H[..., some]
+            for part, motion in self._motions(postures[some], reference, DERIVATIVE_CHUNK):
+                write_jacobian(motion, rows, self._columns, J_here[..., part])
+                write_derivative(motion, rows, self._columns, H_here[..., part])
+
+        in_threads(n, workers, write)
         return J.transpose(2, 0, 1), H.transpose(3, 0, 1, 2)
 
     def vjp(

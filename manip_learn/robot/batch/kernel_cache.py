@@ -24,6 +24,8 @@ _SETTINGS: Any = None if numba is None else numba.config  # pyright: ignore[repo
 PACKAGE = Path(__file__).resolve().parents[2]
 KERNEL_FILES = (
     "robot/batch/compiled_kinematics.py",
+    "robot/batch/compiled_vjp.py",
+    "constraint/compiled_manipulability.py",
     "control/compiled/row_inverse.py",
     "control/compiled/step_table.py",
     "control/compiled/decomposition.py",
