@@ -13,7 +13,18 @@ from manip_learn import errors
 
 SOURCES = library()
 Documented = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
-BUILTIN_ERRORS = {"ValueError", "TypeError", "KeyError", "AttributeError", "ImportError", "OSError", "RuntimeError"}
+BUILTIN_ERRORS = {
+    *(
+        "ValueError",
+        "TypeError",
+        "KeyError",
+        "AttributeError",
+        "ImportError",
+        "OSError",
+        "RuntimeError",
+        "TimeoutError",
+    ),
+}
 
 
 def public(source: Source) -> Iterator[tuple[str, Documented]]:
