@@ -6,15 +6,19 @@ the best of interleaved rounds: neighbours only ever add time. In brackets, the 
 
 from __future__ import annotations
 
+import json
 import os
 import statistics
+import subprocess
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
+from pathlib import Path
 
 import control_states as states
 import numpy as np
 import pytest
+from bench_control_step import SCRIPTS, interpreter, last_words
 from references import Ratio, check
 from timing import rounds_of
 
@@ -95,6 +99,39 @@ def test_pose_targets() -> None:
         rounds = rounds_of({"bare": states.calls(place, cases), "pose": states.calls(pose, cases)}, 2, ROUNDS)
         flat[f"pose over position, {name}"] = ratios_of(rounds)["pose"]
     check("states", flat)
+
+
+@pytest.mark.skipif(not COMPILED, reason="compiled steps need numba")
+def test_ahead_of_placo(tmp_path: Path) -> None:
+    """The compiled step, mu climbed, over placo's with limits, with and without its manipulability task, in turns."""
+    try:
+        python = interpreter("placo_step")
+    except subprocess.CalledProcessError as error:
+        pytest.skip(f"placo cannot be installed: {last_words(error)}")
+    arm = states.arm_of("sawyer")
+    cases = {state: states.cases_of(arm, state) for state in states.STATES}
+    targets = {kind: law.task.target.tolist() for kind, law in (("target", arm.controller), ("far", arm.far))}
+    document = {"urdf": str(arm.robot.source), "tip": states.ROBOTS["sawyer"][1], **targets, "far states": FAR}
+    document["states"] = {state: [case.q.tolist() for case in found] for state, found in cases.items()}
+    path = tmp_path / "cases.json"
+    path.write_text(json.dumps(document), encoding="utf-8")
+    laws = {state: ml.CompiledController(arm.far if state in FAR else arm.controller) for state in cases}
+    ours = {state: [] for state in cases}
+    theirs: dict[tuple[str, str], list[float]] = {}
+    for _ in range(3):
+        command = [python, str(SCRIPTS / "placo_states.py"), str(path)]
+        done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=600)
+        for kind, times in json.loads(done.stdout.strip().splitlines()[-1]).items():
+            for state, microseconds in times.items():
+                theirs.setdefault((kind, state), []).append(microseconds)
+        candidates = {state: states.calls(laws[state], found) for state, found in cases.items()}
+        for state, seconds in rounds_of(candidates, 2, 9).items():
+            ours[state].append(1e6 * min(seconds) / len(cases[state]))
+    ratios = {
+        f"compiled over placo with {kind}, {state}": min(ours[state]) / min(times)
+        for (kind, state), times in theirs.items()
+    }
+    check("placo", ratios)
 
 
 def law_towards(robot: ml.Robot, frame: str, axes: str, target: np.ndarray) -> ml.ResolvedRateController:

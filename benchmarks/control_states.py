@@ -11,7 +11,7 @@ import pinocchio as pin
 import manip_learn as ml
 
 ROBOTS: dict[str, tuple[str, str, tuple[str, ...]]] = {  # name in the table -> description, frame, locked joints
-    "sawyer": ("sawyer", "right_hand", ()),
+    "sawyer": ("sawyer", "right_l6", ()),  # placo takes no name that a link and a joint share
     "panda as loaded": ("panda", "panda_hand_tcp", ()),
     "panda locked": ("panda", "panda_hand_tcp", ("panda_finger_joint1",)),
     "ur5": ("ur5", "tool0", ()),
