@@ -53,8 +53,12 @@ def inspect(
     from manip_learn.commands.inspect import inspect as run
     from manip_learn.commands.inspect import summary_dict
 
-    summary = run(robot, lock, package_dir, objects)
-    answer(as_json, summary_dict(summary), "print_robot", summary)
+    steps = run(robot, lock, package_dir, objects)
+    summary = next(steps)
+    if not as_json:  # at once: the library that checks it takes longer to load than the robot
+        answer(False, {}, "print_robot", summary)
+    summary = next(steps)
+    answer(as_json, summary_dict(summary), "print_cross_check", summary)
 
 
 @app.command()

@@ -265,7 +265,7 @@ def test_our_own_failure_is_no_traceback(run, monkeypatch):
     def broken(*_arguments, **_options):
         raise ZeroDivisionError("oh")
 
-    monkeypatch.setattr("manip_learn.commands.inspect.inspect_robot", broken)
+    monkeypatch.setattr("manip_learn.commands.inspect.summarise", broken)
     code, out, err = run("inspect", "sawyer")
     assert (code, out) == (1, "")
     assert "internal error" in err

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 from typing import Any
 
 from manip_learn.robot import load_robot
-from manip_learn.robot.robot_summary import RobotSummary, inspect_robot
+from manip_learn.robot.robot_summary import RobotSummary, summarise, with_cross_check
 
 
 def inspect(
@@ -15,13 +16,19 @@ def inspect(
     locked: list[str] | None = None,
     package_dirs: list[str] | None = None,
     objects: list[str] | None = None,
-) -> RobotSummary:
+) -> Iterator[RobotSummary]:
     """Load a robot and look at it.
+
+    Yields:
+        What is known at once, and the same with the independent check of forward kinematics, which takes longer.
 
     Raises:
         ManipLearnError: The robot cannot be loaded.
     """
-    return inspect_robot(load_robot(robot_name, package_dirs or [], locked or [], objects=objects or ()))
+    robot = load_robot(robot_name, package_dirs or [], locked or [], objects=objects or ())
+    summary = summarise(robot)
+    yield summary
+    yield with_cross_check(summary, robot)
 
 
 def summary_dict(summary: RobotSummary) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final, get_args
+from typing import TYPE_CHECKING, Any, final, get_args
 
 from manip_learn.commands.cluster import cluster_client
 from manip_learn.commands.robot_loading import load_for_recordings, source_for_recordings
@@ -15,13 +15,15 @@ from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.candidate import EstimatorName
 from manip_learn.learning.learner import ESTIMATORS, Switch
 from manip_learn.learning.overview import distinct_names
-from manip_learn.playback import ReplayResult, replay
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import ReadOptions
 from manip_learn.recordings.preprocessing import subsample
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.robot import Reference, Robot
+
+if TYPE_CHECKING:
+    from manip_learn.playback import ReplayResult
 
 REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": ("local",), "auto": ("world", "local")}
 
@@ -164,6 +166,8 @@ def replay_of_recordings(
         RecordingError: A recording that cannot be played.
         OutputError: The file cannot be written.
     """
+    from manip_learn.playback import replay
+
     odd = [f"{name} does not agree with the others: {reason}" for name, reason in report.odd_trajectories]
     return replay(
         robot,

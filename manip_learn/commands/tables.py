@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
@@ -11,10 +12,6 @@ from rich.markdown import Markdown
 from rich.markup import escape
 from rich.table import Table
 
-from manip_learn.learning.estimators.estimate import CLEAR_GAP
-from manip_learn.learning.mechanisms.mechanism import Mechanism
-from manip_learn.learning.overview import RecordingOverview
-
 if TYPE_CHECKING:  # so that printing one command's answer does not load the others
     from manip_learn.commands.audit import Audited
     from manip_learn.commands.control import Controlled
@@ -22,6 +19,7 @@ if TYPE_CHECKING:  # so that printing one command's answer does not load the oth
     from manip_learn.commands.export import Exported
     from manip_learn.commands.learn import Learnt
     from manip_learn.commands.reproduce import Reproduction
+    from manip_learn.learning.mechanisms.mechanism import Mechanism
     from manip_learn.playback import ReplayResult
     from manip_learn.robot.robot_summary import RobotSummary
 
@@ -31,6 +29,9 @@ UNDER_WAY = 0.1  # the nearly singular start is not due to the policy: evaluated
 
 def print_learnt(console: Console, learnt: Learnt) -> None:
     """The sentence, the evidence, the warnings."""
+    from manip_learn.learning.estimators.estimate import CLEAR_GAP
+    from manip_learn.learning.overview import RecordingOverview
+
     report = learnt.report
     console.print(f"[bold]{escape(report.sentence)}[/bold]", highlight=False)
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
@@ -134,10 +135,20 @@ def print_robot(console: Console, summary: RobotSummary) -> None:
         console.print(f"locked: {escape(name)} at {position:g}", highlight=False)
     console.print(f"likely tips: {escape(', '.join(summary.tips) or 'none')}", highlight=False)
     console.print(f"frames: {escape(', '.join(summary.frames))}", highlight=False)
-    if summary.cross_check is not None:
+    _print_warnings(console, summary.warnings)
+
+
+def print_cross_check(console: Console, summary: RobotSummary) -> None:
+    """What another reader of the URDF makes of it, after `print_robot`."""
+    if summary.cross_check is not None and summary.cross_check.agrees:
         worst = summary.cross_check.largest_difference
         console.print(f"forward kinematics: agrees with yourdfpy to {worst:.1e}", highlight=False)
-    for warning in summary.warnings:
+    else:
+        _print_warnings(console, summary.warnings[-1:])
+
+
+def _print_warnings(console: Console, warnings: Sequence[str]) -> None:
+    for warning in warnings:
         console.print(f"[yellow]warning: {escape(warning)}[/yellow]", highlight=False)
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from manip_learn.recordings.local_fit import local_fit, local_weights
 
@@ -14,7 +15,7 @@ WINDOWS_AT_A_TIME = 2048  # relative rotations in memory
 def smooth_pose(
     time: Float[np.ndarray, " T"],
     position: Float[np.ndarray, "T 3"],
-    rotation: Rotation,
+    rotation: Any,
     half_width: int,
     degree: int,
 ) -> tuple[Float[np.ndarray, "N 6"], Float[np.ndarray, "N 6"]]:
@@ -23,6 +24,13 @@ def smooth_pose(
     Positions are fitted by polynomials in the world's axes; rotations by polynomials of v(t) = log(R_c^T R(t)), R_c the
     sample in the centre. With R = R_c exp(v) and the right Jacobian J_r of the rotation group, the twist in the axes of
     the thing is (R^T dp/dt, J_r(v) dv/dt), the velocity of a free-flyer joint in Pinocchio.
+
+    Args:
+        time: Increasing [s].
+        position: Of the thing in the world [m].
+        rotation: Its orientations, a SciPy `Rotation`, which is not loaded before it is needed.
+        half_width: Half width of the windows [samples].
+        degree: Of the polynomials.
 
     Returns:
         Position [m] and rotation vector [rad]; linear [m/s] and angular velocity [rad/s], in the axes of the thing.
@@ -36,6 +44,8 @@ def smooth_pose(
         centre = rotation[np.repeat(first + half_width, width)]
         relative = (centre.inv() * rotation[samples]).as_rotvec().reshape(len(first), width, 3)
         v[first], dv[first] = np.einsum("ndw,nwj->dnj", weights[first, :2], relative)
+    from scipy.spatial.transform import Rotation
+
     smooth = rotation[half_width : half_width + n] * Rotation.from_rotvec(v)
     linear = smooth.inv().apply(dp)
     return np.hstack([p, smooth.as_rotvec()]), np.hstack([linear, _right_jacobian(v, dv)])

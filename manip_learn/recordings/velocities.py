@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -92,6 +91,8 @@ def _with_bodies(
     degree: int | None,
 ) -> Trajectory:
     """Joints and floating bodies, each with the window that its own noise asks for; as long as the widest allows."""
+    from scipy.spatial.transform import Rotation
+
     T, time = len(trajectory), trajectory.time
     loose = {i for b in bodies for i in range(b.v.start, b.v.stop)}
     fixed = np.array([i for i in range(robot.nv) if i not in loose], dtype=int)

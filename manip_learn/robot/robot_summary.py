@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import final
 
@@ -57,7 +57,7 @@ class RobotSummary:
         locked: Joints held still -> position [rad or m].
         tips: Likely tip frames, best first; with more than one, the user must choose.
         warnings: What was ignored or repaired, and meshes that cannot be used.
-        cross_check: Independent check of forward kinematics; None if there is none, and a warning says why.
+        cross_check: Independent check of forward kinematics; None if there is none, and the last warning says why.
         meshes_found: Address in the URDF -> file.
         meshes_missing: Address in the URDF -> reason.
         fingerprint: Hash of the kinematics.
@@ -81,16 +81,24 @@ class RobotSummary:
 
 def inspect_robot(robot: Robot, seed: int = 0, postures: int = 10) -> RobotSummary:
     """Summary of a robot, with an independent check of its forward kinematics at random postures."""
-    warnings = list(robot.warnings)
-    check = None
+    return with_cross_check(summarise(robot), robot, seed, postures)
+
+
+def with_cross_check(summary: RobotSummary, robot: Robot, seed: int = 0, postures: int = 10) -> RobotSummary:
+    """The summary with an independent check of forward kinematics, whose library takes a second to load."""
     try:
         check = cross_check(robot, np.random.default_rng(seed), postures)
     except (RobotError, MissingExtraError) as error:
-        warnings.append(f"no independent check of forward kinematics: {error}")
-    if check is not None and not check.agrees:
-        warnings.append(
-            f"yourdfpy puts link {check.link!r} elsewhere (by {check.largest_difference:.2g}): do not trust this file"
-        )
+        said = f"no independent check of forward kinematics: {error}"
+        return replace(summary, warnings=(*summary.warnings, said))
+    if check.agrees:
+        return replace(summary, cross_check=check)
+    said = f"yourdfpy puts link {check.link!r} elsewhere (by {check.largest_difference:.2g}): do not trust this file"
+    return replace(summary, cross_check=check, warnings=(*summary.warnings, said))
+
+
+def summarise(robot: Robot) -> RobotSummary:
+    """Summary of a robot without the check."""
     meshes = resolve_meshes(robot)
     return RobotSummary(
         name=robot.name,
@@ -102,8 +110,8 @@ def inspect_robot(robot: Robot, seed: int = 0, postures: int = 10) -> RobotSumma
         mimics=robot.mimics,
         locked=dict(robot.locked),
         tips=likely_tips(robot),
-        warnings=(*warnings, *meshes.warnings),
-        cross_check=check,
+        warnings=(*robot.warnings, *meshes.warnings),
+        cross_check=None,
         meshes_found=meshes.found,
         meshes_missing=meshes.missing,
         fingerprint=robot.fingerprint,

@@ -8,7 +8,6 @@ from typing import final
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.cluster.vq import kmeans2
 
 
 class PolicyModel(ABC):
@@ -69,6 +68,8 @@ class RadialModel(PolicyModel):
     """
 
     def __init__(self, x: Float[np.ndarray, "n m"], n_centres: int, rng: np.random.Generator, width: float = 8.0):
+        from scipy.cluster.vq import kmeans2
+
         self.name = f"rbf{n_centres}"
         few = x if len(x) <= 4000 else x[rng.choice(len(x), 4000, replace=False)]
         self.centres, _ = kmeans2(few, min(n_centres, len(np.unique(few, axis=0))), minit="++", seed=rng)

@@ -9,7 +9,6 @@ from typing import final
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.frame import Frame
@@ -62,6 +61,8 @@ class TipPaths:
         U, _, Vt = np.linalg.svd(mean)
         U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
         away = self.R @ np.repeat(U @ Vt, self.counts, axis=0).transpose(0, 2, 1)
+        from scipy.spatial.transform import Rotation
+
         return Rotation.from_matrix(away).as_rotvec()
 
     @cached_property

@@ -14,6 +14,8 @@ PIECE = 1 << 20  # bytes that are asked for at a time
 class AnswerPipe:
     """Lines and numbers of bytes from a pipe, each with a deadline: no thread has to watch the clock.
 
+    What is not there in time raises a TimeoutError.
+
     Args:
         descriptor: Of the pipe's end that is read; nobody else reads from it.
     """
@@ -29,9 +31,6 @@ class AnswerPipe:
 
         Args:
             deadline: On the clock of `time.monotonic` [s].
-
-        Raises:
-            TimeoutError: It is not there in time.
         """
         start = 0
         while (end := self._held.find(b"\n", start)) < 0:
@@ -46,9 +45,6 @@ class AnswerPipe:
         Args:
             size: How many.
             deadline: On the clock of `time.monotonic` [s].
-
-        Raises:
-            TimeoutError: They are not there in time.
         """
         while len(self._held) < size and self._more(deadline):
             pass

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool
-from scipy.spatial.transform import Rotation
 
 from manip_learn.recordings.pose_velocities import continuous_rotation_vectors
 from manip_learn.recordings.readers.recording import Recording
@@ -66,6 +65,8 @@ def _converted(recording: Recording, name: str, columns: list[str], in_degrees: 
             sample=int(bad[0]),
             column=columns[0],
         )
+    from scipy.spatial.transform import Rotation
+
     vectors = np.full((len(length), 3), np.nan)  # of missing numbers: validation finds them
     known = np.isfinite(length)
     vectors[known] = (
