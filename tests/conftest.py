@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import hypothesis
@@ -22,10 +23,22 @@ if os.environ.get("CHECK_SHAPES", "1") != "0":
 
 import numpy as np  # noqa: E402
 
+import manip_learn as ml  # noqa: E402
 from manip_learn.robot.loading import load_robot  # noqa: E402
 from manip_learn.robot.robot import Robot  # noqa: E402
 
+# of the files whose tests run compiled controllers
+COMPILES = ("compiled", "servo", "rollout", "loops", "kernel_cache", "examples", "free_direction", "golden", "physics")
 ROBOTS = Path(__file__).resolve().parents[1] / "robots"
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Compile the control step before the first test that uses it, whose limit of time is not meant for that."""
+    if find_spec("numba") is None or "PYTEST_XDIST_WORKER" in os.environ:
+        return
+    if any(word in item.path.name for item in session.items for word in COMPILES):
+        constraint = ml.Constraint(np.eye(2), ml.FrameJacobian(load_robot("planar3"), "tip", "x y"))
+        ml.CompiledController(ml.ResolvedRateController(constraint)).rollout(np.array([0.1, 0.5, 0.5]), 1, 0.01)
 
 
 def chain_urdf(name: str, joints: list[tuple[str, str, str, str]], extra: str = "") -> str:

@@ -11,14 +11,17 @@ from conftest import tip_of
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
+from manip_learn.control import compiled_controller
 from manip_learn.control import simulation as simulation_module
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.integration import Method
+from manip_learn.control.limits import Limits
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.rollout import Rollout
+from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import Hold, PointAttractor, Track
-from manip_learn.errors import ConfigurationError
+from manip_learn.errors import ConfigurationError, ConstraintError, MissingExtraError
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]
@@ -63,7 +66,7 @@ def test_many_starts_are_single_starts(name: str, method: Method, robot_of: Robo
         ResolvedRateController(oblique, Track(lambda t: target + 0.1 * t), JointAttractor(starts[0], 1.0, robot)),
         ResolvedRateController(plain, PointAttractor(target), ZeroPolicy(robot.nv), "damped", threshold=0.3),
     ):
-        singles = [simulate(robot, controller, q, 0.4, 0.02, method) for q in starts]
+        singles = [simulate(robot, controller, q, 0.4, 0.02, method, compiled=False) for q in starts]
         same(simulate(robot, controller, starts, 0.4, 0.02, method), singles)
 
 
@@ -76,7 +79,7 @@ def test_singular_starts(robot_of: RobotOf) -> None:
     controller = ResolvedRateController(constraint, PointAttractor([0.5, 1.0]), ManipulabilityAscent(constraint, 0.2))
     starts = np.array([[0.3, 0.0, 0.0], [0.3, 0.8, -0.5], [0.1, 1e-9, 0.0]])
     many = simulate(robot, controller, starts, 0.5, 0.01)
-    same(many, [simulate(robot, controller, q, 0.5, 0.01) for q in starts])
+    same(many, [simulate(robot, controller, q, 0.5, 0.01, compiled=False) for q in starts])
     assert many[0].status[0] == "singular" and many[0].status[-1] != "singular"
 
 
@@ -87,7 +90,8 @@ def test_configurations_come_back_as_configurations(robot_of: RobotOf, rng: np.r
     constraint = Constraint(np.eye(3)[:1], FrameJacobian(robot, "tip"))
     controller = ResolvedRateController(constraint, null_policy=ManipulabilityAscent(constraint))
     starts = np.stack([robot.configuration(q) for q in starts_of(robot, rng, 3)])
-    same(simulate(robot, controller, starts, 0.2, 0.02), [simulate(robot, controller, q, 0.2, 0.02) for q in starts])
+    singles = [simulate(robot, controller, q, 0.2, 0.02, compiled=False) for q in starts]
+    same(simulate(robot, controller, starts, 0.2, 0.02), singles)
 
 
 def test_systems_that_cannot_be_compiled(robot_of: RobotOf, rng: np.random.Generator) -> None:
@@ -103,8 +107,8 @@ def test_systems_that_cannot_be_compiled(robot_of: RobotOf, rng: np.random.Gener
     same(simulate(None, controller, starts, 0.1, 0.02), [simulate(None, controller, q, 0.1, 0.02) for q in starts])
 
 
-def test_large_tables_are_compiled(robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The kernel is used from `COMPILED_FROM` commands on, four per step of Runge-Kutta, and only where numba is."""
+def test_long_rollouts_are_compiled(robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel is used from `COMPILED_FROM` commands on, four per step of Runge-Kutta, where numba is, or as told."""
     pytest.importorskip("numba", reason="the extra 'fast' is not installed")
     robot, used, compiled_rollout = robot_of("sawyer"), [], simulation_module._compiled_rollout
     controller = ResolvedRateController(Constraint(np.eye(3), FrameJacobian(robot, "right_hand")))
@@ -112,12 +116,32 @@ def test_large_tables_are_compiled(robot_of: RobotOf, monkeypatch: pytest.Monkey
     monkeypatch.setattr(simulation_module, "_compiled_rollout", lambda *a: used.append(a[-1]) or compiled_rollout(*a))
     starts = np.tile(np.linspace(-0.5, 0.7, 7), (3, 1))
     simulate(robot, controller, starts, 0.1, 0.01, "euler")
+    simulate(robot, controller, starts, 0.1, 0.01, "rk4", compiled=False)
     assert not used
     simulate(robot, controller, starts, 0.1, 0.01, "rk4")
     assert used == ["rk4"] * 3
-    monkeypatch.setattr(simulation_module, "find_spec", lambda name: None)
+    simulate(robot, controller, starts[0], 1.5, 0.01)
+    simulate(robot, controller, starts[0], 0.1, 0.01, compiled=True)
+    assert used[3:] == ["euler"] * 2
+    monkeypatch.setattr(compiled_controller, "find_spec", lambda name: None)
     simulate(robot, controller, starts, 0.1, 0.01, "rk4")
-    assert len(used) == 3
+    assert len(used) == 5
+    with pytest.raises(MissingExtraError, match="fast"):
+        simulate(robot, controller, starts, 0.1, 0.01, compiled=True)
+    with pytest.raises(ConstraintError, match="ResolvedRateController"):
+        simulate(robot, ServoLoop(controller, compiled=False), starts[0], 0.1, 0.01, compiled=True)
+
+
+def test_jerk_limits_are_kept_by_compiled_controllers_too(robot_of: RobotOf) -> None:
+    """The average that keeps them belongs to the servo loop, which a compiled controller then runs in."""
+    pytest.importorskip("numba", reason="the extra 'fast' is not installed")
+    robot = robot_of("sawyer")
+    constraint = Constraint(np.eye(3), FrameJacobian(robot, "right_hand"))
+    limits = Limits(robot, jerk=100.0)
+    controller = ResolvedRateController(constraint, PointAttractor([0.5, 0.3, 0.4]), limits=limits)
+    start = np.array([0.1, -0.6, 0.2, 1.3, -0.2, 0.7, 0.4])
+    expected = simulate(robot, controller, start, 0.3, 0.01, compiled=False)
+    same((simulate(robot, controller, start, 0.3, 0.01, compiled=True),), [expected])
 
 
 def test_no_start_and_bad_starts(robot_of: RobotOf) -> None:

@@ -226,6 +226,11 @@ def test_compiled_controllers_are_simulated(robot_of: RobotOf, rng: np.random.Ge
 
 def test_unsupported_controllers_are_refused(robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each unsupported part is named; without numba the extra is."""
+
+    class Own(PointAttractor):  # type: ignore[misc]
+        def __repr__(self) -> str:
+            return "Own()"
+
     robot, arm = robot_of("humanoid"), robot_of("sawyer")
     features = FrameJacobian(arm, "right_hand")
     constraint = Constraint(np.eye(3), features)
@@ -235,6 +240,7 @@ def test_unsupported_controllers_are_refused(robot_of: RobotOf, monkeypatch: pyt
         "CentreOfMass": ResolvedRateController(Constraint(np.eye(3), CentreOfMass(arm))),
         "revolute": ResolvedRateController(Constraint(np.eye(3), FrameJacobian(robot, "tip"))),
         "another robot": ResolvedRateController(constraint, robot=robot_of("planar3")),
+        "Own": ResolvedRateController(constraint, Own([0.5, 0.1, 0.2])),
         "Track": ResolvedRateController(constraint, Track(lambda t: [0.5, 0.1, 0.2])),
         "local": ResolvedRateController(Constraint(np.eye(3), local), PointAttractor([0.5, 0.1, 0.2])),
         "another constraint": ResolvedRateController(constraint, null_policy=ManipulabilityAscent(other)),

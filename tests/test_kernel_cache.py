@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import ast
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("numba", reason="the extra 'fast' is not installed")
 
+import manip_learn as ml  # noqa: E402
+from manip_learn.control.compiled import step_table  # noqa: E402
+from manip_learn.robot.batch import compiled_vjp, kernel_cache  # noqa: E402
 from manip_learn.robot.batch.kernel_cache import CONSTANT_FILES, KERNEL_FILES, PACKAGE, content_stamp  # noqa: E402
 
 
@@ -49,3 +55,26 @@ def test_compiled_functions_live_in_that_cache() -> None:
     from manip_learn.robot.batch import compiled_kinematics
 
     assert content_stamp() in compiled_kinematics.jacobians.stats.cache_path
+
+
+def test_the_first_compilation_is_announced(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One sentence, so that nobody thinks that it hangs, to the caller or to the log; none once it is on disk."""
+    constraint = ml.Constraint(np.eye(2), ml.FrameJacobian(ml.load_robot("planar3"), "tip", "x y"))
+    controller, told = ml.ResolvedRateController(constraint), []
+    ml.CompiledController(controller)
+    ml.CompiledController(controller, told.append)
+    assert not told and not caplog.text
+    monkeypatch.setattr(kernel_cache, "_FOLDER", tmp_path)
+    ml.CompiledController(controller, told.append)
+    ml.CompiledController(controller)
+    assert len(told) == 1 and "once per machine" in told[0] and caplog.messages == told
+
+
+def test_simulation_is_imported_without_numba() -> None:
+    """Loading numba takes longer than most rollouts: nothing imports it before it is to compile something."""
+    code = "import sys, manip_learn.control.simulation; print('numba' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=60)
+    assert done.stdout.strip() == "False"
+    assert step_table.LEAST_WIDTH == compiled_vjp.GRADIENT + 1

@@ -11,7 +11,7 @@ from servo_cases import BAD_TIMES, DT, Constantly, RobotOf, bad_postures, comman
 
 import manip_learn as ml
 from manip_learn.control.following import FOLLOWING_ERROR
-from manip_learn.errors import ConfigurationError, ManipLearnError
+from manip_learn.errors import ConfigurationError, ConstraintError, ManipLearnError
 
 ROUNDING = 1.0 + 1e-9
 
@@ -123,15 +123,25 @@ def test_velocities_of_any_kind_are_numbers(robot_of: RobotOf) -> None:
 
 
 def test_the_compiled_controller_gives_the_same_commands(robot_of: RobotOf) -> None:
-    """A loop round a `CompiledController` sends what a loop round its law sends."""
+    """A loop compiles its controller by itself, and sends what a loop round its law sends, up to a joint limit."""
     pytest.importorskip("numba")
     robot = robot_of("sawyer")
     law, q = law_of(robot, "sawyer"), start_of(robot)
-    by_law = run(ml.ServoLoop(law), q, 400)
-    compiled = run(ml.ServoLoop(ml.CompiledController(law)), q, 400)
-    for (_, expected), (_, command) in zip(by_law, compiled, strict=True):
-        np.testing.assert_allclose(command.velocity, expected.velocity, rtol=0, atol=1e-9)
-        assert command.status is expected.status
+    loops = ml.ServoLoop(law, compiled=False), ml.ServoLoop(law), ml.ServoLoop(ml.CompiledController(law))
+    assert [type(loop.controller) for loop in loops] == [type(law), ml.CompiledController, ml.CompiledController]
+    by_law, *others = (run(loop, q, 400) for loop in loops)
+    for (_, expected), *commands in zip(by_law, *others, strict=True):
+        for _, command in commands:
+            np.testing.assert_allclose(command.velocity, expected.velocity, rtol=0, atol=1e-9)
+            assert command.status is expected.status
+
+
+def test_only_controllers_of_the_library_are_compiled(robot_of: RobotOf) -> None:
+    """A user's own controller is taken as it is, and refused where it has to be compiled."""
+    own = Constantly(robot_of("sawyer"), np.zeros(7))
+    assert ml.ServoLoop(own).controller is own
+    with pytest.raises(ConstraintError, match="Constantly"):
+        ml.ServoLoop(own, compiled=True)
 
 
 @pytest.mark.parametrize("jerk", [None, 200.0])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import math
+from collections.abc import Callable
 from importlib.util import find_spec
 from typing import NamedTuple, final
 
@@ -10,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.control.command import Command
+from manip_learn.control.command import Command, Controller
 from manip_learn.control.compiled import step_table as table
 from manip_learn.control.compiled.packing import packed, why_not
 from manip_learn.control.controller import ResolvedRateController
@@ -20,9 +22,13 @@ from manip_learn.control.status import STATUSES, Status
 from manip_learn.errors import ConstraintError, MissingExtraError
 from manip_learn.robot.robot import Robot
 
-__all__ = ["CompiledController", "CompiledRollout", "why_not"]
+__all__ = ["CompiledController", "CompiledRollout", "compiled_if_possible", "why_not"]
+
+FIRST_COMPILE = "compiling the controller, once per machine and version of the library: about half a minute"
+_LOGGER = logging.getLogger("manip_learn")
 
 _DOUBLE = np.dtype(np.float64)  # in the byte order of the machine
+_INFINITY = math.inf
 _WORDS = np.array(STATUSES, dtype=object)
 
 
@@ -47,15 +53,19 @@ class CompiledController:
     finite, where a direction is lost that the inverse `"exact"` cannot invert, and where several are lost at once under
     a policy without a bound. The numbers are the same everywhere (to 1e-12 of the largest, to 1e-9 at limits).
 
+    The first one on a machine takes about half a minute, which it says through the logger `manip_learn`; the machine
+    code is kept on disk.
+
     Args:
         controller: What is compiled; later changes of its attributes are not seen.
+        report: Called with a sentence where the code has to be compiled first.
 
     Raises:
         ConstraintError: This combination is not compiled; says which part.
         MissingExtraError: numba is not installed.
     """
 
-    def __init__(self, controller: ResolvedRateController):
+    def __init__(self, controller: ResolvedRateController, report: Callable[[str], object] | None = None):
         reason = why_not(controller)
         if reason is not None:
             raise ConstraintError(f"this controller cannot be compiled: {reason}; use it as it is")
@@ -63,6 +73,7 @@ class CompiledController:
             raise MissingExtraError("a compiled controller", "fast")
         from manip_learn.control.compiled.control_step import control_step
         from manip_learn.control.compiled.rollout import rollout
+        from manip_learn.robot.batch.kernel_cache import is_on_disk
 
         self.controller = controller
         self.robot: Robot = controller.robot  # type: ignore[assignment]
@@ -71,8 +82,10 @@ class CompiledController:
         self._unknown = np.full(self.nv, np.nan)  # the velocity before, where no acceleration is bounded
         self._step, self._rollout = control_step, rollout
         self._constants = packed(controller)
-        self._shape = (table.PARTS, self.nv)
+        self._size, self._shape = (self.nv,), (table.PARTS, self.nv)
         self._work_shape = table.work_shape(int(self._constants[0, table.N_JOINTS]), self.nv, self._s)
+        if not is_on_disk(control_step):
+            (report or _LOGGER.warning)(FIRST_COMPILE)
         self(self.robot.neutral())  # compiled, or read from the cache, now and not in the loop
 
     def __call__(
@@ -84,25 +97,27 @@ class CompiledController:
         slide: float = 0.0,
     ) -> Command:
         """The command at posture q; arguments and errors as for `ResolvedRateController`."""
-        if not (type(q) is np.ndarray and q.shape == (self.nv,) and q.dtype is _DOUBLE and q.flags.c_contiguous):
+        if not (type(q) is np.ndarray and q.shape == self._size and q.dtype is _DOUBLE and q.flags.c_contiguous):
             q = np.ascontiguousarray(self.robot.positions(q), dtype=np.float64)
-        held = self._dt if dt is None else dt
-        if previous is None:
-            before = self._unknown
-        else:
+        held, before = self._dt if dt is None else dt, self._unknown
+        if previous is not None:
             before = np.ascontiguousarray(previous, dtype=np.float64)
-        if not 0.0 < held < math.inf or before.shape != q.shape:
+        if not 0.0 < held < _INFINITY or before.shape != self._size:
             return self.controller(q, t, dt, previous, slide)
         parts, work = np.empty(self._shape), np.empty(self._work_shape)
         code = self._step(self._constants, q, held, before, slide, parts, work)
         if code < 0:
             return self.controller(q, t, dt, previous, slide)
         u, task, null, escape, b = parts
-        mu, smallest, _, task_scale, null_scale, progress, outside, joint, escapes = work[0, : table.N_FACTS].tolist()
-        return Command(
-            *(u, STATUSES[code], mu, b[: self._s], task, null, task_scale, null_scale, smallest),
-            *(escape if escapes else None, progress, outside, int(joint)),
-        )
+        if self._s < self.nv:
+            b = b[: self._s]
+        mu, smallest = work.item(table.MU), work.item(table.SMALLEST)
+        if code == table.OK:
+            numbers = (1.0, 1.0, smallest, None, 1.0, 0.0, -1, 0.0)
+        else:
+            _, _, _, scale, null_scale, progress, outside, joint, escapes = work[table.FACTS, : table.N_FACTS].tolist()
+            numbers = (scale, null_scale, smallest, escape if escapes else None, progress, outside, int(joint), 0.0)
+        return Command._make((u, STATUSES[code], mu, b, task, null, *numbers))
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]."""
@@ -149,3 +164,28 @@ class CompiledController:
 
     def __repr__(self) -> str:
         return f"CompiledController({self.controller!r})"
+
+
+def compiled_if_possible(
+    controller: Controller, compiled: bool | None, report: Callable[[str], object] | None = None
+) -> Controller:
+    """The controller, compiled where that can be done.
+
+    Args:
+        controller: Any controller.
+        compiled: False: as it is; None: compiled where numba is installed and it can be; True: compiled.
+        report: As for `CompiledController`.
+
+    Raises:
+        ConstraintError: True for a controller that cannot be compiled.
+        MissingExtraError: True without numba.
+    """
+    if compiled is False or isinstance(controller, CompiledController):
+        return controller
+    if not isinstance(controller, ResolvedRateController):
+        if compiled:
+            raise ConstraintError(f"only a ResolvedRateController can be compiled, not {type(controller).__name__}")
+        return controller
+    if compiled is None and (find_spec("numba") is None or why_not(controller) is not None):
+        return controller
+    return CompiledController(controller, report)

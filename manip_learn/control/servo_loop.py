@@ -15,7 +15,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.following import FollowingError
 from manip_learn.control.moving_average import MovingAverage
 from manip_learn.control.outcome import next_slide
-from manip_learn.control.servo_settings import limits_of, robot_of, task_of, with_limits
+from manip_learn.control.servo_settings import is_number, limits_of, robot_of, task_of, with_limits
 from manip_learn.control.status import Status
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
@@ -60,6 +60,8 @@ class ServoLoop:
             it above the latter. The force goes on rising while the arm brakes.
         latency: Time by which a measurement may lag behind the command that it is compared with [s].
         robot: Whose limits count; the controller's own by default.
+        compiled: None compiles the controller where numba is installed and it can be (see `CompiledController`); later
+            changes of it and of its task are then not seen. False takes it as it is; True compiles it.
 
     Attributes:
         acceleration_limit: shape (nv,) [rad/s2 or m/s2], in force.
@@ -68,6 +70,8 @@ class ServoLoop:
 
     Raises:
         ConfigurationError: A setting that is not positive, or a controller that has no robot where none is given.
+        ConstraintError: `compiled=True` for a controller that cannot be compiled.
+        MissingExtraError: `compiled=True` without numba.
     """
 
     def __init__(
@@ -81,13 +85,14 @@ class ServoLoop:
         following_error_limit: ArrayLike | None = None,
         latency: float = LATENCY,
         robot: Robot | None = None,
+        compiled: bool | None = None,
     ):
         for name, value in (("dt", dt), ("stale_after", stale_after), ("latency", latency)):
-            if not (_is_number(value) and 0.0 <= value < math.inf and (value > 0.0 or name == "latency")):
+            if not (is_number(value) and 0.0 <= value < math.inf and (value > 0.0 or name == "latency")):
                 raise ConfigurationError(f"{name} must be a positive number of seconds, got {value!r}")
         self.robot, self.dt, self.stale_after = robot_of(controller, robot), float(dt), float(stale_after)
         self.limits = limits_of(controller, self.robot, acceleration_limit, jerk_limit)
-        self.controller = with_limits(controller, self.limits)
+        self.controller = with_limits(controller, self.limits, compiled)
         self.acceleration_limit, self.jerk_limit = self.limits.acceleration, self.limits.jerk
         self._keeps_limits = isinstance(self.controller, ResolvedRateController | CompiledController)
         self._following = FollowingError(self.robot, following_error_limit, float(latency))
@@ -156,7 +161,7 @@ class ServoLoop:
             ManipLearnError: What the controller raises.
         """
         measured = self._posture(q)
-        time = float(t) if _is_number(t) and abs(t) < LONGEST_TIME else math.nan
+        time = float(t) if is_number(t) and abs(t) < LONGEST_TIME else math.nan
         if measured is not None and time < self._time and self._earlier < time <= self._earlier + self.stale_after:
             self._time = -math.inf  # two states in order: the clock was set back, or one stamp was wrong
         if measured is None or not time >= self._time:
@@ -290,9 +295,3 @@ class ServoLoop:
 
     def __repr__(self) -> str:
         return f"ServoLoop({self.controller!r}, dt={self.dt:g})"
-
-
-def _is_number(value: Any) -> bool:
-    """Whether a value is a real number; True, text, arrays and durations are none."""
-    kinds = (int, float, np.integer, np.floating)
-    return isinstance(value, kinds) and not isinstance(value, bool | np.timedelta64)

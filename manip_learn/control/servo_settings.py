@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_learn.control.command import Controller
-from manip_learn.control.compiled_controller import CompiledController
+from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.limits import Limits
 from manip_learn.control.tasks import Task
@@ -34,14 +37,21 @@ def limits_of(controller: Controller, robot: Robot, acceleration: ArrayLike | No
     return own.with_rates(acceleration, jerk)
 
 
-def with_limits(controller: Controller, limits: Limits) -> Controller:
-    """A controller of the loop's own, with its limits."""
+def with_limits(controller: Controller, limits: Limits, compiled: bool | None = False) -> Controller:
+    """A controller of the loop's own, with its limits, compiled where that is asked for (`compiled_if_possible`)."""
     if isinstance(controller, CompiledController):
         return CompiledController(controller.controller.with_limits(limits))
-    return controller.with_limits(limits) if isinstance(controller, ResolvedRateController) else controller
+    own = controller.with_limits(limits) if isinstance(controller, ResolvedRateController) else controller
+    return compiled_if_possible(own, compiled)
 
 
 def task_of(controller: Controller) -> Task | None:
     """The task of a controller of the library; None for a controller of another kind."""
     law = controller.controller if isinstance(controller, CompiledController) else controller
     return law.task if isinstance(law, ResolvedRateController) else None
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is a real number; True, text, arrays and durations are none."""
+    kinds = (int, float, np.integer, np.floating)
+    return isinstance(value, kinds) and not isinstance(value, bool | np.timedelta64)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from importlib.util import find_spec
-from typing import TypeGuard, overload
+from typing import overload
 
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.control.command import Command, Controller, TaskController
-from manip_learn.control.compiled_controller import CompiledController, why_not
+from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.integration import Method, next_posture
 from manip_learn.control.rollout import Rollout
@@ -23,7 +22,7 @@ from manip_learn.robot.batch.postures import checked_postures, positions_of
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
-COMPILED_FROM = 5_000  # commands of a table of starts: fewer take less time one by one than loading numba does
+COMPILED_FROM = 5_000  # commands: fewer take less time in Python than loading numba does
 
 
 @overload
@@ -35,6 +34,7 @@ def simulate(
     dt: float = ...,
     method: Method = ...,
     *,
+    compiled: bool | None = ...,
     progress: Progress | None = ...,
 ) -> Rollout: ...
 
@@ -48,6 +48,7 @@ def simulate(
     dt: float = ...,
     method: Method = ...,
     *,
+    compiled: bool | None = ...,
     progress: Progress | None = ...,
 ) -> tuple[Rollout, ...]: ...
 
@@ -60,6 +61,7 @@ def simulate(
     dt: float = 0.01,
     method: Method = "euler",
     *,
+    compiled: bool | None = None,
     progress: Progress | None = None,
 ) -> Rollout | tuple[Rollout, ...]:
     """Integrate the controller on the configuration manifold.
@@ -72,15 +74,19 @@ def simulate(
         dt: Step [s].
         method: `"euler"` holds each command for a step, as a real arm's interface does; `"rk4"` approximates the
             continuous system.
+        compiled: None compiles from 5,000 commands on, where numba is installed and the controller can be compiled
+            (see `CompiledController`): that depends on their number only, so that a call gives the same last bits
+            whatever ran before it. False takes the controller as it is; True compiles it.
         progress: Called with a title and the completed fraction, 0 to 1.
 
     Returns:
         A `Rollout` of round(duration / dt) + 1 samples, the start included; for a table of starts a tuple of them, one
-        per start. A large table is computed by compiled code where numba is installed and the controller can be
-        compiled (see `CompiledController`), and start by start otherwise.
+        per start.
 
     Raises:
         ConfigurationError: The start has the wrong size or is not finite; a step or duration that is not positive.
+        ConstraintError: `compiled=True` for a controller that cannot be compiled.
+        MissingExtraError: `compiled=True` without numba.
     """
     if not (np.isfinite(dt) and dt > 0.0 and np.isfinite(duration) and duration >= 0.0):
         raise ConfigurationError(f"duration and dt must be positive numbers of seconds, got {duration!r} and {dt!r}")
@@ -88,6 +94,11 @@ def simulate(
         raise ConfigurationError(f"method must be 'euler' or 'rk4', not {method!r}")
     steps = round(duration / dt)
     report = progress or _silent
+    if np.ndim(q0) == 2 and robot is not None:
+        q0 = checked_postures(robot, np.asarray(q0))  # names the row before any work is done
+    commands = (len(np.asarray(q0)) if np.ndim(q0) == 2 else 1) * (steps + 1) * (4 if method == "rk4" else 1)
+    if compiled is True or (compiled is None and commands >= COMPILED_FROM and _law_of(controller, robot)):
+        controller = compiled_if_possible(controller, compiled, lambda sentence: report(sentence, 0.0))
     if np.ndim(q0) == 2:
         return _simulate_table(robot, controller, np.asarray(q0), steps, dt, method, report)
     if isinstance(controller, CompiledController) and controller.robot is robot and not _averages(controller, method):
@@ -146,7 +157,7 @@ def _loop_of(
         return controller.update
     law = controller.controller if isinstance(controller, CompiledController) else controller
     if method == "euler" and isinstance(law, ResolvedRateController) and law.limits is not None:
-        return ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt)).step
+        return ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt), compiled=False).step
     return lambda q, t: controller(q, t, dt)
 
 
@@ -159,22 +170,16 @@ def _simulate_table(
     method: Method,
     report: Progress,
 ) -> tuple[Rollout, ...]:
-    if robot is not None:
-        starts = checked_postures(robot, starts)  # names the row before any work is done
-    commands = len(starts) * (steps + 1) * (4 if method == "rk4" else 1)
-    if commands >= COMPILED_FROM and _compiles(controller, robot):
-        controller = CompiledController(controller)
     rollouts = []
     for i, start in enumerate(starts):
-        rollouts.append(simulate(robot, controller, start, steps * dt, dt, method))
+        rollouts.append(simulate(robot, controller, start, steps * dt, dt, method, compiled=False))
         report("simulating", (i + 1) / len(starts))
     return tuple(rollouts)
 
 
-def _compiles(controller: Controller, robot: Robot | None) -> TypeGuard[ResolvedRateController]:
-    if not isinstance(controller, ResolvedRateController) or controller.robot is not robot:
-        return False
-    return find_spec("numba") is not None and why_not(controller) is None
+def _law_of(controller: Controller, robot: Robot | None) -> bool:
+    """Whether this is a controller of this library for this robot."""
+    return isinstance(controller, ResolvedRateController) and controller.robot is robot
 
 
 def _averages(controller: CompiledController, method: Method) -> bool:

@@ -26,7 +26,12 @@ def allowed_speed(distance, velocity, acceleration, dt):
 
 @compiled_inside
 def admitted(constants, dofs, nv, q, dt, u, previous):
-    """Whether `Limits.bounds` admit the velocity u; `previous` is NaN where no acceleration is bounded."""
+    """Whether `Limits.bounds` admit the velocity u; `previous` is NaN where no acceleration is bounded.
+
+    `allowed_speed` with the squares of both sides, which needs neither its root nor its divisions.
+    """
+    rate = min(APPROACH_RATE, 0.5 / dt)
+    period = 1.0 / rate
     for j in range(nv):
         k = dofs + j
         v, a, speed = constants[k, LIMIT], constants[k, ACCELERATION], abs(u[j])
@@ -36,7 +41,14 @@ def admitted(constants, dofs, nv, q, dt, u, previous):
         if speed > v or abs(u[j] - previous[j]) > a * dt:
             return False
         distance = above if u[j] > 0.0 else below
-        if speed > allowed_speed(distance, v, BRAKING_SHARE * a, dt):
+        a *= BRAKING_SHARE
+        half = 0.5 * a * dt
+        joined = a * period - half
+        beyond = distance - joined * period
+        if beyond <= 0.0:
+            if speed > rate * distance:
+                return False
+        elif speed * (speed + 2.0 * half) > 2.0 * a * beyond + joined * (joined + a * dt):
             return False
     return True
 

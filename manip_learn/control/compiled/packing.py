@@ -17,9 +17,12 @@ LARGEST_ACCELERATION = 1e12  # [rad/s2] stands for none in the kernel, which mus
 
 
 def why_not(controller: ResolvedRateController) -> str | None:
-    """Why a controller cannot be compiled; None if it can where numba is installed."""
+    """Why a controller cannot be compiled; None if it can where numba is installed.
+
+    Children of the classes that are compiled are not: what they change would be lost.
+    """
     features, task, policy = controller.constraint.features, controller.task, controller.null_policy
-    if not isinstance(features, FrameJacobian):
+    if type(features) is not FrameJacobian:
         return f"the features are {type(features).__name__}, not FrameJacobian"
     kinematics = batch_kinematics(features.robot, features.frame)
     if not kinematics.fast or kinematics.public_columns is None:
@@ -32,15 +35,15 @@ def why_not(controller: ResolvedRateController) -> str | None:
         return "the robot's base moves"
     if controller.constraint.n_constraints > len(kinematics.public_columns):
         return "it has more rows than joints"
-    reaches = isinstance(task, PointAttractor) and features.only_linear and task.target.shape == (features.n_rows,)
-    if not (reaches or isinstance(task, Hold)):
+    reaches = type(task) is PointAttractor and features.only_linear and task.target.shape == (features.n_rows,)
+    if not (reaches or type(task) is Hold):
         return f"the task is {task!r} with rows {' '.join(features.row_names)} ({features.reference})"
-    if isinstance(policy, ManipulabilityAscent):
+    if type(policy) is ManipulabilityAscent:
         return None if policy.constraint is controller.constraint else "the policy climbs another constraint's mu"
-    if isinstance(policy, JointAttractor):
+    if type(policy) is JointAttractor:
         known = policy.robot is features.robot or (policy.robot is None and policy.rest.shape == (features.nv,))
         return None if known else "the rest posture belongs to another robot"
-    return None if isinstance(policy, ZeroPolicy) else f"the policy is {type(policy).__name__}"
+    return None if type(policy) is ZeroPolicy else f"the policy is {type(policy).__name__}"
 
 
 def packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from manip_learn.control.polytope_projection import DEPENDENT, TOLERANCE
+from manip_learn.control.polytope_projection import DEPENDENT, REORTHOGONAL, TOLERANCE
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 # rows of the scratch of `project`, each as long as x, before those of the triangle and of the basis
@@ -36,7 +36,7 @@ def project(x, C, low, high, m, k, y):
             square += C[worst, c] * C[worst, c]
         multiplier = 0.0
         while True:
-            slope = _across(C, worst, sign, work, n, k)
+            slope = _across(C, worst, sign, square, work, n, k)
             full = excess / slope if slope > DEPENDENT * square and n < k else math.inf
             partial, leaving = math.inf, n
             for a in range(n):
@@ -81,16 +81,18 @@ def _most_exceeded(y, C, low, high, m, k, active, n):
 
 
 @compiled_inside
-def _across(C, row, sign, work, n, k):
-    """A row's normal without its part along the active ones, twice projected; returns its square.
+def _across(C, row, sign, square, work, n, k):
+    """A row's normal without its part along the active ones; returns its square.
 
-    Its coordinates along the basis go into ALONG, how fast the multipliers of the active rows fall into FALL.
+    Its coordinates along the basis go into ALONG, how fast the multipliers of the active rows fall into FALL. Where
+    little is left it is projected twice, for what rounding has left.
     """
     for c in range(k):
         work[DIRECTION, c] = sign * C[row, c]
     for a in range(n):
         work[ALONG, a] = 0.0
-    for _ in range(2 if n > 0 else 0):
+    slope = 0.0
+    for _ in range(2):
         for a in range(n):
             q, along = SCRATCH + k + a, 0.0
             for c in range(k):
@@ -98,14 +100,16 @@ def _across(C, row, sign, work, n, k):
             for c in range(k):
                 work[DIRECTION, c] -= along * work[q, c]
             work[ALONG, a] += along
+        slope = 0.0
+        for c in range(k):
+            slope += work[DIRECTION, c] * work[DIRECTION, c]
+        if n == 0 or slope > REORTHOGONAL * square:
+            break
     for a in range(n - 1, -1, -1):
         total = work[ALONG, a]
         for c in range(a + 1, n):
             total -= work[SCRATCH + a, c] * work[FALL, c]
         work[FALL, a] = total / work[SCRATCH + a, a]
-    slope = 0.0
-    for c in range(k):
-        slope += work[DIRECTION, c] * work[DIRECTION, c]
     return slope
 
 
@@ -127,7 +131,7 @@ def _leave(C, work, active, leaving, n, k):
         active[a] = active[a + 1]
         for i in range(MULTIPLIERS, SIGNS + 1):
             work[i, a] = work[i, a + 1]
-        slope = _across(C, active[a], work[SIGNS, a], work, a, k)
+        slope = _across(C, active[a], work[SIGNS, a], math.inf, work, a, k)
         _enter(work, a, k, slope)
     return n - 1
 

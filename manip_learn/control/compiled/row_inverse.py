@@ -8,6 +8,7 @@ from manip_learn.linalg import LEAST_SINGULAR_RATIO
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 SWEEPS = 8  # of Jacobi rotations: converged to the last bit for six rows
+NEGLIGIBLE = 1e-32  # square of a cosine between two rows that no longer changes the eigenvalues
 
 
 @compiled_inside
@@ -21,9 +22,11 @@ def smallest_and_largest(G, L):
         volume = L[0, 0] * L[1, 1]
         return volume * volume / largest, largest
     for _ in range(SWEEPS):
+        turned = False
         for i in range(s - 1):
             for j in range(i + 1, s):
-                if G[i, j] != 0.0:
+                if G[i, j] * G[i, j] > NEGLIGIBLE * G[i, i] * G[j, j]:
+                    turned = True
                     theta = 0.5 * (G[j, j] - G[i, i]) / G[i, j]
                     t = math.copysign(1.0, theta) / (abs(theta) + math.sqrt(theta * theta + 1.0))
                     c = 1.0 / math.sqrt(t * t + 1.0)
@@ -32,6 +35,8 @@ def smallest_and_largest(G, L):
                         G[k, i], G[k, j] = c * G[k, i] - d * G[k, j], d * G[k, i] + c * G[k, j]
                     for k in range(s):
                         G[i, k], G[j, k] = c * G[i, k] - d * G[j, k], d * G[i, k] + c * G[j, k]
+        if not turned:
+            break
     smallest = largest = G[0, 0]
     for i in range(1, s):
         smallest, largest = min(smallest, G[i, i]), max(largest, G[i, i])

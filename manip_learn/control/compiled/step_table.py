@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from manip_learn.control.status import STATUSES, Status
-from manip_learn.robot.batch.compiled_vjp import GRADIENT
 
 # The constants of a controller are one table of twelve columns: two rows of settings, the chain's table, one row per
 # degree of freedom (velocity limit, lower, upper, rest posture, whether it wraps, acceleration limit), and one per row
@@ -24,7 +23,7 @@ VELOCITY, TASK_PART, NULL_PART, ESCAPE_PART, TASK_VELOCITY, PARTS = range(6)
 # Rows of the work space: numbers of the command, then scratch.
 FACTS, PI, MATRICES = range(3)
 MU, SMALLEST, ERROR, TASK_SCALE, NULL_SCALE, PROGRESS, OUTSIDE, LIMITING_JOINT, HAS_ESCAPE, N_FACTS = range(10)
-LEAST_WIDTH = GRADIENT + 1  # columns of a joint's row of scratch
+LEAST_WIDTH = 19  # columns of a joint's row of scratch, up to `compiled_vjp.GRADIENT`; imported from there comes numba
 
 # what `free_step` may return instead of a status: a limit binds, or A is ill-conditioned
 LIMITED, ILL_CONDITIONED = -2, -3

@@ -97,7 +97,7 @@ def compiled_inside(function: Callable[..., Any]) -> Callable[..., Any]:
     return _compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
-def _compiled(function: Callable[..., Any], **options: bool) -> Callable[..., Any]:
+def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     if numba is None:
         return function
     with _lock:
@@ -107,3 +107,8 @@ def _compiled(function: Callable[..., Any], **options: bool) -> Callable[..., An
             return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
         finally:
             _SETTINGS.CACHE_DIR = before
+
+
+def is_on_disk(function: Callable[..., Any]) -> bool:
+    """Whether a function has been compiled on this machine before; True without numba, where nothing is compiled."""
+    return _FOLDER is None or any(_FOLDER.rglob(f"*.{function.__name__}-*.nbi"))
