@@ -28,7 +28,9 @@ FIRST_COMPILE = "compiling the controller, once per machine and version of the l
 _LOGGER = logging.getLogger("manip_learn")
 
 _DOUBLE = np.dtype(np.float64)  # in the byte order of the machine
-_INFINITY = math.inf
+# looked up at every step
+_INFINITY, _OK, _MU, _SMALLEST, _ESCAPES = math.inf, table.OK, table.MU, table.SMALLEST, table.HAS_ESCAPE
+_empty, _command = np.empty, Command._make
 _WORDS = np.array(STATUSES, dtype=object)
 
 
@@ -79,6 +81,7 @@ class CompiledController:
         self.robot: Robot = controller.robot  # type: ignore[assignment]
         self.nv, self._s = self.robot.nv, controller.constraint.n_constraints
         self._dt = controller.dt
+        self._shortens = self._s < self.nv
         self._unknown = np.full(self.nv, np.nan)  # the velocity before, where no acceleration is bounded
         self._step, self._rollout = control_step, rollout
         self._constants = packed(controller)
@@ -104,20 +107,20 @@ class CompiledController:
             before = np.ascontiguousarray(previous, dtype=np.float64)
         if not 0.0 < held < _INFINITY or before.shape != self._size:
             return self.controller(q, t, dt, previous, slide)
-        parts, work = np.empty(self._shape), np.empty(self._work_shape)
+        parts, work = _empty(self._shape), _empty(self._work_shape)
         code = self._step(self._constants, q, held, before, slide, parts, work)
         if code < 0:
             return self.controller(q, t, dt, previous, slide)
-        u, task, null, escape, b = parts
-        if self._s < self.nv:
+        u, task, null, b = parts[0], parts[1], parts[2], parts[4]
+        if self._shortens:
             b = b[: self._s]
-        mu, smallest = work.item(table.MU), work.item(table.SMALLEST)
-        if code == table.OK:
-            numbers = (1.0, 1.0, smallest, None, 1.0, 0.0, -1, 0.0)
-        else:
-            _, _, _, scale, null_scale, progress, outside, joint, escapes = work[table.FACTS, : table.N_FACTS].tolist()
-            numbers = (scale, null_scale, smallest, escape if escapes else None, progress, outside, int(joint), 0.0)
-        return Command._make((u, STATUSES[code], mu, b, task, null, *numbers))
+        mu, smallest = work.item(_MU), work.item(_SMALLEST)
+        if code == _OK and not work.item(_ESCAPES):
+            return _command((u, Status.OK, mu, b, task, null, 1.0, 1.0, smallest, None, 1.0, 0.0, -1, 0.0))
+        _, _, _, scale, null_scale, progress, outside, joint, escapes = work[table.FACTS, : table.N_FACTS].tolist()
+        escape, joint = parts[3] if escapes else None, int(joint)
+        facts = (scale, null_scale, smallest, escape, progress, outside, joint, 0.0)
+        return _command((u, STATUSES[code], mu, b, task, null, *facts))
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]."""

@@ -113,19 +113,20 @@ def approach_bound(constants, dofs, smallest, slope, length, dt):
 
 
 @compiled_inside
+def seed_speed(smallest, width):
+    """Speed that starts the motion out of a singularity."""
+    return SEED_SPEED * max(0.0, 1.0 - smallest / (SEED_SHARE * width))
+
+
+@compiled_inside
 def escape_velocity(constants, rows, s, joints, Ut, sigma, Vt, dt, width, weights, work, base, escape):
-    """`singularity.escape_velocity` into `escape`; Vt is complete where a direction is lost."""
+    """`singularity.escape_velocity` beside a singularity, into `escape`."""
     nv, smallest = Vt.shape[1], sigma[s - 1]
     for j in range(nv):
         escape[j] = 0.0
     if smallest >= width:
         return
-    seed = SEED_SPEED * max(0.0, 1.0 - smallest / (SEED_SHARE * width))
-    if smallest <= SINGULAR_RATIO * sigma[0]:
-        steepest_ascent(constants, rows, s, joints, Ut, sigma, Vt, weights, work, base, escape)
-        for j in range(nv):
-            escape[j] *= seed
-        return
+    seed = seed_speed(smallest, width)
     slope, ascent, inverse = np.empty(nv), np.empty(nv), np.empty(s)
     length = smallest_gradient(constants, rows, s, joints, Ut, Vt, weights, work, base, slope)
     for i in range(s):

@@ -11,6 +11,7 @@ from manip_learn.control.compiled.near_singularity import (
     escape_velocity,
     pressed_damping,
     rank_of,
+    seed_speed,
     smallest_gradient,
     stable_damping,
     task_part,
@@ -31,6 +32,7 @@ from manip_learn.control.compiled.step_table import (
     INVERSE,
     LIMITS,
     LOG_ASCENT,
+    LONGEST,
     MATRICES,
     MU,
     N_JOINTS,
@@ -43,6 +45,7 @@ from manip_learn.control.compiled.step_table import (
     THRESHOLD,
     VELOCITY,
 )
+from manip_learn.control.singularity import SEED_SPEED
 from manip_learn.robot.batch.compiled_kinematics import JOINTS
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
@@ -81,7 +84,12 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, parts, work):
     if constants[1, ESCAPES] != 0.0:
         escape, width = parts[ESCAPE_PART], constants[1, ESCAPE_WIDTH]
         facts[HAS_ESCAPE] = 1.0
-        escape_velocity(constants, rows, s, joints, Ut, sigma, Vt, dt, width, weights, work, base, escape)
+        if singular:  # the policy has taken the steepest ascent already
+            seed = seed_speed(sigma[s - 1], width) / min(constants[0, LONGEST], SEED_SPEED)
+            for j in range(nv):
+                escape[j] = seed * pi[j]
+        else:
+            escape_velocity(constants, rows, s, joints, Ut, sigma, Vt, dt, width, weights, work, base, escape)
         if singular and constants[0, LIMITS] != 0.0:
             # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
             turn_to_freer_sense(constants, dofs, nv, q, escape)
