@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from generated_motions import PLANAR_ROWS, angle_deg, arm_features, paper_motions
 
+from manip_learn.experiments.paper_setup import Setup, demonstrate, planar_features
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.estimators.estimate import GapTable
 from manip_learn.learning.estimators.noise_covariance import whitened, whitening_factor
@@ -35,6 +36,26 @@ from efficiency import measure, motion_of, noisy  # noqa: E402
 def test_close_to_the_cramer_rao_bound(arm, policy, noise, size, sets):
     """The median error is the bound's but for chance, 1.75 of few sets; an affine model answers 3 times and more."""
     assert measure(arm, policy, noise, size, sets, seed=21).median < 1.75
+
+
+@pytest.mark.parametrize("seed", [1, 3, 4, 6])
+def test_reaches_without_a_policy(seed):
+    """Exact reaches whose null space is at rest leave rounding of either sign; the rows are learnt from them too."""
+    rng = np.random.default_rng([77, seed])
+    setup = Setup("x rz", policy="zero")
+    Lambda = setup.selection(rng)
+    learner = ConstraintLearner(planar_features()).fit(demonstrate(setup, Lambda, rng))
+    assert np.degrees(row_space_angle(Lambda, learner.constraint_.selection)) < 1e-6
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_one_exact_reach_has_no_noise_to_divide_by():
+    """One noise-free reach, taken for a held motion, is answered with a warning and without a division by zero."""
+    for seed in range(3):
+        rng = np.random.default_rng([77, seed])
+        setup = Setup("y rz", trajectories=1)
+        demos = demonstrate(setup, setup.selection(rng), rng)
+        assert ConstraintLearner(planar_features()).fit(demos).report_.warnings
 
 
 def test_exact_where_nothing_disturbs():

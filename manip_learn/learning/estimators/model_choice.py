@@ -103,7 +103,8 @@ def _judged(
         costs += np.bincount(samples.trajectory[held], square[held], len(costs))
     _, y = solve_policy(beta, projections, u, Solver(total))
     freedom = max(float(np.einsum("nii->", projections.N)) - total.shape[0], 1.0)
-    return JudgedModel(model, costs, projections.energy(y) / freedom)
+    # y^T N y of a motion without any policy is rounding of either sign, and a negative sum is worse than itself
+    return JudgedModel(model, np.maximum(costs, 0.0), projections.energy(y) / freedom)
 
 
 def _folds(trajectory: Int[np.ndarray, " n"], n_folds: int) -> Iterator[np.ndarray]:

@@ -29,6 +29,7 @@ TAU_RANGE = (1e-6, 3e-2)
 TAU_STEPS = 60
 MOST_SAMPLES = 5000  # enough to see offsets
 LAGS = 40  # samples over which smoothing spreads noise
+LEAST_VARIANCE = 1e-200  # of a residual: none at all is a limit, not a division by zero
 UNSEEN = 1e-12  # share of the largest curvature below which a combination of offsets shows nowhere
 
 
@@ -81,7 +82,7 @@ class JointOffsets:
         """Draws of the error of B that the offsets make, given the data."""
         taus = np.concatenate([[0.0], np.geomspace(*TAU_RANGE, TAU_STEPS)])
         tau2 = taus[:, None] ** 2
-        lam, sigma2 = self.curvatures, self.variance
+        lam, sigma2 = self.curvatures, max(self.variance, LEAST_VARIANCE)
         seen = lam > 0.0
         spread = lam[seen] * sigma2 + lam[seen] ** 2 * tau2
         log_weight = -0.5 * np.sum(np.log(spread) + self.pattern[seen] ** 2 / spread, axis=1)
