@@ -161,7 +161,8 @@ def test_unknown_names(tmp_path):
 
 def test_names_of_experiments():
     """The command line's names are there, and `all` has every part."""
-    assert {"table", "rmse", "singular-start", "near-singular-start", "sawyer", "beyond", "all"} == set(EXPERIMENTS)
+    names = {"table", "bounds", "rmse", "singular-start", "near-singular-start", "sawyer", "recorded", "beyond", "all"}
+    assert names == set(EXPERIMENTS)
     assert set(EXPERIMENTS["all"]) == set(EXPERIMENT_PARTS)
 
 
@@ -220,8 +221,9 @@ def test_numbers_for_tables():
 
 def test_settings_are_plain():
     """Settings of every part become JSON, since they are part of what a kept part is found by."""
-    from manip_learn.experiments import beyond, sawyer, variants
+    from manip_learn.experiments import beyond, bounds, recorded, sawyer, variants
     from manip_learn.experiments.singular_starts import NEAR_SINGULAR, SINGULAR
 
-    for case in (*beyond.CASES, *sawyer.CASES, *variants.cases().values(), SINGULAR, NEAR_SINGULAR):
+    parts = (*beyond.CASES, *bounds.CASES, *recorded.CASES, *sawyer.CASES, *variants.cases().values())
+    for case in (*parts, SINGULAR, NEAR_SINGULAR):
         json.dumps(dataclasses.asdict(case))

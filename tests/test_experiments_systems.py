@@ -12,10 +12,10 @@ from numpy.testing import assert_allclose
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability_gradient
 from manip_learn.errors import OutputError
-from manip_learn.experiments import beyond, rmse, sawyer, singular_starts, start_comparison, table, variants
-from manip_learn.experiments.documentation import PARTS, filled, write_page
-from manip_learn.experiments.drawer_recordings import sawyer_arm, turned_recordings
-from manip_learn.experiments.learning_trial import ESTIMATORS, LearningCase, ScaledRows, learning_trial
+from manip_learn.experiments import beyond, bounds, rmse, sawyer, singular_starts, start_comparison, table, variants
+from manip_learn.experiments.documentation import PAGES, PARTS, filled, write_page
+from manip_learn.experiments.drawer_recordings import HARD, KIND, sawyer_arm, turned_recordings
+from manip_learn.experiments.learning_trial import LearningCase, learning_trial
 from manip_learn.experiments.other_systems import (
     curve_features,
     gradients,
@@ -42,6 +42,8 @@ from manip_learn.experiments.paper_setup import (
     planar_features,
     tip,
 )
+from manip_learn.experiments.scaled_rows import ScaledRows
+from manip_learn.experiments.ways import ESTIMATORS, SAID
 
 
 def differences(function, q: np.ndarray, h: float = 1e-6) -> np.ndarray:
@@ -90,16 +92,34 @@ def test_numbers_of_the_paper(rng):
 
 
 def test_climbing_rollouts_are_euler_steps_of_the_papers_law(rng):
-    """From posture to posture in 0.02 s: u = A^+ b + N grad mu."""
+    """From posture to posture in 0.02 s: u = A^+ b + N grad mu, and the policies returned are grad mu."""
     constraint = Constraint(Setup("x y").selection(rng), planar_features())
     starts, targets = draw_starts(3, rng), draw_targets(3, rng)
-    for q, target in zip(rmse.climbing_rollouts(constraint, starts, targets), targets, strict=True):
+    for q, pi, target in zip(*rmse.climbing_rollouts(constraint, starts, targets), targets, strict=True):
         assert q.shape == (100, 3)
+        assert_allclose(pi[7], manipulability_gradient(constraint, q[7]), atol=1e-12)
         for i in (0, 1, 40, 98):
             A = constraint(q[i])
             N, b = np.eye(3) - np.linalg.pinv(A) @ A, (target - tip(q[i][None])[0])[:2]
             u = np.linalg.pinv(A) @ b + N @ manipulability_gradient(constraint, q[i])
             assert_allclose((q[i + 1] - q[i]) / 0.02, u, atol=1e-9)
+
+
+def test_rmse_compares_two_trajectories_and_one(rng):
+    """With another constraint's mu, two trajectories drift apart; along one, only the policies differ."""
+    true, other = (Constraint(Setup(rows).selection(rng), planar_features()) for rows in ("x y", "x rz"))
+    starts, targets = draw_starts(2, rng), draw_targets(2, rng)
+    q, pi = rmse.climbing_rollouts(true, starts, targets)
+    own_q, own_pi = rmse.climbing_rollouts(true, starts, targets, other)
+    assert_allclose(own_q[:, 0], q[:, 0])
+    for i in (0, 50):
+        assert_allclose(own_pi[1, i], manipulability_gradient(other, own_q[1, i]), atol=1e-12)
+    # the task is the true one in both
+    assert_allclose(tip(own_q[:, -1])[:, :2], tip(q[:, -1])[:, :2], atol=0.2)
+    assert np.max(np.abs(own_q - q)) > 0.05
+    outcome = rmse.rmse_trial(rmse.RmseCase("x y"), rng)
+    assert set(outcome["separate"]) == set(rmse.KINDS)
+    assert all(len(outcome["separate"][kind]) == 20 for kind in rmse.KINDS)
 
 
 def test_targets_are_in_reach(rng):
@@ -133,6 +153,7 @@ def test_every_way_to_learn_learns(rng):
     outcome = learning_trial(LearningCase(Setup("x y"), names), rng)
     for name in names:
         assert outcome[name]["test"] < (1e-5 if "separate" in name else 1e-12), name
+        assert name in SAID
         assert outcome[name]["rows"] == 2
     assert outcome["joint-affine"]["test"] < 1e-24
 
@@ -147,7 +168,8 @@ def test_refusals_are_counted(rng):
 
 def test_table_names_are_all_explained():
     """Each estimator of the table has words for it."""
-    assert set(table.ESTIMATORS) <= set(table.SAID)
+    assert {*table.ESTIMATORS, *variants.OWN, *variants.CURVED, *bounds.LEARNERS, *rmse.ESTIMATORS} <= set(SAID)
+    assert set(ESTIMATORS) <= set(SAID) and len(set(SAID.values())) == len(SAID)
 
 
 @pytest.fixture(scope="module")
@@ -163,8 +185,15 @@ def near_singular():
 
 
 def test_singular_start_is_the_papers_picture(singular):
-    """Zero is stuck at 3 m, the attractor dips, climbing keeps mu above 0.866 from step 3; at both step sizes."""
-    assert all(c.holds for c in singular.claims if c.source == "paper")
+    """Zero is stuck at 3 m, the attractor dips, climbing keeps mu above 0.866 from step 3; the threshold is Matlab's.
+
+    The dip is at step 37 of 50 Hz and not "around 70": that is 100 Hz, and the verdict says both.
+    """
+    printed = {c.text: c for c in singular.claims if c.source == "paper"}
+    late = printed.pop("... after around 70 steps")
+    assert all(c.holds for c in printed.values()) and any("1.332e-15" in text for text in printed)
+    assert not late.holds and late.answer == "**no** at the paper's 50 Hz, yes at 100 Hz"
+    assert late.seen == "lowest at step 37 at 50 Hz, 72 at 100 Hz"
     numbers = singular.to_dict()["ours"]
     assert numbers["manipulability, dt 0.02 s"]["min_manipulability"] > 0.866
     assert numbers["attractor, dt 0.01 s"]["min_manipulability"] == pytest.approx(0.0312, abs=1e-3)
@@ -172,13 +201,31 @@ def test_singular_start_is_the_papers_picture(singular):
 
 
 def test_near_singular_start_is_not(near_singular):
-    """The leap of 6e11 rad/s happens in joint 2 only, whatever the policy: the printed claim does not hold."""
-    printed = [c for c in near_singular.claims if c.source == "paper"]
-    assert printed and not any(c.holds for c in printed)
+    """The leap of 6e11 rad/s happens in joint 2 only, whatever the policy; what Figure 2 shows of the policies holds.
+
+    After it nothing is printed: neither the tables nor the JSON have a digit of what is rounding noise.
+    """
+    printed = {c.text: c.holds for c in near_singular.claims if c.source == "paper"}
+    assert not printed.pop("The next state is beyond 1e9 rad for each joint")
+    assert len(printed) == 2 and all(text.startswith("Figure 2") and holds for text, holds in printed.items())
+    for law, numbers in near_singular.to_dict()["ours"].items():
+        chaotic = "our controller" not in law
+        assert numbers["chaotic"] == chaotic
+        assert (numbers["final_error"] is None) == (numbers["min_manipulability"] is None) == chaotic
+    assert near_singular.markdown().count("| chaotic | chaotic |") == 6
     for rollouts in near_singular.paper_law.values():
         for rollout in rollouts.values():
             assert np.max(np.abs(rollout.u[0])) == pytest.approx(5.73e11, rel=1e-2)
             assert np.all(np.isfinite(rollout.q))
+
+
+def test_figure_2_is_judged_over_starts_that_differ_by_rounding(near_singular, singular):
+    """Zero and manipulability policies rest on the target from all of them, the attractor from none."""
+    rounding = near_singular.to_dict()["rounding"]
+    assert not singular.rounding
+    for policy in ("zero", "manipulability"):
+        assert rounding[policy]["reached"] == rounding[policy]["settled"] == 1.0
+    assert rounding["attractor"]["settled"] == 0.0 and rounding["attractor"]["least_late_speed"] > 1e6
 
 
 def test_our_controller_stays_within_limits(singular, near_singular):
@@ -206,7 +253,7 @@ def test_turned_drawer_opens_along_an_axis():
     """In the turned recordings the grip moves along x, or along y, and nowhere else."""
     frame = sawyer_arm().frame("right_gripper_tip")
     for along_x, axis in ((True, 0), (False, 1)):
-        demos = turned_recordings(along_x, 10)
+        demos = turned_recordings(along_x, 10, KIND)
         assert len(demos) == 50 and len(demos[0]) == 10
         places = np.array([sawyer_arm().pose(q, frame)[:3, 3] for q in demos[0].q])
         spread = np.ptp(places, axis=0)
@@ -214,13 +261,42 @@ def test_turned_drawer_opens_along_an_axis():
         assert np.max(np.delete(spread, axis)) < 1e-3
 
 
-@pytest.mark.parametrize("case", sawyer.CASES, ids=lambda c: f"{c.source}-{c.reading}-{c.direction}")
+def test_hard_recordings_are_hard():
+    """The grip strays by millimetres, samples come at 20 Hz, and the recorded velocities are late by 50 ms or more."""
+    frame = sawyer_arm().frame("right_gripper_tip")
+    demos = turned_recordings(True, None, HARD)
+    assert len(demos) == 50
+    astray, lags = [], []
+    for t in list(demos)[:10]:
+        assert_allclose(np.diff(t.time), 0.05, atol=1e-9)
+        places = np.array([sawyer_arm().pose(q, frame)[:3, 3] for q in t.q])
+        astray.append(np.std(places[:, 1:]))
+        speed, joint = np.gradient(t.q, t.time, axis=0), int(np.argmax(np.ptp(t.q, axis=0)))
+        match = [np.corrcoef(speed[5:-5, joint], t.u[5 + k : len(t) - 5 + k, joint])[0, 1] for k in range(4)]
+        lags.append(int(np.argmax(match)))
+    assert 5e-4 < np.median(astray) < 3e-3
+    assert np.median(lags) in (1, 2)
+
+
+@pytest.mark.parametrize("case", sawyer.CASES, ids=lambda c: f"{c.said}-{c.reading}-{c.direction}")
 def test_drawer_is_learnt(case):
-    """Every reading finds its rows by itself; the model to rounding, physics to a tenth of a degree."""
+    """Every reading finds its rows by itself; the model to rounding, kind physics to 0.1 and hard to 2 degrees."""
     outcome = sawyer.sawyer_trial(case, np.random.default_rng(0))
-    assert outcome["rows"] == len(sawyer.true_selection(case))
-    assert outcome["angle_deg"] < (1e-9 if case.source == "model" else 0.1)
-    assert len(outcome["rmse"]) == 20 and max(outcome["rmse"]) < 0.01
+    assert outcome["rows"] == len(sawyer.true_selection(case)) == outcome["rows_true"]
+    assert outcome["angle_deg"] < {"model": 1e-9, "kind physics": 0.1, "hard physics": 2.0}[case.source]
+    assert len(outcome["rmse"]) == 20 and max(outcome["rmse"]) < 0.05
+    assert outcome["nmie_held"] < 1e-3
+    assert set(outcome["others"]) >= ({"held", "line"} if case.source != "model" else set())
+
+
+def test_held_out_recordings_are_not_learnt_from(rng):
+    """A recording is drawn for learning or held out, never both, and all are one of these."""
+    case = next(c for c in sawyer.CASES if c.said == "kind physics, 10 points each")
+    features = sawyer.FrameJacobian(sawyer_arm(), "right_gripper_tip", "x y")
+    learnt, held = sawyer.drawn(case, Constraint(sawyer.true_selection(case), features), rng)
+    names = {t.name for t in learnt}
+    assert len(learnt) == 50 and names.isdisjoint({t.name for t in held})
+    assert len(names) + len(held) == 50
 
 
 def test_curve_features_are_consistent(rng):
@@ -274,8 +350,10 @@ def test_page_is_filled_in():
 
 def test_page_needs_results(tmp_path):
     """Missing, damaged or foreign results are refused with what to do."""
-    page = tmp_path / "page.md"
+    page = tmp_path / "reproduction.md"
     page.write_text("# Page\n")
+    with pytest.raises(OutputError, match="none of the pages"):
+        write_page(tmp_path, tmp_path / "page.md")
     with pytest.raises(OutputError, match="reproduce all"):
         write_page(tmp_path, page)
     for content, said in (("{", "no JSON"), ("{}", "does not hold")):
@@ -288,9 +366,11 @@ def test_page_needs_results(tmp_path):
 
 
 def test_the_page_has_all_markers():
-    """docs/reproduction.md can be filled in, and shows a picture of every part."""
-    page = Path(__file__).resolve().parents[1] / "docs" / "reproduction.md"
-    text = page.read_text(encoding="utf-8")
-    filled(text, dict.fromkeys((*PARTS, "claims", "settings"), ""))
-    for part in PARTS:
-        assert f"](reproduction/{part}.png)" in text
+    """Both pages can be filled in, together they have every part, and they show a picture of each."""
+    docs = Path(__file__).resolve().parents[1] / "docs"
+    for name, blocks in PAGES.items():
+        text = (docs / name).read_text(encoding="utf-8")
+        filled(text, dict.fromkeys(blocks, ""))
+        for part in set(blocks) & set(PARTS):
+            assert f"](reproduction/{part}.png)" in text
+    assert set(PARTS) <= {block for blocks in PAGES.values() for block in blocks}

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from manip_learn.experiments import reproduce, rmse, table, variants
-from manip_learn.experiments.documentation import PARTS, write_page
+from manip_learn.experiments.documentation import PAGES, PARTS, write_page
 from manip_learn.experiments.paper_setup import PAPER_NMIE, PAPER_RMSE
 from manip_learn.experiments.reproduce import PARTS as EXPERIMENTS
 from manip_learn.experiments.trial_runner import TrialRunner
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "reproduction.md"
+DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
 @pytest.fixture(scope="module")
@@ -42,15 +42,15 @@ def test_papers_route_is_at_the_papers_level(full_table, rows):
 
 
 def test_policy_is_closer_than_printed():
-    """RMSE of the learnt policy: every way is below the printed mean on all three constraints."""
-    ours = rmse.run(10, np.random.default_rng(7), TrialRunner()).to_dict()["ours"]
-    for block in ours.values():
-        assert all(block[name]["mean"] < PAPER_RMSE["mean"] for name in rmse.ESTIMATORS)
+    """RMSE of two trajectories: every way is below the printed mean on the constraint that the paper tested."""
+    result = rmse.run(10, np.random.default_rng(7), TrialRunner()).to_dict()
+    block = result["ours"][result["paper"]["rows"]]
+    assert all(block[name]["two_policies"]["mean"] < PAPER_RMSE["mean"] for name in rmse.ESTIMATORS)
 
 
 def test_number_of_rows_is_found():
     """With 20 trajectories or more the learner finds the number of rows in 98 % of the runs: noise, policies, units."""
-    outcomes = variants.run(10, np.random.default_rng(7), TrialRunner()).outcomes
+    outcomes = variants.run(25, np.random.default_rng(7), TrialRunner()).outcomes
     told = [
         name for name in variants.VARIANTS if name not in ("1 trajectory", "5 trajectories", "each demonstrator's own")
     ]
@@ -62,9 +62,10 @@ def test_everything_small(tmp_path):
     out = tmp_path / "out"
     answer = reproduce("all", trials=1, seed=2, out=out)
     assert set(answer) == set(EXPERIMENTS) == set(PARTS)
-    page = tmp_path / "reproduction.md"
-    shutil.copy(PAGE, page)
-    write_page(out, page)
-    assert page.read_text().count("|---|") > 8
+    for name in PAGES:
+        page = tmp_path / name
+        shutil.copy(DOCS / name, page)
+        write_page(out, page)
+        assert page.read_text().count("|---|") > 3
     again = reproduce("rmse", trials=1, seed=2, workers=1)
     assert again["rmse"] == answer["rmse"]

@@ -72,35 +72,56 @@ def colour(name: str) -> str:
     return COLOURS[name]
 
 
-def strip(axes: Axes, values: Mapping[str, Sequence[float]], paper: float | None = None, floor: float = 1e-32) -> None:
-    """Every trial as a dot on a logarithmic axis, with the median as a bar, and the paper's mean as a line across."""
-    for i, (_, ys) in enumerate(values.items()):
-        dots = np.maximum(np.array(ys, dtype=np.float64), floor)
+def strip(axes: Axes, values: Mapping[str, Sequence[float]], paper: float | None = None) -> None:
+    """Every value as a dot on a logarithmic axis, with the median as a bar, and the paper's mean as a line across.
+
+    Nothing is left out or moved: values of exactly zero, which this axis does not have, are triangles on its edge.
+    """
+    for i, ys in enumerate(values.values()):
+        dots = np.array(ys, dtype=np.float64)
         if not dots.size:
             continue
         # spread sideways in a fixed pattern: overlapping dots stay countable
         x = i + 0.28 * (((np.arange(dots.size) * 0.618034) % 1.0) - 0.5) * 2.0
-        axes.plot(x, dots, ".", color=colour("blue"), alpha=0.45, markersize=4.5, markeredgewidth=0)
-        axes.plot([i - 0.36, i + 0.36], [np.median(dots)] * 2, color=colour("vermilion"), linewidth=2)
+        some = dots > 0.0
+        axes.plot(x[some], dots[some], ".", color=colour("blue"), alpha=0.45, markersize=4.5, markeredgewidth=0)
+        edge = axes.get_xaxis_transform()
+        axes.plot(x[~some], np.zeros(int(np.sum(~some))), "v", color=colour("blue"), markersize=4, transform=edge)
+        if np.median(dots) > 0.0:
+            axes.plot([i - 0.36, i + 0.36], [np.median(dots)] * 2, color=colour("vermilion"), linewidth=2)
     if paper is not None:
         axes.axhline(paper, color=INK, linestyle="--", linewidth=1)
         place = axes.get_yaxis_transform()
-        axes.text(0.99, paper * 1.6, "paper", ha="right", va="bottom", fontsize=7.5, color=INK, transform=place)
+        axes.text(0.99, paper * 1.6, "paper's mean", ha="right", va="bottom", fontsize=7.5, color=INK, transform=place)
     axes.set_yscale("log")
     axes.set_xlim(-0.6, len(values) - 0.4)
     axes.set_xticks(range(len(values)), list(values), rotation=40, ha="right")
     axes.grid(False, axis="x")
 
 
-def draw_arm(axes: Axes, joints: Float[np.ndarray, "k 2"], shade: float, name: str) -> None:
-    """One posture of a planar arm; shade 0 (pale, early) to 1 (strong, late)."""
+def draw_arm(axes: Axes, joints: Float[np.ndarray, "k 2"], shade: str) -> None:
+    """One posture of a planar arm in a colour."""
     axes.plot(
-        joints[:, 0],
-        joints[:, 1],
-        "-o",
-        color=colour(name),
-        alpha=0.12 + 0.88 * shade,
-        linewidth=1.0 + 1.0 * (shade == 1.0),
-        markersize=2.5,
-        solid_capstyle="round",
+        joints[:, 0], joints[:, 1], "-o", color=shade, linewidth=1.3, markersize=2.5, solid_capstyle="round", alpha=0.9
     )
+
+
+def shades(n: int) -> list[str]:
+    """Colours for n moments, the early ones pale yellow, the late ones dark violet."""
+    import matplotlib
+    from matplotlib.colors import to_hex
+
+    scale = matplotlib.colormaps["viridis_r"]
+    return [to_hex(scale(0.04 + 0.96 * i / max(n - 1, 1))) for i in range(n)]
+
+
+def time_key(figure: Figure, axes: Sequence[Axes], times: Sequence[float]) -> None:
+    """A key beside axes that says which shade is which time [s]."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import BoundaryNorm, ListedColormap
+
+    n = len(times)
+    norm = BoundaryNorm(np.arange(n + 1) - 0.5, n)
+    key = figure.colorbar(ScalarMappable(norm, ListedColormap(shades(n))), ax=list(axes), fraction=0.03, pad=0.01)
+    key.set_ticks(range(n), labels=[f"{t:.3g}" for t in times], fontsize=7)
+    key.set_label("time of a posture [s]")

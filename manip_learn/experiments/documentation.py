@@ -1,4 +1,6 @@
-"""The page about the reproduction, filled in from results: `python -m manip_learn.experiments.documentation OUT PAGE`.
+"""The pages about the reproduction and what goes beyond it, filled in from results.
+
+    python -m manip_learn.experiments.documentation OUT docs/reproduction.md docs/beyond.md
 
 The prose is written by hand; what stands between `<!-- begin NAME -->` and `<!-- end NAME -->` is replaced, and the
 pictures beside the page are renewed.
@@ -9,24 +11,39 @@ from __future__ import annotations
 import argparse
 import json
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import ManipLearnError, OutputError
-from manip_learn.experiments.experiment_result import markdown_table, mean_and_sd, number
+from manip_learn.experiments.claims import claims
+from manip_learn.experiments.efficiency_tables import calibration, efficiency, identifiability
 
-PARTS = ("table", "variants", "rmse", "singular-start", "near-singular-start", "sawyer", "beyond")
+PARTS = (
+    "table",
+    "variants",
+    "bounds",
+    "rmse",
+    "singular-start",
+    "near-singular-start",
+    "sawyer",
+    "recorded",
+    "beyond",
+)
+# page -> the blocks that it must have
+PAGES: dict[str, tuple[str, ...]] = {
+    "reproduction.md": ("settings", "claims", *PARTS[:7]),
+    "beyond.md": ("settings", "identifiability", "efficiency", "calibration", "recorded", "beyond"),
+}
 PICTURES = "reproduction"
 
 
 def write_page(results: Path, page: Path) -> list[Path]:
-    """Fill in the page's tables and renew its pictures.
+    """Fill in a page's tables and renew its pictures.
 
     Args:
         results: Output folder of `reproduce("all", ...)`.
-        page: Markdown file with markers.
+        page: Markdown file with markers, named as one of `PAGES`.
 
     Returns:
         The files that were written.
@@ -34,14 +51,21 @@ def write_page(results: Path, page: Path) -> list[Path]:
     Raises:
         OutputError: A part of the results or a marker is missing, or a file cannot be written.
     """
-    blocks = {part: _text(results / f"{part}.md") for part in PARTS}
+    if page.name not in PAGES:
+        raise OutputError(f"{page} is none of the pages that are filled in: {', '.join(PAGES)}")
     content = {part: _content(results, part) for part in PARTS}
+    found = {part: c["result"] for part, c in content.items()}
+    blocks = {part: _text(results / f"{part}.md") for part in PARTS}
     blocks["settings"] = _settings(content["table"]["settings"])
-    blocks["claims"] = claims({part: c["result"] for part, c in content.items()})
-    written = [write_atomically(page, filled(_text(page), blocks))]
+    blocks["claims"] = claims(found)
+    blocks["identifiability"] = identifiability(found["bounds"])
+    blocks["efficiency"] = efficiency(found["bounds"])
+    blocks["calibration"] = calibration(found["bounds"], found["sawyer"])
+    wanted = {name: blocks[name] for name in PAGES[page.name]}
+    written = [write_atomically(page, filled(_text(page), wanted))]
     for part in PARTS:
         picture = results / f"{part}.png"
-        if picture.is_file():
+        if part in wanted and picture.is_file():
             written.append(write_atomically(page.parent / PICTURES / picture.name, picture.read_bytes()))
     return written
 
@@ -58,65 +82,6 @@ def filled(text: str, blocks: dict[str, str]) -> str:
             raise OutputError(f"the page has no markers '<!-- begin {name} -->' and '<!-- end {name} -->': add them")
         text = pattern.sub(lambda found, new=block: f"{found[1]}\n{new.strip()}\n\n{found[2]}", text)
     return text
-
-
-def claims(results: dict[str, Any]) -> str:
-    """The paper's numbers and the aims of this project one by one, with what became of them."""
-    lines: list[Sequence[object]] = []
-    for rows, block in results["table"].items():
-        paper, ours = block["paper"]["mean"], block["ours"]
-        name = rows.replace("rz", "theta")
-        route = ours["separate-row-by-row"]["mean"]
-        factor = route / paper
-        verdict = "yes, lower" if factor <= 1.0 else f"no lower, {factor:.2g} times higher"
-        lines.append(
-            [f"Table, {name}: NMIE {mean_and_sd(block['paper'])}", f"the paper's route: {number(route)}", verdict]
-        )
-        for estimator, what, aim in (("joint-rbf", "unmatched policy model", 1e4), ("joint-affine", "matched", 1e15)):
-            mean = ours[estimator]["mean"]
-            reached = "yes" if mean * aim <= paper else "no"
-            lines.append([f"... beaten {number(aim)} times, {what} (our aim)", f"joint: {number(mean)}", reached])
-    for rows, block in results["rmse"]["ours"].items():
-        seen = f"separate {number(block['separate']['mean'])}, joint {number(block['joint-rbf']['mean'])}"
-        better = block["separate"]["mean"] <= results["rmse"]["paper"]["mean"]
-        lines.append(
-            [f"RMSE of the policy 2.1e-04 ({rows.replace('rz', 'theta')})", seen, "yes, lower" if better else "no"]
-        )
-    sawyer = results["sawyer"]
-    worst = {what: max(b[what]["mean"] for b in sawyer["ours"].values()) for what in ("mie", "rmse")}
-    for what, printed in (("mie", sawyer["paper"]["mie"]), ("rmse", sawyer["paper"]["rmse"]["mean"])):
-        verdict = "lower, but not the same thing: theirs is a real arm"
-        lines.append(
-            [f"Drawer, {what.upper()} {number(printed)}", f"worst of our readings: {number(worst[what])}", verdict]
-        )
-    for part in ("singular-start", "near-singular-start"):
-        for claim in results[part]["claims"]:
-            if claim["source"] == "paper":
-                lines.append([claim["text"], claim["seen"], "yes" if claim["holds"] else "**no**"])
-    lines += _ranks(results["variants"])
-    return markdown_table(["claim or aim", "here", "reproduced or reached"], lines)
-
-
-def _ranks(variants: dict[str, Any]) -> list[Sequence[object]]:
-    """How often the number of rows was found, where there were 20 trajectories or more."""
-    cells = {
-        (name, rows): cell["ours"]["auto"]["rows_right"]
-        for name, block in variants.items()
-        for rows, cell in block.items()
-        if name not in ("1 trajectory", "5 trajectories")
-    }
-    plain = [v for (name, _), v in cells.items() if "own" not in name]
-    own = [v for (name, _), v in cells.items() if "own" in name]
-    out: list[Sequence[object]] = []
-    aim = "number of rows found in 98 % of runs with 20 or more trajectories (our aim)"
-    share = sum(plain) / len(plain)
-    out.append([aim, f"{100 * share:.1f} %", "yes" if share >= 0.98 else "no"])
-    share = sum(own) / len(own)
-    verdict = "yes" if share >= 0.98 else "**no**"
-    out.append(
-        ["... where each demonstrator rests elsewhere, and the learner is not told", f"{100 * share:.0f} %", verdict]
-    )
-    return out
 
 
 def _settings(settings: dict[str, Any]) -> str:
@@ -142,13 +107,13 @@ def _text(path: Path) -> str:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Fill in a page from the command line."""
-    parser = argparse.ArgumentParser(description="Fill in the page about the reproduction from results.")
+    """Fill in pages from the command line."""
+    parser = argparse.ArgumentParser(description="Fill in the pages about the reproduction from results.")
     parser.add_argument("results", type=Path, help="output folder of `manip-learn reproduce all`")
-    parser.add_argument("page", type=Path, help="docs/reproduction.md")
+    parser.add_argument("pages", type=Path, nargs="+", help="docs/reproduction.md docs/beyond.md")
     options = parser.parse_args(arguments)
     try:
-        written = write_page(options.results, options.page)
+        written = [path for page in options.pages for path in write_page(options.results, page)]
     except ManipLearnError as error:
         parser.exit(2, f"error: {error}\n")
     print(*written, sep="\n")

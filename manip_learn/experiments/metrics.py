@@ -58,13 +58,13 @@ def scale_free_nmie(mu: Float[np.ndarray, " n"], learnt: Float[np.ndarray, " n"]
 def policy_rmse(pi: Float[np.ndarray, "m T nv"], learnt: Float[np.ndarray, "m T nv"]) -> Float[np.ndarray, " m"]:
     """Root mean square difference of two policies along m trajectories, e.g. of pi_mu = grad mu, equation (13).
 
-        RMSE = sqrt(1/T sum_t |pi(q_t) - pi~(q_t)|^2)
+        RMSE = sqrt(1/T sum_t |pi_t - pi~_t|^2)
 
     Args:
-        pi: Velocities of the true policy at T postures of each trajectory [rad/s or m/s].
-        learnt: pi~, those of the learnt policy at the same postures.
+        pi: Of the true policy at T moments of each trajectory: velocities [rad/s or m/s], or postures.
+        learnt: pi~, of the learnt policy: at the same postures, or at those of the trajectory that it makes.
 
     Returns:
-        One value per trajectory, in the unit of the velocities.
+        One value per trajectory, in the unit of what is compared.
     """
     return np.sqrt(np.mean(np.sum((learnt - pi) ** 2, axis=-1), axis=-1))

@@ -206,60 +206,57 @@ def torque_features() -> CustomFeatures:
     return CustomFeatures(lambda q: tip_jacobian(q) @ np.linalg.inv(inertia(q)), ("x", "y", "heading"), nv=4)
 
 
-def jacobians(q: ArrayLike) -> Float[np.ndarray, "4 2 4"]:
-    """Of the end of each link."""
-    angles = np.cumsum(np.asarray(q, dtype=np.float64))
-    columns = LENGTHS * np.array([-np.sin(angles), np.cos(angles)])  # what link i adds, (2, 4)
-    out = np.zeros((4, 2, 4))
-    for k in range(4):
-        for j in range(k + 1):
-            out[k, :, j] = columns[:, j : k + 1].sum(axis=1)
-    return out
+def jacobians(q: ArrayLike) -> Float[np.ndarray, "*n 4 2 4"]:
+    """Of the end of each link, at one posture or at many."""
+    angles = np.cumsum(np.asarray(q, dtype=np.float64), axis=-1)
+    columns = LENGTHS * np.stack([-np.sin(angles), np.cos(angles)], axis=-2)  # what link i adds, (..., 2, 4)
+    links = np.tril(np.ones((4, 4)))  # link l moves the end of link k, and joint j moves link l
+    return np.einsum("...al,kl,lj->...kaj", columns, links, links)
 
 
-def tip_jacobian(q: ArrayLike) -> Float[np.ndarray, "3 4"]:
+def tip_jacobian(q: ArrayLike) -> Float[np.ndarray, "*n 3 4"]:
     """Of the tip, with the row of its heading."""
-    return np.concatenate([jacobians(q)[-1], np.ones((1, 4))])
+    J = jacobians(q)[..., -1, :, :]
+    return np.concatenate([J, np.ones((*J.shape[:-2], 1, 4))], axis=-2)
 
 
-def inertia(q: ArrayLike) -> Float[np.ndarray, "4 4"]:
+def inertia(q: ArrayLike) -> Float[np.ndarray, "*n 4 4"]:
     """M(q) [kg m^2]."""
     J = jacobians(q)
-    return np.einsum("k,kai,kaj->ij", MASSES, J, J) + ROTORS * np.eye(4)
+    return np.einsum("k,...kai,...kaj->...ij", MASSES, J, J) + ROTORS * np.eye(4)
 
 
-def speed_torques(q: Float[np.ndarray, " 4"], dq: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " 4"]:
+def speed_torques(q: Float[np.ndarray, "*n 4"], dq: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 4"]:
     """Coriolis and centrifugal torques, sum_k m_k J_k^T (dJ_k/dt dq) [N m]."""
-    angles, rates = np.cumsum(q), np.cumsum(dq)
-    pulls = -LENGTHS * rates**2 * np.array([np.cos(angles), np.sin(angles)])
-    return np.einsum("k,kai,ak->i", MASSES, jacobians(q), np.cumsum(pulls, axis=1))
+    angles, rates = np.cumsum(q, axis=-1), np.cumsum(dq, axis=-1)[..., None, :]
+    pulls = -LENGTHS * rates**2 * np.stack([np.cos(angles), np.sin(angles)], axis=-2)
+    return np.einsum("k,...kai,...ak->...i", MASSES, jacobians(q), np.cumsum(pulls, axis=-1))
 
 
 def torque_demonstrations(
     task: str, noise: float, rng: np.random.Generator
 ) -> tuple[Demonstrations, Float[np.ndarray, "s 3"]]:
     """Reaching by torques, tau = A^+ b + N pi with pi = -K (q - rest); b pulls to a target and damps; and Lambda."""
-    Lambda = TORQUE_TASKS[task]
-    trajectories = []
-    for i in range(TORQUE_DEMONSTRATIONS):
-        q, dq = REST + 0.5 * rng.standard_normal(4), np.zeros(4)
-        target = rng.uniform([0.2, -0.2, 0.5], [1.2, 1.2, 2.5])
-        postures, torques = [], []
-        for step in range(TORQUE_SAMPLES * TORQUE_EVERY):
-            J, M = tip_jacobian(q), inertia(q)
-            A = Lambda @ np.linalg.solve(M, J.T).T
-            angles = np.cumsum(q)
-            r = np.array([LENGTHS @ np.cos(angles), LENGTHS @ np.sin(angles), angles[-1]])
-            b = Lambda @ (8.0 * (target - r) - 4.0 * (J @ dq))
-            inverse = np.linalg.pinv(A)
-            pi = -STIFFNESS * (q - REST)
-            tau = inverse @ b + pi - inverse @ (A @ pi)
-            if step % TORQUE_EVERY == 0:
-                postures.append(q)
-                torques.append(tau)
-            dq = dq + TORQUE_STEP * np.linalg.solve(M, tau - speed_torques(q, dq) - DAMPING * dq)
-            q = q + TORQUE_STEP * dq
-        u = with_noise(np.array(torques), noise, rng)
-        time = TORQUE_STEP * TORQUE_EVERY * np.arange(TORQUE_SAMPLES)
-        trajectories.append(Trajectory(time, np.array(postures), u, NAMES, f"reach {i}"))
-    return Demonstrations(trajectories), Lambda
+    Lambda, n = TORQUE_TASKS[task], TORQUE_DEMONSTRATIONS
+    q, dq = REST + 0.5 * rng.standard_normal((n, 4)), np.zeros((n, 4))
+    target = rng.uniform([0.2, -0.2, 0.5], [1.2, 1.2, 2.5], size=(n, 3))
+    postures, torques = [], []
+    for step in range(TORQUE_SAMPLES * TORQUE_EVERY):
+        J, M = tip_jacobian(q), inertia(q)
+        A = Lambda @ np.linalg.solve(M, J.transpose(0, 2, 1)).transpose(0, 2, 1)
+        angles = np.cumsum(q, axis=1)
+        r = np.column_stack([np.cos(angles) @ LENGTHS, np.sin(angles) @ LENGTHS, angles[:, -1]])
+        b = (8.0 * (target - r) - 4.0 * np.einsum("nrj,nj->nr", J, dq)) @ Lambda.T
+        pi = -STIFFNESS * (q - REST)
+        tau = pi + np.einsum("njs,ns->nj", np.linalg.pinv(A), b - np.einsum("nsj,nj->ns", A, pi))
+        if step % TORQUE_EVERY == 0:
+            postures.append(q)
+            torques.append(tau)
+        pull = tau - speed_torques(q, dq) - DAMPING * dq
+        dq = dq + TORQUE_STEP * np.linalg.solve(M, pull[:, :, None])[:, :, 0]
+        q = q + TORQUE_STEP * dq
+    time = TORQUE_STEP * TORQUE_EVERY * np.arange(TORQUE_SAMPLES)
+    reaches = zip(np.array(postures).transpose(1, 0, 2), np.array(torques).transpose(1, 0, 2), strict=True)
+    return Demonstrations(
+        Trajectory(time, x, with_noise(tau, noise, rng), NAMES, f"reach {i}") for i, (x, tau) in enumerate(reaches)
+    ), Lambda

@@ -36,7 +36,9 @@ PAPER_NMIE: dict[str, dict[str, float]] = {
     "x rz": {"mean": 7e-6, "sd": 4e-5},
     "y rz": {"mean": 2e-8, "sd": 3e-8},
 }
-# RMSE of pi_mu against the learnt one, 20 rollouts of 100 points [rad/s]
+# "errors less than 1e-5 in 3DOF simulated systems as well as 1e-2 using a 7DOF real world robotic system"
+PAPER_ABSTRACT = (1e-5, 1e-2)
+# x, y only: RMSE of pi_mu against the learnt one, 20 rollouts of 100 points [rad/s]
 PAPER_RMSE: dict[str, float] = {"mean": 2.069e-4, "sd": 1.001e-4}
 # a real Sawyer that opens a drawer; its data were not published
 PAPER_SAWYER_MIE = 0.002
@@ -124,7 +126,10 @@ def demonstrate(setup: Setup, Lambda: Float[np.ndarray, "s 3"], rng: np.random.G
         postures.append(q)
         actions.append(u)
         q = q + STEP * u
-    return _recorded(np.array(postures), np.array(actions), setup.noise, rng)
+    time, names = STEP * np.arange(setup.points), planar_arm().joint_names
+    stacked = zip(np.array(postures).transpose(1, 0, 2), np.array(actions).transpose(1, 0, 2), strict=True)
+    clean = Demonstrations(Trajectory(time, x, u, names, f"trajectory {i}") for i, (x, u) in enumerate(stacked))
+    return with_noise(clean, setup.noise, rng)
 
 
 def null_policy(name: PolicyName, q: Float[np.ndarray, "n 3"], rest: np.ndarray) -> Float[np.ndarray, "n 3"]:
@@ -156,11 +161,20 @@ def true_constraint(rows: str = "x y") -> Constraint:
     return Constraint(Setup(rows).selection(np.random.default_rng(0)), planar_features())
 
 
-def _recorded(
-    q: Float[np.ndarray, "T n 3"], u: Float[np.ndarray, "T n 3"], noise: float, rng: np.random.Generator
-) -> Demonstrations:
-    if noise > 0.0:
-        u = u + noise * np.sqrt(np.mean(u**2, axis=(0, 1))) * rng.standard_normal(u.shape)
-    time = STEP * np.arange(len(q))
-    names = planar_arm().joint_names
-    return Demonstrations(Trajectory(time, q[:, i], u[:, i], names, f"trajectory {i}") for i in range(q.shape[1]))
+def noise_deviations(demonstrations: Demonstrations, share: float) -> Float[np.ndarray, " 3"]:
+    """Standard deviation of the noise on each joint's action: a share of its root mean square [rad/s]."""
+    u = np.concatenate([t.u for t in demonstrations if t.u is not None])
+    return share * np.sqrt(np.mean(u**2, axis=0))
+
+
+def with_noise(demonstrations: Demonstrations, share: float, rng: np.random.Generator) -> Demonstrations:
+    """The same with Gaussian noise on the action, relative to the root mean square of each joint's action."""
+    if share == 0.0:
+        return demonstrations
+    u = np.array([t.u for t in demonstrations])
+    # the draws of one sample of all trajectories come together, as the trajectories are stepped
+    e = rng.standard_normal(u.transpose(1, 0, 2).shape).transpose(1, 0, 2)
+    noisy = u + noise_deviations(demonstrations, share) * e
+    return Demonstrations(
+        Trajectory(t.time, t.q, one, t.joint_names, t.name) for t, one in zip(demonstrations, noisy, strict=True)
+    )

@@ -16,7 +16,7 @@ import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import ExperimentError, UnknownNameError
-from manip_learn.experiments import beyond, rmse, sawyer, singular_starts, table, variants
+from manip_learn.experiments import beyond, bounds, recorded, rmse, sawyer, singular_starts, table, variants
 from manip_learn.experiments.charts import save_figure
 from manip_learn.experiments.experiment_result import ExperimentResult
 from manip_learn.experiments.trial_runner import BACKENDS, Backend, PartStore, TrialRunner
@@ -44,10 +44,12 @@ class Experiment:
 PARTS: dict[str, Experiment] = {
     "table": Experiment(table.run, table.size),
     "variants": Experiment(variants.run, variants.size),
+    "bounds": Experiment(bounds.run, bounds.size),
     "rmse": Experiment(rmse.run, rmse.size),
     "singular-start": Experiment(singular_starts.run_singular, singular_starts.size),
     "near-singular-start": Experiment(singular_starts.run_near_singular, singular_starts.size),
     "sawyer": Experiment(sawyer.run, sawyer.size),
+    "recorded": Experiment(recorded.run, recorded.size),
     "beyond": Experiment(beyond.run, beyond.size),
 }
 # name that a user gives -> parts
@@ -75,7 +77,8 @@ def reproduce(
     there as they come: an interrupted run goes on where it stopped.
 
     Args:
-        name: `"table"`, `"rmse"`, `"singular-start"`, `"near-singular-start"`, `"sawyer"`, `"beyond"` or `"all"`.
+        name: `"table"`, `"bounds"`, `"rmse"`, `"singular-start"`, `"near-singular-start"`, `"sawyer"`, `"recorded"`,
+            `"beyond"` or `"all"`.
         trials: Number of trials; 50 in the paper.
         seed: Root of all random numbers.
         out: Folder for JSON, CSV, PNG, SVG, Markdown and replay pages; None writes nothing.

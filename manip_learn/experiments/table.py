@@ -14,6 +14,7 @@ from manip_learn.experiments.experiment_result import ExperimentResult, markdown
 from manip_learn.experiments.learning_trial import LearningCase, learning_trial
 from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup
 from manip_learn.experiments.trial_runner import TrialRunner
+from manip_learn.experiments.ways import SAID
 from manip_learn.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -29,18 +30,6 @@ ESTIMATORS = (
     "true-w",
     "auto",
 )
-# names for tables: what the estimator does
-SAID = {
-    "joint-affine": "joint, affine policy (matched)",
-    "joint-quadratic": "joint, quadratic policy",
-    "joint-cubic": "joint, cubic policy",
-    "joint-rbf": "joint, 32 radial functions (unmatched)",
-    "joint-own": "joint, affine with own offsets",
-    "separate": "separate first, then all rows at once",
-    "separate-row-by-row": "separate first, then row by row (the paper's route)",
-    "true-w": "true null-space part (cheating)",
-    "auto": "as shipped: rows and policy found from the data",
-}
 
 
 def size(trials: int) -> int:
@@ -138,11 +127,12 @@ class TableResult(ExperimentResult):
 
     def figures(self) -> dict[str, Figure]:
         """Every trial as a dot."""
-        figure, axes = charts.new_figure(10.0, 4.2, 1, len(self.outcomes), sharey=True)
+        figure, axes = charts.new_figure(11.0, 4.8, 1, len(self.outcomes), sharey=True)
         for ax, rows in zip(axes[0], self.outcomes, strict=True):
-            charts.strip(ax, {n: self.values(rows, n) for n in ESTIMATORS}, PAPER_NMIE[rows]["mean"])
-            ax.set_title(_said(rows))
-        axes[0, 0].set_ylabel("NMIE on the test set")
+            charts.strip(ax, {SAID[n]: self.values(rows, n) for n in ESTIMATORS}, PAPER_NMIE[rows]["mean"])
+            ax.set_title(f"constrained rows {_said(rows)}")
+        axes[0, 0].set_ylabel("NMIE on the test set (no unit)")
+        figure.supxlabel("way to learn; a dot is a trial, a bar the median", fontsize=9)
         return {"table": figure}
 
     def replays(self) -> dict[str, tuple[Robot, Mapping[str, Rollout]]]:

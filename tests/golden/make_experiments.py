@@ -1,0 +1,104 @@
+"""Numbers of the paper's experiments that must stay what they are: writes experiments.json.
+
+    python tests/golden/make_experiments.py
+
+Only numbers that rounding does not amplify: the generator's demonstrations, one seed of the table, the starts' rollouts
+where they are not chaotic, and the RMSE of a constraint that is off by a known angle.
+`tests/test_experiments_pinned.py` compares them to 1e-12.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.control.simulation import simulate
+from manip_learn.experiments import rmse, sawyer
+from manip_learn.experiments.learning_trial import LearningCase, learning_trial
+from manip_learn.experiments.metrics import policy_rmse
+from manip_learn.experiments.paper_setup import (
+    Setup,
+    demonstrate,
+    draw_starts,
+    draw_targets,
+    planar_arm,
+    planar_features,
+    true_constraint,
+)
+from manip_learn.experiments.singular_starts import NEAR_SINGULAR, SINGULAR
+from manip_learn.experiments.start_comparison import DURATION, STEPS, BadStart
+
+BESIDE = (0.1, -0.2, 0.15)  # [rad]
+PATH = Path(__file__).resolve().parent / "experiments.json"
+
+
+def generator() -> dict[str, Any]:
+    """First and last demonstration of each constraint, and of the variants that draw more."""
+    out: dict[str, Any] = {}
+    setups = {rows: Setup(rows) for rows in ("x y", "x rz", "y rz")}
+    setups |= {"noise": Setup(noise=0.05), "own": Setup(policy="own"), "sinusoidal": Setup(policy="sinusoidal")}
+    for name, setup in setups.items():
+        rng = np.random.default_rng(0)
+        demos = demonstrate(setup, setup.selection(rng), rng)
+        out[name] = [[t.q[[0, 9]].tolist(), t.u[[0, 9]].tolist()] for t in (demos[0], demos[-1]) if t.u is not None]
+    features = sawyer.FrameJacobian(sawyer.sawyer_arm(), sawyer.FRAME, "x y z")
+    drawer = sawyer.simulated(Constraint(np.eye(3)[:1], features), np.random.default_rng(0))
+    out["drawer"] = [[t.q[[0, 9]].tolist(), t.u[[0, 9]].tolist()] for t in (drawer[0], drawer[-1]) if t.u is not None]
+    return out
+
+
+def table_seed() -> dict[str, Any]:
+    """NMIE on both sets of one seed."""
+    case = LearningCase(Setup("x y"), ("joint-affine", "separate", "true-w"))
+    outcome = learning_trial(case, np.random.default_rng(0))
+    return {name: [t["train"], t["test"], t["angle_deg"]] for name, t in outcome.items()}
+
+
+def rollout(setting: BadStart, policy: str, dt: float, product: bool) -> dict[str, Any]:
+    """Some samples of a rollout with the true Lambda."""
+    law = setting.law(policy, true_constraint("x y"), product=product)
+    r = simulate(planar_arm(), law, setting.start, DURATION, dt)
+    shown = [0, 1, 2, 3, 20, 37, 72, 150, len(r) - 1]
+    return {"n": len(r), "q": r.q[shown].tolist(), "mu": r.manipulability[shown].tolist()}
+
+
+def starts() -> dict[str, Any]:
+    """The rollouts that rounding leaves alone; of the leap, the order of magnitude."""
+    out: dict[str, Any] = {
+        f"singular, {policy}, dt {dt:g}": rollout(SINGULAR, policy, dt, False)
+        for policy in ("zero", "attractor")
+        for dt in STEPS
+    }
+    # from the exact starts these are chaotic, or go one way or the other by rounding
+    for name, setting in {"singular": SINGULAR, "near-singular": NEAR_SINGULAR}.items():
+        beside = replace(setting, start=tuple(np.array(setting.start) + BESIDE))
+        out[f"beside {name}, manipulability"] = rollout(beside, "manipulability", 0.02, False)
+        out[f"beside {name}, attractor, ours"] = rollout(beside, "attractor", 0.02, True)
+    leap = NEAR_SINGULAR.law("zero", true_constraint("x y"))(NEAR_SINGULAR.start).velocity
+    out["near-singular, leap"] = int(np.floor(np.log10(np.max(np.abs(leap)))))
+    out["near-singular, start"] = list(NEAR_SINGULAR.start)
+    return out
+
+
+def turned_rmse() -> dict[str, Any]:
+    """RMSE of both kinds for rows that are turned by 1e-3 rad."""
+    rng, angle = np.random.default_rng(0), 1e-3
+    learnt = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0]])
+    true, turned = true_constraint("x y"), Constraint(learnt, planar_features())
+    where = draw_starts(3, rng), draw_targets(3, rng)
+    (q, pi), (own_q, own_pi) = (rmse.climbing_rollouts(true, *where, climbed) for climbed in (None, turned))
+    return {"policies": policy_rmse(pi, own_pi).tolist(), "postures": policy_rmse(q, own_q).tolist()}
+
+
+def computed() -> dict[str, Any]:
+    """Everything that is written."""
+    return {"generator": generator(), "table": table_seed(), "starts": starts(), "rmse": turned_rmse()}
+
+
+if __name__ == "__main__":
+    PATH.write_text(json.dumps(computed(), indent=1) + "\n", encoding="utf-8")

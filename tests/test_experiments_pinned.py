@@ -1,0 +1,63 @@
+"""The paper's generator, one seed of its table, both starts and an RMSE stay what they are; a small table holds."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manip_learn.experiments.learning_trial import LearningCase, learning_trial
+from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup
+from manip_learn.experiments.trial_runner import TrialRunner
+
+FOLDER = Path(__file__).resolve().parent / "golden"
+sys.path.insert(0, str(FOLDER))
+import make_experiments  # noqa: E402
+
+EXPECTED = json.loads(make_experiments.PATH.read_text(encoding="utf-8"))
+
+
+def differences(found: Any, expected: Any, where: str = "") -> list[str]:
+    """Paths at which numbers differ by more than 1e-12, or structures differ."""
+    if isinstance(expected, dict):
+        if set(found) != set(expected):
+            return [f"{where}: {sorted(found)} is not {sorted(expected)}"]
+        return [line for key in expected for line in differences(found[key], expected[key], f"{where}/{key}")]
+    a, b = np.array(found, dtype=np.float64), np.array(expected, dtype=np.float64)
+    if a.shape != b.shape:
+        return [f"{where}: shape {a.shape} is not {b.shape}"]
+    worst = float(np.max(np.abs(a - b) / np.maximum(1.0, np.abs(b))))
+    return [] if worst <= 1e-12 else [f"{where}: off by {worst:.2g}"]
+
+
+@pytest.mark.parametrize("part", ["generator", "table", "starts", "rmse"])
+def test_numbers_stay(part):
+    """To 1e-12; where a change is meant, `python tests/golden/make_experiments.py` writes them anew."""
+    found = {
+        "generator": make_experiments.generator,
+        "table": make_experiments.table_seed,
+        "starts": make_experiments.starts,
+        "rmse": make_experiments.turned_rmse,
+    }[part]()
+    assert differences(json.loads(json.dumps(found)), EXPECTED[part]) == []
+
+
+def test_differences_are_seen():
+    """One digit in the twelfth place, a missing key and another length are all reported."""
+    assert differences({"a": [1.0]}, {"a": [1.0 + 1e-11]}) and not differences({"a": [1.0]}, {"a": [1.0 + 1e-13]})
+    assert differences({}, {"a": 1.0}) and differences({"a": [1.0]}, {"a": [1.0, 2.0]})
+
+
+@pytest.mark.parametrize("rows", SELECTIONS)
+def test_table_of_three_trials(rows):
+    """In each of three trials the joint estimator is at rounding, and the paper's route at the printed level."""
+    names = ("joint-affine", "separate-row-by-row")
+    trials = TrialRunner(workers=1).map("small table", learning_trial, [LearningCase(Setup(rows), names)], 3, 0)[0]
+    for t in trials:
+        assert t["joint-affine"]["test"] < 1e-25
+        assert all(t[name]["rows"] == 2 for name in names)
+    assert np.mean([t["separate-row-by-row"]["test"] for t in trials]) < 100.0 * PAPER_NMIE[rows]["mean"]
