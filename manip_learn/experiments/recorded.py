@@ -217,7 +217,7 @@ class RecordedResult(ExperimentResult):
             c.said: [t["axis_deg"] for t in ts if t.get("axis_deg") is not None] for c, ts in self.outcomes.items()
         }
         charts.strip(axes[0, 0], values)
-        axes[0, 0].set_ylabel("angle of the axis or normal to the truth [deg],\nlearnt as shipped")
+        axes[0, 0].set_ylabel("angle of axis or normal [deg],\nlearnt as shipped")
         axes[0, 0].set_xlabel("recordings; a dot is a trial, a bar the median")
         return {"recorded": figure}
 
