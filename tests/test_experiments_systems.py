@@ -270,7 +270,7 @@ def test_hard_recordings_are_hard():
     for t in list(demos)[:10]:
         assert_allclose(np.diff(t.time), 0.05, atol=1e-9)
         places = np.array([sawyer_arm().pose(q, frame)[:3, 3] for q in t.q])
-        astray.append(np.std(places[:, 1:]))
+        astray.append(np.sqrt(np.mean(np.var(places[:, 1:], axis=0))))
         speed, joint = np.gradient(t.q, t.time, axis=0), int(np.argmax(np.ptp(t.q, axis=0)))
         match = [np.corrcoef(speed[5:-5, joint], t.u[5 + k : len(t) - 5 + k, joint])[0, 1] for k in range(4)]
         lags.append(int(np.argmax(match)))
