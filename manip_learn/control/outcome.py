@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple, final
 
 import numpy as np
@@ -52,7 +53,15 @@ class Law(NamedTuple):
         """Z with Z Z^T = N, the null basis near singularities and N itself elsewhere."""
         if self.decomposition is not None:
             return self.decomposition.Vt[rank_of(self.decomposition.sigma, self.A.shape) :].T
-        return np.eye(self.A.shape[1]) if self.X is None else np.eye(self.A.shape[1]) - self.A.T.dot(self.X)
+        unit = _unit(self.A.shape[1])
+        return unit if self.X is None else unit - self.A.T.dot(self.X)
+
+
+@cache
+def _unit(size: int) -> Float[np.ndarray, "n n"]:
+    matrix = np.eye(size)
+    matrix.setflags(write=False)
+    return matrix
 
 
 def plain_command(law: Law, velocity: Float[np.ndarray, " nv"], damped: bool, outside: float = 0.0) -> Command:
