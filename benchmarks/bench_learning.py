@@ -1,33 +1,39 @@
-"""Promises: a million samples of a 7-joint arm learnt in 5 s (b = 0) and 30 s (joint estimation, affine policy) on one
-core in 1 GB, cost linear in the samples; growth curves over samples, joints and constraints.
+"""The cost of learning, stated in pseudo-inverses: processor time over that of `np.linalg.pinv` of a 3 x 7 matrix.
 
-Each fit runs in a process of its own, so that its peak memory is its own; times are of the processor, not of the
-clock on the wall, and so do not depend on what else the machine does.
+Promises: a thousand samples of a 7-joint arm learnt for no more than the ratios that are known; cost linear in the
+samples; ten million samples streamed in less than 500 MB. Each fit runs in a process of its own, so that its peak
+memory is its own.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import statistics
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from references import Ratio, check
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(1800)]
 RUN = Path(__file__).with_name("learning_run.py")
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-PROMISED = {"held": 5.0, "joint": 30.0}  # seconds for a million samples
-A_THOUSAND = 1.5  # seconds for a thousand samples, the first fit of a process
-MEMORY = 1000.0  # MB
+MEMORY = 500.0  # MB of any streamed fit
 MILLION = 1_000_000
 
 
 def measured(folder: Path, **job: Any) -> dict[str, float]:
     """One fit in a fresh process."""
-    job = {"joints": 7, "axes": "xyz", "constraints": 2, "how": "stream", "workers": 1, "folder": str(folder), **job}
+    return child(
+        {"joints": 7, "axes": "xyz", "constraints": 2, "how": "stream", "workers": 1, "folder": str(folder)} | job
+    )
+
+
+def child(job: dict[str, Any]) -> dict[str, Any]:
+    """What `learning_run.py` answers."""
     done = subprocess.run(
         [sys.executable, str(RUN), json.dumps(job)],
         capture_output=True, text=True, timeout=900, env={**os.environ, **ONE_THREAD}, check=False,
@@ -39,36 +45,47 @@ def measured(folder: Path, **job: Any) -> dict[str, float]:
 def row(title: str, samples: int, result: dict[str, float]) -> None:
     """A line of the table."""
     print(
-        f"  {title:34s} {samples:9,d} samples {result['cpu']:7.2f} s {result['cpu'] / samples * 1e6:7.2f} us/sample "
+        f"  {title:30s} {samples:10,d} samples {result['cpu']:7.2f} s {result['pinvs'] / samples:7.4f} pinvs/sample "
         f"{result['peak']:6.0f} MB peak ({result['before']:.0f} before)  off by {result['angle']:.1e} deg"
     )
 
 
 @pytest.mark.parametrize("kind", ["held", "joint"])
 def test_growth_over_samples(kind: str, tmp_path: Path) -> None:
-    """Streamed and from memory: the promise at a million, linear before it, memory flat where samples are streamed."""
+    """Streamed and from memory: linear in the samples, and memory that grows no more where samples are not kept."""
     print(f"\n{kind}, 7 joints, 3 rows, 2 constraints")
+    sizes = (100_000, MILLION, 3 * MILLION) if kind == "joint" else (100_000, MILLION, 3 * MILLION, 10 * MILLION)
     streamed = {}
-    for n in (100_000, 300_000, MILLION):
+    for n in sizes:
         streamed[n] = measured(tmp_path, kind=kind, samples=n)
         row("stream, without the reading", n, streamed[n])
     listed = measured(tmp_path, kind=kind, samples=MILLION, how="list")
     row("list in memory", MILLION, listed)
-    assert listed["cpu"] <= PROMISED[kind] and listed["peak"] <= MEMORY
-    assert streamed[MILLION]["peak"] <= streamed[100_000]["peak"] + 50.0
-    a_sample = (streamed[MILLION]["cpu"] - streamed[300_000]["cpu"]) / 700_000
-    before = (streamed[300_000]["cpu"] - streamed[100_000]["cpu"]) / 200_000
-    print(f"  each further sample {a_sample * 1e6:.2f} us (before: {before * 1e6:.2f} us)")
-    assert a_sample < 1.6 * before + 1e-6
+    largest = max(sizes)
+    assert streamed[largest]["peak"] <= MEMORY
+    assert streamed[largest]["peak"] <= streamed[3 * MILLION]["peak"] + 50.0
+    per_sample = {n: x["pinvs"] / n for n, x in streamed.items()}
+    assert per_sample[largest] < 1.6 * per_sample[MILLION]
+    check("learning", {f"{kind}, a sample of a million, streamed": per_sample[MILLION]})
 
 
-@pytest.mark.parametrize("kind", ["held", "joint"])
-def test_a_thousand_samples(kind: str, tmp_path: Path) -> None:
-    """A first answer while the arm is still in the demonstrator's hand: 1,000 samples within 1.5 s."""
-    result = measured(tmp_path, kind=kind, samples=1_000, how="list")
-    print(f"\n{kind}, 7 joints, 3 rows, 2 constraints")
-    row("list in memory", 1_000, result)
-    assert result["cpu"] <= A_THOUSAND
+@pytest.mark.parametrize(
+    ("name", "kind", "settings"),
+    [
+        ("joint", "joint", {"estimator": "joint"}),
+        ("joint, affine, 2 rows", "joint", {"estimator": "joint", "n_constraints": 2, "policy_model": "affine"}),
+        ("auto, b varies", "joint", {}),
+        ("auto, b = 0", "held", {}),
+        ("null-space, b = 0, 2 rows", "held", {"estimator": "null-space", "n_constraints": 2}),
+    ],
+)
+def test_fixed_cost(name: str, kind: str, settings: dict[str, Any], tmp_path: Path) -> None:
+    """A first answer while the arm is still in the demonstrator's hand: 1,000 samples, in thousands of pinvs."""
+    rounds = int(os.environ.get("BENCH_ROUNDS", "7"))
+    result = child({"kind": kind, "samples": 1_000, "rounds": rounds, "settings": settings, "folder": str(tmp_path)})
+    lower, median, upper = statistics.quantiles([x / 1000 for x in result["ratios"]], n=4)
+    print(f"\n{name}: {median:.1f} thousand pinvs ({lower:.1f} .. {upper:.1f})")
+    check("learning", {f"1,000 samples, {name} [1000 pinvs]": Ratio(min(result["ratios"]) / 1000, lower, upper)})
 
 
 @pytest.mark.parametrize("kind", ["held", "joint"])
