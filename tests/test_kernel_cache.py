@@ -70,6 +70,18 @@ def test_the_first_compilation_is_announced(
     ml.CompiledController(controller, told.append)
     ml.CompiledController(controller)
     assert len(told) == 1 and "once per machine" in told[0] and caplog.messages == told
+    ml.simulate(controller.robot, controller, [0.1, 0.5, 0.5], 0.02, 0.01, compiled=True)
+    assert caplog.messages == 2 * told
+    ml.simulate(
+        controller.robot,
+        controller,
+        [0.1, 0.5, 0.5],
+        0.02,
+        0.01,
+        compiled=True,
+        progress=lambda title, _: told.append(title),
+    )
+    assert told[1] == told[0] and len(caplog.messages) == 2
 
 
 def test_simulation_is_imported_without_numba() -> None:

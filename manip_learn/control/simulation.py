@@ -98,7 +98,8 @@ def simulate(
         q0 = checked_postures(robot, np.asarray(q0))  # names the row before any work is done
     commands = (len(np.asarray(q0)) if np.ndim(q0) == 2 else 1) * (steps + 1) * (4 if method == "rk4" else 1)
     if compiled is True or (compiled is None and commands >= COMPILED_FROM and _law_of(controller, robot)):
-        controller = compiled_if_possible(controller, compiled, lambda sentence: report(sentence, 0.0))
+        announce = None if progress is None else lambda sentence: report(sentence, 0.0)
+        controller = compiled_if_possible(controller, compiled, announce)
     if np.ndim(q0) == 2:
         return _simulate_table(robot, controller, np.asarray(q0), steps, dt, method, report)
     if isinstance(controller, CompiledController) and controller.robot is robot and not _averages(controller, method):
