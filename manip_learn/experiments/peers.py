@@ -47,11 +47,11 @@ def closed_form_held(task_velocity: Float[np.ndarray, "n p"], n_rows: int) -> Fl
     return np.linalg.svd(task_velocity, full_matrices=False)[2][-n_rows:]
 
 
-def fit_places(places: list[Float[np.ndarray, "T p"]], n_rows: int) -> Float[np.ndarray, "s p"]:
+def fit_places(places: list[np.ndarray], n_rows: int) -> Float[np.ndarray, "s p"]:
     """Rows across the line (s = p - 1) or the plane (s = p - 2) that the tip's places lie on, total least squares.
 
     Args:
-        places: Of each trajectory; they may lie on parallel lines or planes.
+        places: Of each trajectory, shape (T, p); they may lie on parallel lines or planes.
         n_rows: Number of rows s.
     """
     centred = np.concatenate([r - r.mean(axis=0) for r in places])
