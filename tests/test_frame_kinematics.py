@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import tip_of
 
+from manip_learn.robot import load_robot
 from manip_learn.robot.frame_kinematics import FrameKinematics
 from manip_learn.robot.kinematic_hessian import REFERENCES
 from manip_learn.robot.robot import Reference, Robot
@@ -71,6 +73,16 @@ def test_no_number_depends_on_what_was_asked_before(name: str, robot_of: RobotOf
     for k, i in rng.integers((len(asked), len(postures)), size=(300, 2)):
         for a, b in zip(asked[k](postures[i]), expected[k, i], strict=True):
             np.testing.assert_array_equal(a, b)
+
+
+def test_a_robot_without_joints_has_its_frames(tmp_path: Path) -> None:
+    """Its only posture has no numbers, and is a posture all the same."""
+    path = tmp_path / "post.urdf"
+    path.write_text(
+        "<robot name='post'><link name='base'/><link name='top'/><joint name='up' type='fixed'><parent link='base'/>"
+        "<child link='top'/><origin xyz='0.1 0.2 0.3'/></joint></robot>"
+    )
+    np.testing.assert_array_equal(load_robot(path).position(np.zeros(0), "top"), [0.1, 0.2, 0.3])
 
 
 def test_a_changed_array_is_another_posture(robot_of: RobotOf) -> None:

@@ -67,7 +67,7 @@ class _Pass:
 
     def __init__(self, model: pin.Model, index: int):
         self.data = model.createData()
-        self.posture = b""  # that the frame was placed for, as bytes
+        self.posture: bytes | None = None  # that the frame was placed for; b"" is one, of a robot without joints
         self.has_derivatives = False  # whether the Jacobians and their derivatives at that posture are there
         placement = self.data.oMf[index]
         # views into Pinocchio's own memory: they follow every pass
@@ -132,7 +132,7 @@ class FrameKinematics:
         last = self._pass()
         if not (type(q) is np.ndarray and q.dtype is DOUBLE and q.tobytes() == last.posture):
             q = self._robot.checked_posture(q)
-            last.posture, last.has_derivatives = b"", False
+            last.posture, last.has_derivatives = None, False
             pin.forwardKinematics(self.model, last.data, self._configuration(q))
             pin.updateFramePlacement(self.model, last.data, self._index)
             last.posture = q.tobytes()
@@ -156,7 +156,7 @@ class FrameKinematics:
     def jacobian(self, q: Any, reference: str) -> Float[np.ndarray, "6 nv"]:
         """Frame Jacobian, linear rows first; an array of its own."""
         last, checked = self._pass(), self._robot.checked_posture(q)
-        last.posture, last.has_derivatives = b"", False
+        last.posture, last.has_derivatives = None, False
         x = self._configuration(checked)
         J = pin.computeFrameJacobian(self.model, last.data, x, self._index, REFERENCES[reference])
         if reference == "world":  # which places the frame, too
@@ -229,7 +229,7 @@ class FrameKinematics:
         last, checked = self._pass(), q
         if not (q.__class__ is np.ndarray and q.shape == self._shape and is_plain(q) and isfinite(sum(q.tolist()))):
             checked = self._robot.checked_posture(q)
-        last.posture, last.has_derivatives = b"", True
+        last.posture, last.has_derivatives = None, True
         x = checked if self._plain and checked.shape[0] == self.nv else self._configuration(checked)
         if self._fast_hessian:
             pin.computeJointKinematicHessians(self.model, last.data, x)
