@@ -92,12 +92,13 @@ def _refined(motion: PhaseMotion, among: Sequence[int], counts: Iterable[int]) -
     starts = _starts(motion, among)
     for s in counts:
         seen: list[np.ndarray] = []
+        known: dict[tuple[int, ...], Cluster] = {}
         for weights in starts:
             rows = fitted_rows(motion, weights, s)[0]
-            if any(np.linalg.svd(rows @ x.T, compute_uv=False)[-1] > np.cos(0.05) for x in seen):
+            if seen and np.any(np.linalg.svd(np.array(seen) @ rows.T, compute_uv=False)[:, -1] > np.cos(0.05)):
                 continue
             seen.append(rows)
-            out.append(_grown(motion, rows, among))
+            out.append(_grown(motion, rows, among, known))
     return out
 
 
@@ -111,9 +112,18 @@ def _starts(motion: PhaseMotion, among: Sequence[int]) -> list[Float[np.ndarray,
     return [everything, *own, *(own[a] + own[b] for a, b in pairs[::step])]
 
 
-def _grown(motion: PhaseMotion, rows: Float[np.ndarray, "s r"], among: Sequence[int]) -> Cluster:
-    """Refitted to the trajectories that obey it, until they stay the same."""
+def _grown(
+    motion: PhaseMotion,
+    rows: Float[np.ndarray, "s r"],
+    among: Sequence[int],
+    known: dict[tuple[int, ...], Cluster],
+) -> Cluster:
+    """Refitted to the trajectories that obey it, until they stay the same.
+
+    What comes of it depends on the trajectories that obey the first rows alone: `known` holds it for those seen before.
+    """
     s, scale = len(rows), FIRST_SCALE
+    first: tuple[int, ...] | None = None
     members: tuple[int, ...] = ()
     gains = np.zeros(motion.n_trajectories)
     for _ in range(REFITS):
@@ -122,6 +132,10 @@ def _grown(motion: PhaseMotion, rows: Float[np.ndarray, "s r"], among: Sequence[
         ceiling = _totals(motion, evidence(motion, np.zeros_like(energy), s, [scale])[:, 0])
         obeyed = gains > OBEYED * ceiling
         now = tuple(i for i in among if obeyed[i] and ceiling[i] > 0.0)
+        if first is None:
+            if now in known:
+                return known[now]
+            first = now
         if not now or now == members:
             members = now
             break
@@ -130,7 +144,10 @@ def _grown(motion: PhaseMotion, rows: Float[np.ndarray, "s r"], among: Sequence[
         rows = refit(motion, held, s, scale)
         scale = scale_of(motion, rows, held)
     values = np.array([gains[i] for i in members])
-    return Cluster(rows, scale, members, float(values.sum()), float(values.sum() - values.max(initial=0.0)))
+    found = Cluster(rows, scale, members, float(values.sum()), float(values.sum() - values.max(initial=0.0)))
+    if first:
+        known[first] = found
+    return found
 
 
 def _totals(motion: PhaseMotion, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " g"]:
