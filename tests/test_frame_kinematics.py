@@ -82,7 +82,10 @@ def test_a_robot_without_joints_has_its_frames(tmp_path: Path) -> None:
         "<robot name='post'><link name='base'/><link name='top'/><joint name='up' type='fixed'><parent link='base'/>"
         "<child link='top'/><origin xyz='0.1 0.2 0.3'/></joint></robot>"
     )
-    np.testing.assert_array_equal(load_robot(path).position(np.zeros(0), "top"), [0.1, 0.2, 0.3])
+    robot, q = load_robot(path), np.zeros(0)
+    np.testing.assert_array_equal(robot.position(q, "top"), [0.1, 0.2, 0.3])
+    assert robot.jacobian(q, "top").shape == (6, 0)
+    assert [x.shape for x in robot.jacobian_and_derivative(q, "top", "local")] == [(6, 0), (6, 0, 0)]
 
 
 def test_a_changed_array_is_another_posture(robot_of: RobotOf) -> None:

@@ -83,8 +83,8 @@ def test_files_are_complete_and_name_the_robots_joints(folder: str) -> None:
 
 
 def test_the_recordings_stay_small() -> None:
-    """All files together stay below 2.3 MB, since they are shipped in the wheel."""
-    assert sum(p.stat().st_size for p in DATA.rglob("*.csv")) < 2.3e6
+    """All files together stay below 2.7 MB, since they are shipped in the wheel; 0.5 of it are the hard drawers."""
+    assert sum(p.stat().st_size for p in DATA.rglob("*.csv")) < 2.7e6
 
 
 @pytest.mark.parametrize("folder", ["sawyer_drawer", "sawyer_door"])

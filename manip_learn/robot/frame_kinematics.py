@@ -155,19 +155,24 @@ class FrameKinematics:
 
     def jacobian(self, q: Any, reference: str) -> Float[np.ndarray, "6 nv"]:
         """Frame Jacobian, linear rows first; an array of its own."""
+        return self._public(self._model_jacobian(q, reference))
+
+    def _model_jacobian(self, q: Any, reference: str) -> Float[np.ndarray, "6 n"]:
         last, checked = self._pass(), self._robot.checked_posture(q)
         last.posture, last.has_derivatives = None, False
         x = self._configuration(checked)
         J = pin.computeFrameJacobian(self.model, last.data, x, self._index, REFERENCES[reference])
         if reference == "world":  # which places the frame, too
             last.posture = checked.tobytes()
-        return self._public(J if J.ndim == 2 else J.reshape(6, 1))  # nv == 1
+        return J if J.ndim == 2 else J.reshape(6, 1)  # nv == 1
 
     def jacobian_beside_vjp(self, q: Any, reference: str) -> Float[np.ndarray, "6 nv"]:
         """The same where `weighted_vjp` has just been called at this posture, and nearly free there.
 
         (Its last digits are those of `weighted_vjp`, whatever was called before.)
         """
+        if not self._fast_hessian:
+            return self.jacobian(q, reference)
         last = self._pass()
         if not (last.has_derivatives and type(q) is np.ndarray and q.tobytes() == last.posture):
             last = self._differentiated(q)
@@ -177,11 +182,12 @@ class FrameKinematics:
     def jacobian_and_derivative(self, q: Any, reference: str) -> tuple[np.ndarray, np.ndarray]:
         """J (6, nv) and dJ/dq (6, nv, nv)."""
         model, index, ref = self.model, self._index, REFERENCES[reference]
-        last, n = self._differentiated(q), self.model.nv
-        J = pin.getFrameJacobian(model, last.data, index, ref).reshape(6, n)
         if self._fast_hessian:
+            last, n = self._differentiated(q), self.model.nv
+            J = pin.getFrameJacobian(model, last.data, index, ref).reshape(6, n)
             H = reordered(pin.getFrameKinematicHessian(model, last.data, index, ref), n)
-        else:
+        else:  # a robot without joints, too, for which Pinocchio's getters crash
+            J = self._model_jacobian(q, reference)
             H = closed_form(J, self._columns_to_joints, reference)
         if self._lift is not None:
             return J @ self._lift, self._lift.T @ (H @ self._lift)
@@ -231,10 +237,7 @@ class FrameKinematics:
             checked = self._robot.checked_posture(q)
         last.posture, last.has_derivatives = None, True
         x = checked if self._plain and checked.shape[0] == self.nv else self._configuration(checked)
-        if self._fast_hessian:
-            pin.computeJointKinematicHessians(self.model, last.data, x)
-        else:
-            pin.computeJointJacobians(self.model, last.data, x)
+        pin.computeJointKinematicHessians(self.model, last.data, x)
         pin.updateFramePlacement(self.model, last.data, self._index)
         last.posture = checked.tobytes()
         return last
