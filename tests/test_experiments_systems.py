@@ -45,6 +45,8 @@ from manip_learn.experiments.paper_setup import (
 from manip_learn.experiments.scaled_rows import ScaledRows
 from manip_learn.experiments.ways import ESTIMATORS, SAID
 
+pytestmark = pytest.mark.timeout(400)  # fixtures of half a minute, which others on the machine may stretch
+
 
 def differences(function, q: np.ndarray, h: float = 1e-6) -> np.ndarray:
     """Central differences, the derivative index last."""
