@@ -15,8 +15,8 @@ from manip_learn.learning.estimators.estimate import gaps_of_levels, gaps_of_res
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
 from manip_learn.learning.estimators.policy_model import PolynomialModel, RadialModel
 from manip_learn.learning.estimators.variable_projection import fit_joint, held_out_costs, scores
-from manip_learn.learning.report import free_directions
 from manip_learn.learning.samples import Samples
+from manip_learn.learning.selection_in_words import free_directions
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 
 

@@ -20,6 +20,7 @@ from manip_learn.constraint.features.relative_frame_jacobian import RelativeFram
 from manip_learn.constraint.features.stacked import Stacked
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError
 from manip_learn.linalg import orthonormal_rows
+from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
 
 FORMAT = "manip_learn.constraint"
@@ -191,6 +192,15 @@ class Constraint:
     def __repr__(self) -> str:
         rows = "; ".join(_row_in_words(row, self.features.row_names) for row in self.selection)
         return f"Constraint({rows} of {self.features!r})"
+
+    def _repr_html_(self) -> str:
+        rows = [[str(i + 1), *(f"{entry:.4f}" for entry in row)] for i, row in enumerate(self.selection)]
+        return html_card.card(
+            f"Constraint: {self.n_constraints} of {self.features.n_rows} rows",
+            html_card.sentence(str(self.provenance.get("sentence", ""))),
+            html_card.table(("row of Λ", *self.features.row_names), rows),
+            html_card.sentence(repr(self.features)),
+        )
 
 
 def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:

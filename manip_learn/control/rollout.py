@@ -18,12 +18,13 @@ from manip_learn.recordings.readers.saved_reader import read_saved
 from manip_learn.recordings.saved_motion import FileHeader, SavedMotion, check_robot
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.writers.write_motion import write_motion
+from manip_learn.robot import html_card
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Rollout:
     """What a controlled robot did.
 
@@ -63,6 +64,31 @@ class Rollout:
     def status_counts(self) -> dict[str, int]:
         """How often each status occurred."""
         return {str(s): self.status.count(s) for s in dict.fromkeys(self.status)}
+
+    def __repr__(self) -> str:
+        return f"Rollout({'; '.join(f'{name} {value}' for name, value in self._facts() if value is not None)})"
+
+    def _repr_html_(self) -> str:
+        return html_card.card(
+            "Rollout",
+            html_card.facts(self._facts()),
+            html_card.curve(self.time, self.manipulability, "manipulability μ over time"),
+        )
+
+    def _facts(self) -> list[tuple[str, str | None]]:
+        """Name -> value in words; None where there is nothing to say."""
+        mu, span = self.manipulability, self.time[-1] - self.time[0] if len(self) else 0.0
+        statuses = ", ".join(f"{word} {count:,}" for word, count in self.status_counts.items())
+        ends = self.task_error[-1] if len(self) else np.nan
+        known = bool(np.any(np.isfinite(mu)))
+        return [
+            ("robot", None if self.robot is None else self.robot.name),
+            ("motion", f"{len(self):,} samples over {span:.4g} s, {len(self.joint_names)} joints"),
+            ("frame", self.frame or None),
+            ("manipulability", f"{np.nanmin(mu):.4g} to {np.nanmax(mu):.4g}" if known else None),
+            ("error at the end", f"{ends:.3g} (in m or rad)" if np.isfinite(ends) else None),
+            ("status", statuses or None),
+        ]
 
     def trajectory(self, name: str = "rollout") -> Trajectory:
         """The motion as a demonstration, so that it can be learnt from again."""

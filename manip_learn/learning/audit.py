@@ -21,8 +21,8 @@ from manip_learn.errors import RecordingError
 from manip_learn.learning.data_summary import check_joints
 from manip_learn.learning.episode_measures import EpisodeAudit, measure
 from manip_learn.linalg import one_thread
+from manip_learn.recordings.given_motions import Motion
 from manip_learn.recordings.readers.option_uses import refuse_unmatched
-from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import Progress, TrajectorySource, source_of
 from manip_learn.recordings.velocities import VelocityMethod
 
@@ -171,7 +171,7 @@ class AuditReport:
 
 def audit_episodes(
     constraint: Constraint,
-    demonstrations: TrajectorySource | Iterable[Trajectory],
+    demonstrations: TrajectorySource | Motion | Iterable[Motion],
     *,
     velocities: VelocityMethod = "auto",
     client: Any = None,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import cast, final
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.given_motions import Motion, demonstrations_of
 from manip_learn.recordings.trajectory_source import TrajectorySource
 from manip_learn.robot.robot import Robot
 
@@ -97,17 +97,17 @@ def check_joints(joint_names: tuple[str, ...], robot: Robot | None) -> None:
 
 
 def in_memory(
-    demonstrations: TrajectorySource | Iterable[Trajectory], feature_maps: Sequence[FeatureMap]
-) -> Demonstrations | TrajectorySource | Iterable[Trajectory]:
+    demonstrations: TrajectorySource | Motion | Iterable[Motion], feature_maps: Sequence[FeatureMap]
+) -> Demonstrations | TrajectorySource | Iterable[Motion]:
     """Demonstrations in memory with the joints of the features; a stream as it is.
 
     Raises:
         RecordingError: The joints are those of another robot.
     """
-    if not isinstance(demonstrations, Demonstrations | Sequence | Iterator):
-        return demonstrations
-    demos = demonstrations if isinstance(demonstrations, Demonstrations) else Demonstrations(demonstrations)
     robot = getattr(feature_maps[0], "robot", None)
+    demos = None if isinstance(demonstrations, TrajectorySource) else demonstrations_of(demonstrations, robot)
+    if demos is None:
+        return cast("TrajectorySource | Iterable[Motion]", demonstrations)
     if not demos.joint_names:
         names = tuple(f"q{i}" for i in range(feature_maps[0].nv)) if robot is None else robot.joint_names
         demos = demos.with_joint_names(names)

@@ -26,7 +26,7 @@ from manip_learn.learning.overview import RecordingOverview
 from manip_learn.learning.report import LearningReport, build_report
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.given_motions import Motion
 from manip_learn.recordings.trajectory_source import Progress, TrajectorySource, source_of
 from manip_learn.recordings.velocities import VelocityMethod, with_velocities
 
@@ -112,7 +112,7 @@ class ConstraintLearner:
 
     def fit(
         self,
-        demonstrations: TrajectorySource | Iterable[Trajectory],
+        demonstrations: TrajectorySource | Motion | Iterable[Motion],
         *,
         client: Any = None,
         progress: Progress | None = None,
@@ -123,8 +123,10 @@ class ConstraintLearner:
         Gauss-Newton steps over all of them then refine to the optimum, one part of them in memory at a time.
 
         Args:
-            demonstrations: Trajectories in memory; or an object that yields them anew each time it is iterated over;
-                or a `TrajectorySource`, e.g. `manip_learn.recordings.RecordingSource` for files larger than memory.
+            demonstrations: Trajectories in memory; or arrays `(time, q)` or `(time, q, u)`, one column per joint in the
+                robot's order [s, rad or m], one motion or a list; or an object that yields trajectories anew each
+                time it is iterated over; or a `TrajectorySource`, e.g. `manip_learn.recordings.RecordingSource` for
+                files larger than memory.
             client: A `dask.distributed.Client` whose workers make the passes over the samples; the answer does not
                 depend on their number.
             progress: Called with what is being done and the share of it that is done.
@@ -143,7 +145,7 @@ class ConstraintLearner:
             self._fit_stream(source_of(data), client, progress)
         return self
 
-    def partial_fit(self, demonstrations: TrajectorySource | Iterable[Trajectory]) -> ConstraintLearner:
+    def partial_fit(self, demonstrations: TrajectorySource | Motion | Iterable[Motion]) -> ConstraintLearner:
         """Learn from these demonstrations and all that came by `partial_fit` before: the same as one fit to all.
 
         The evidence about Lambda has no fixed-size sufficient statistic, so times, positions and velocities are kept:

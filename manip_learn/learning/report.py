@@ -8,26 +8,25 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.learning.answer import Answer
 from manip_learn.learning.candidate import Candidate
 from manip_learn.learning.data_summary import DataSummary
+from manip_learn.learning.estimators.estimate import CLEAR_GAP
 from manip_learn.learning.excitation import energy_shares
 from manip_learn.learning.mechanisms.mechanism import Mechanism
 from manip_learn.learning.overview import OddTrajectory, Phase, RecordingOverview
-from manip_learn.linalg import null_basis
+from manip_learn.learning.selection_in_words import describe, free_directions
+from manip_learn.robot import html_card
 
 MOST_NOTES = 20
+_PHASE_COLUMNS = ("recording", "from [s]", "until [s]", "constraint")
 PROVENANCE = (
     *("estimator", "kind", "gap", "uncertainty_deg", "n_samples", "n_trajectories", "sentence", "warnings"),
     *("phases", "odd_trajectories", "mechanism"),
 )
-# entries of a unit vector that are printed as 0: half of the last of two digits
-NEGLIGIBLE = 5e-3
 
 
 class RowSupport(NamedTuple):
@@ -45,7 +44,7 @@ class RowSupport(NamedTuple):
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LearningReport:
     """What was learnt, and why it should be believed.
 
@@ -120,6 +119,49 @@ class LearningReport:
         lines = [self.sentence]
         lines += [f"warning: {w}" for w in self.warnings]
         return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        warned = f", {len(self.warnings)} warning(s)" if self.warnings else ""
+        return f"LearningReport({self.sentence}; gap {self.gap:.3g}, {self.n_samples:,} samples{warned})"
+
+    def _repr_html_(self) -> str:
+        return html_card.card(
+            "What was learnt",
+            html_card.sentence(self.sentence),
+            html_card.warnings(self.warnings),
+            html_card.facts(self._facts()),
+            html_card.folded(
+                "Gap for each number of rows",
+                html_card.table(("rows", "gap"), [(n, float(gap)) for n, gap in self.gap_table.items()]),
+            ),
+            html_card.folded(f"Phases ({len(self.phases)})", html_card.table(_PHASE_COLUMNS, self._phase_rows())),
+            html_card.folded(
+                f"Recordings that do not agree ({len(self.odd_trajectories)})",
+                html_card.table(("recording", "why"), self.odd_trajectories),
+            ),
+            html_card.folded("Notes", "".join(map(html_card.sentence, self.notes))),
+        )
+
+    def _facts(self) -> list[tuple[str, object]]:
+        """Name -> value in words, with units and what would be good; None where there is nothing to say."""
+        residual, spread = self.held_out_residual, self.uncertainty_deg
+        unexplained = f"{100 * residual:.2g} % of the motion on recordings that were left out"
+        return [
+            ("rows", f"{self.n_constraints} of {len(self.row_names)} ({' '.join(self.row_names)})"),
+            ("reference frame", self.reference),
+            ("estimator", f"{self.estimator} ({self.kind})"),
+            ("gap", f"{self.gap:.3g} (a ratio; {CLEAR_GAP:g} is clear)"),
+            ("unexplained", unexplained if math.isfinite(residual) else None),
+            ("uncertainty", None if spread is None else f"{spread:.2g} degrees (68 %, bootstrap over recordings)"),
+            ("mechanism", self.mechanism),
+            ("learnt from", f"{self.n_samples:,} samples of {self.n_trajectories:,} recordings, {self.seconds:.2g} s"),
+        ]
+
+    def _phase_rows(self) -> list[tuple[object, ...]]:
+        return [
+            (p.trajectory, f"{p.start:.2f}", f"{p.end:.2f}", "free" if p.constraint is None else p.constraint + 1)
+            for p in self.phases
+        ]
 
 
 def _plain(value: Any) -> Any:
@@ -220,67 +262,3 @@ def _few_notes(notes: tuple[str, ...]) -> tuple[str, ...]:
     if len(unique) <= MOST_NOTES:
         return unique
     return (*unique[:MOST_NOTES], f"and {len(unique) - MOST_NOTES} more notes of this kind")
-
-
-def free_directions(selection: Float[np.ndarray, "s p"], used: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "k p"]:
-    """Orthonormal rows that the constraint leaves free, among the feature rows that can move at all.
-
-    Each points so that its largest entry is positive; several are turned so that they share as few rows as possible.
-    """
-    out = np.zeros((0, selection.shape[1]))
-    inner = null_basis(selection[:, used]).T
-    if inner.shape[0]:
-        out = np.zeros((inner.shape[0], selection.shape[1]))
-        out[:, used] = _echelon(inner)
-    return out
-
-
-def describe(
-    kind: str,
-    selection: Float[np.ndarray, "s p"],
-    free: Float[np.ndarray, "k p"],
-    features: FeatureMap,
-    used: Bool[np.ndarray, " p"],
-    uncertainty_deg: float | None,
-) -> str:
-    """One sentence: what moves freely, what is held or commanded, how sure it is."""
-    verb = "held" if kind == "motion-constrained" else "commanded by the task"
-    spread = "" if uncertainty_deg is None else f" +- {_degrees(uncertainty_deg)} degrees"
-    names = [n for n, u in zip(features.row_names, used, strict=True) if u]
-    where = getattr(features, "reference", None)
-    place = f" in the {where} frame" if where else ""
-    rows = "; ".join(_row(row[used], names) for row in _echelon(selection))
-    if free.shape[0] == 0:
-        return f"{verb}{place}: all of {' '.join(names)}; nothing of it is free"
-    freedom = " and ".join(_row(row[used], names) for row in free)
-    return f"moves freely along {freedom}{spread} in ({', '.join(names)}){place}; {verb}: {rows}"
-
-
-def _echelon(rows: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "k p"]:
-    """Orthonormal rows of the same space, turned towards single axes one after the other, largest first."""
-    remaining, out = rows.copy(), []
-    while remaining.shape[0]:
-        # the unit axis that lies deepest in what remains
-        share = np.sum(remaining**2, axis=0)
-        axis = int(np.argmax(share))
-        direction = remaining[:, axis] / np.linalg.norm(remaining[:, axis])
-        row = direction @ remaining
-        out.append(row if row[np.argmax(np.abs(row))] > 0 else -row)
-        remaining = null_basis(direction[None, :]).T @ remaining if remaining.shape[0] > 1 else remaining[:0]
-    # in the order of the axes that they point along most
-    return np.array(sorted(out, key=lambda row: int(np.argmax(np.abs(row)))))
-
-
-def _vector(row: np.ndarray) -> str:
-    return "(" + ", ".join(f"{c + 0.0:.2f}" for c in np.where(np.abs(row) < NEGLIGIBLE, 0.0, row)) + ")"
-
-
-def _row(row: np.ndarray, names: list[str]) -> str:
-    large = [i for i in range(len(row)) if abs(row[i]) >= NEGLIGIBLE]
-    if len(large) == 1:
-        return names[large[0]]
-    return _vector(row)
-
-
-def _degrees(angle: float) -> str:
-    return f"{angle:.2f}" if angle >= 0.095 else f"{angle:.1g}"

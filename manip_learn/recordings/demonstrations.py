@@ -8,10 +8,11 @@ from typing import final, overload
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot import html_card
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Demonstrations(Sequence[Trajectory]):
     """Several trajectories of one robot.
 
@@ -69,6 +70,28 @@ class Demonstrations(Sequence[Trajectory]):
     def has_velocities(self) -> bool:
         """True if every trajectory has u."""
         return all(t.u is not None for t in self.trajectories)
+
+    def __repr__(self) -> str:
+        return f"Demonstrations({self._in_words()}; first: {self.trajectories[0]!r})"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (t.name, len(t), f"{t.duration:.3f}", f"{(len(t) - 1) / t.duration:.4g}" if t.duration else "")
+            for t in self.trajectories
+        ]
+        return html_card.card(
+            "Demonstrations",
+            html_card.sentence(self._in_words()),
+            html_card.table(("recording", "samples", "duration [s]", "rate [Hz]"), rows),
+            html_card.folded(f"Joints ({len(self.joint_names)})", html_card.sentence(", ".join(self.joint_names))),
+            html_card.folded(f"Notes ({len(self.notes)})", "".join(map(html_card.sentence, self.notes))),
+        )
+
+    def _in_words(self) -> str:
+        seconds = sum(t.duration for t in self.trajectories)
+        some = any(t.u is not None for t in self.trajectories)
+        velocities = "with" if self.has_velocities else "some with" if some else "without"
+        return f"{len(self):,} recordings, {self.n_samples:,} samples over {seconds:.4g} s, {velocities} velocities"
 
     def __len__(self) -> int:
         return len(self.trajectories)

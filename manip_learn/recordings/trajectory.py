@@ -12,7 +12,7 @@ from manip_learn.errors import RecordingError
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
     """One demonstration.
 
@@ -94,6 +94,15 @@ class Trajectory:
 
     def __len__(self) -> int:
         return int(self.time.shape[0])
+
+    def __repr__(self) -> str:
+        return f"Trajectory({self.name!r}: {self.in_words()})"
+
+    def in_words(self) -> str:
+        """Number of samples, duration, joints, and whether velocities were recorded."""
+        joints = len(self.joint_names) or (self.q if self.u is None else self.u).shape[1]
+        velocities = "without" if self.u is None else "with"
+        return f"{len(self):,} samples over {self.duration:.4g} s, {joints} joints, {velocities} velocities"
 
     @property
     def duration(self) -> float:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import final
+from typing import cast, final
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.given_motions import Motion, demonstrations_of
 from manip_learn.recordings.trajectory import Trajectory
 
 # a part of a list holds about this many samples: a task for a worker, and what is in memory at a time
@@ -148,7 +149,7 @@ def part_starts(lengths: Sequence[int]) -> list[int]:
     return [*starts, len(lengths)]
 
 
-def source_of(demonstrations: TrajectorySource | Iterable[Trajectory]) -> TrajectorySource:
+def source_of(demonstrations: TrajectorySource | Motion | Iterable[Motion]) -> TrajectorySource:
     """The demonstrations as a source: lists by runs, other objects as one stream; an iterator is read into a list.
 
     Raises:
@@ -156,12 +157,11 @@ def source_of(demonstrations: TrajectorySource | Iterable[Trajectory]) -> Trajec
     """
     if isinstance(demonstrations, TrajectorySource):
         return demonstrations
-    if isinstance(demonstrations, Demonstrations):
-        return ListedTrajectories(demonstrations.trajectories, demonstrations.notes)
-    if isinstance(demonstrations, Sequence | Iterator):
-        return ListedTrajectories(Demonstrations(demonstrations).trajectories)
+    held = demonstrations_of(demonstrations)
+    if held is not None:
+        return ListedTrajectories(held.trajectories, held.notes)
     if isinstance(demonstrations, Iterable):
-        return IteratedTrajectories(demonstrations)
+        return IteratedTrajectories(cast("Iterable[Trajectory]", demonstrations))
     raise RecordingError(
         f"demonstrations must be trajectories or a source of them, got {type(demonstrations).__name__}", code="type"
     )

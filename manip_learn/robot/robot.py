@@ -14,6 +14,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.errors import ConfigurationError, UnknownNameError
+from manip_learn.robot import html_card
 from manip_learn.robot.description.mimic import Coupling, Mimic
 from manip_learn.robot.frame import Frame, FrameLike
 from manip_learn.robot.frame_kinematics import FrameKinematics, is_plain
@@ -21,6 +22,7 @@ from manip_learn.robot.joints import JointBlock, build_coupling, joint_kind, joi
 from manip_learn.robot.kinematic_hessian import centre_of_mass_derivative, columns_to_joints
 
 Reference = Literal["world", "local"]
+MOST_NAMES = 14  # of joints that a `repr` shows
 
 
 @final
@@ -462,7 +464,31 @@ class Robot:
     # ---- internals -------------------------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
-        return f"Robot({self.name!r}, nq={self.nq}, nv={self.nv}, joints={', '.join(self.joint_names)})"
+        shown = ", ".join(self.joint_names[:MOST_NAMES])
+        more = f" and {self.nv - MOST_NAMES} more" if self.nv > MOST_NAMES else ""
+        return f"Robot({self.name!r}, nq={self.nq}, nv={self.nv}, joints={shown}{more})"
+
+    def _repr_html_(self) -> str:
+        units = [("m" if kind == "prismatic" else "rad") for kind in self._kinds()]
+        numbers = zip(self.position_lower, self.position_upper, self.velocity_limit, strict=True)
+        rows = [
+            (name, kind, f"{low:.4g} to {high:.4g} {unit}", f"{fastest:.4g} {unit}/s")
+            for name, kind, unit, (low, high, fastest) in zip(
+                self.joint_names, self._kinds(), units, numbers, strict=True
+            )
+        ]
+        held = "".join(f"{name} at {value:.4g}; " for name, value in self.locked.items())
+        return html_card.card(
+            f"Robot {self.name}",
+            html_card.sentence(f"{self.nv} joints move" + (f"; locked: {held.removesuffix('; ')}" if held else "")),
+            html_card.warnings(self.warnings),
+            html_card.table(("joint", "kind", "position", "velocity"), rows),
+            html_card.folded(f"Frames ({len(self.frame_names)})", html_card.sentence(", ".join(self.frame_names))),
+        )
+
+    def _kinds(self) -> list[str]:
+        """Kind of each degree of freedom."""
+        return [str(block.kind) for block in self.blocks for _ in block.coordinate_names]
 
     def __getstate__(self) -> dict[str, Any]:
         state = {**self.__dict__, "_frame_kinematics": {}}

@@ -1,0 +1,98 @@
+"""Motions in memory: arrays are learnt from like files, and refused for what a file would be refused for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import manip_learn as ml
+from manip_learn.errors import RecordingError
+from manip_learn.recordings.given_motions import demonstrations_of
+
+DRAWER = Path(__file__).resolve().parents[1] / "examples" / "data" / "sawyer_drawer"
+
+
+@pytest.fixture(scope="module")
+def sawyer() -> ml.Robot:
+    return ml.load_robot("sawyer")
+
+
+@pytest.fixture(scope="module")
+def demos(sawyer: ml.Robot) -> ml.Demonstrations:
+    return ml.load_demonstrations([DRAWER / f"demo_0{k}.csv" for k in range(1, 7)], sawyer)
+
+
+@pytest.fixture(scope="module")
+def features(sawyer: ml.Robot) -> ml.FrameJacobian:
+    return ml.FrameJacobian(sawyer, "right_gripper_tip", "xyz")
+
+
+def test_arrays_are_learnt_from_like_files(demos: ml.Demonstrations, features: ml.FrameJacobian):
+    """Pairs of arrays, nested lists, an iterator and unnamed trajectories give the same Lambda, bit for bit."""
+    selection = ml.ConstraintLearner(features).fit(demos).constraint_.selection
+    given: list[Any] = [
+        [(t.time, t.q) for t in demos],
+        tuple([t.time, t.q] for t in demos),
+        ((t.time, t.q) for t in demos),
+        [(t.time.tolist(), t.q.tolist()) for t in demos],
+        [ml.Trajectory(t.time, t.q) for t in demos],
+    ]
+    for motions in given:
+        np.testing.assert_array_equal(ml.ConstraintLearner(features).fit(motions).constraint_.selection, selection)
+
+
+def test_one_motion_needs_no_list(demos: ml.Demonstrations, sawyer: ml.Robot):
+    """A trajectory, a pair or a triple of arrays is one motion, with the velocities that were given."""
+    t = demos[0]
+    u = np.gradient(t.q, t.time, axis=0)
+    for given in (t, (t.time, t.q), [t.time, t.q], (t.time, t.q, u), (list(t.time), t.q)):
+        held = demonstrations_of(given, sawyer)
+        assert held is not None
+        assert len(held) == 1
+        np.testing.assert_array_equal(held[0].q, t.q)
+        assert held[0].joint_names == sawyer.joint_names
+        assert (held[0].u is not None) == (isinstance(given, tuple) and len(given) == 3)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code", "words"),
+    [
+        (lambda t: t.q, "type", "times are not known"),
+        (lambda t: [t.q], "type", "motion 1 must be a Trajectory"),
+        (lambda t: (t.time, t.q[:, :6]), "shape", "q has 6 columns, robot 'sawyer' has 7 joints"),
+        (lambda t: (t.time, np.degrees(t.q)), "degrees", "look like degrees"),
+        (lambda t: (t.time[:-1], t.q), "shape", "q must have shape"),
+        (lambda t: (t.time[::-1], t.q), "time-order", "time must increase"),
+        (lambda t: [(t.time, t.q), (t.time, np.full_like(t.q, np.nan))], "not-finite", "motion 2"),
+        (lambda t: "demo.csv", "type", "load_demonstrations"),
+        (lambda t: [5], "type", "got int"),
+        (lambda t: 5, "type", "got int"),
+    ],
+)
+def test_refusals(
+    demos: ml.Demonstrations,
+    features: ml.FrameJacobian,
+    spoil: Callable[[ml.Trajectory], Any],
+    code: str,
+    words: str,
+):
+    """What is wrong with the arrays, and which motion it is."""
+    with pytest.raises(RecordingError, match=words) as caught:
+        ml.ConstraintLearner(features).fit(spoil(demos[0]))
+    assert caught.value.code == code
+
+
+def test_system_without_robot():
+    """Arrays of a system that is no robot are taken as they are, with velocities of their own."""
+    features = ml.CustomFeatures(lambda q: np.eye(2), row_names=("a", "b"), nv=2)
+    time, rng = np.linspace(0, 1, 200), np.random.default_rng(0)
+    motions = []
+    for phase in rng.uniform(0, 6, size=5):
+        along = np.array([1.0, 2.0])
+        motions.append((time, np.outer(np.sin(3 * time + phase), along), np.outer(3 * np.cos(3 * time + phase), along)))
+    learnt = ml.ConstraintLearner(features, 1).fit(motions).constraint_.selection
+    np.testing.assert_allclose(learnt @ [1.0, 2.0], 0.0, atol=1e-9)

@@ -1,0 +1,120 @@
+"""What a notebook and a prompt show: short, escaped, and nothing of the numbers lost."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import manip_learn as ml
+from manip_learn.robot import html_card
+
+DRAWER = Path(__file__).resolve().parents[1] / "examples" / "data" / "sawyer_drawer"
+
+
+class Balanced(HTMLParser):
+    """Collects the text; fails where an element is closed that is not open."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        if tag != "polyline":
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag != "polyline":
+            assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+def text_of(html: str) -> str:
+    parser = Balanced()
+    parser.feed(html)
+    assert parser.open == []
+    return " ".join(parser.text)
+
+
+@pytest.fixture(scope="module")
+def objects() -> dict[str, object]:
+    robot = ml.load_robot("sawyer", locked={"right_j6": 0.5})
+    demos = ml.load_demonstrations([DRAWER / f"demo_0{k}.csv" for k in range(1, 7)], ml.load_robot("sawyer"))
+    whole = ml.load_robot("sawyer")
+    features = ml.FrameJacobian(whole, "right_gripper_tip", "xyz")
+    learner = ml.ConstraintLearner(features).fit(demos)
+    task = ml.PointAttractor([0.6, 0.27, 0.35])
+    controller = ml.ResolvedRateController(learner.constraint_, task=task)
+    rollout = ml.simulate(whole, controller, [1.2, -1.57, 0, 0, 0, 0, 0], duration=0.5, dt=0.01)
+    return {
+        "robot": robot,
+        "demonstrations": demos,
+        "trajectory": demos[0],
+        "report": learner.report_,
+        "constraint": learner.constraint_,
+        "rollout": rollout,
+    }
+
+
+def test_a_prompt_shows_few_lines(objects: dict[str, object]):
+    """No array of thousands of numbers in a console."""
+    for name, thing in objects.items():
+        assert repr(thing).count("\n") < 10, name
+        assert len(repr(thing)) < 700, name
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("robot", ["Robot sawyer", "right_j0", "rad/s", "locked: right_j6 at 0.5"]),
+        ("demonstrations", ["6 recordings", "without velocities", "demo_01.csv", "100"]),
+        ("report", ["moves freely along", "10 is clear", "degrees", "Gap for each number of rows", "demo_06.csv"]),
+        ("constraint", ["2 of 3 rows", "row of Λ", "FrameJacobian"]),
+        ("rollout", ["51 samples over 0.5 s", "right_gripper_tip", "manipulability μ over time", "error at the end"]),
+    ],
+)
+def test_a_notebook_shows_the_facts(objects: dict[str, object], name: str, words: list[str]):
+    """Each card is whole HTML and says what a reader looks for."""
+    text = text_of(objects[name]._repr_html_())  # type: ignore[attr-defined]
+    for word in words:
+        assert word in text
+
+
+def test_selection_is_shown_as_it_is(objects: dict[str, object]):
+    """The printed rows are those of Lambda, to the digits shown."""
+    constraint = objects["constraint"]
+    assert isinstance(constraint, ml.Constraint)
+    cells = re.findall(r"-?\d\.\d{4}", text_of(constraint._repr_html_()))
+    shown = np.array(cells[:6], dtype=float).reshape(2, 3)
+    np.testing.assert_allclose(shown, constraint.selection, atol=5e-5)
+
+
+def test_names_cannot_become_markup():
+    """A recording or joint may be called anything."""
+    card = html_card.card("<b>x", html_card.facts([("<script>", "a & b")]), html_card.warnings(["<i>"]))
+    assert "<script>" not in card
+    assert text_of(card).count("<") == 3
+
+
+def test_long_tables_say_what_is_left_out():
+    """The first rows, and the number of the others."""
+    shown = text_of(html_card.table(("n",), [(i,) for i in range(40)]))
+    assert "and 28 more" in shown
+
+
+def test_curves_keep_their_extremes():
+    """A peak of one sample in a hundred thousand is drawn; without two finite numbers nothing is."""
+    y = np.zeros(100_000)
+    y[31_415] = 7.0
+    drawn = html_card.curve(np.arange(100_000.0), y, "mu")
+    heights = [float(point.split(",")[1]) for point in re.findall(r'points="([^"]*)"', drawn)[0].split()]
+    assert min(heights) == 2.0
+    assert "mu: 0 to 7" in drawn
+    assert len(heights) <= html_card.MOST_POINTS + 2
+    assert html_card.curve(np.arange(3.0), np.array([1.0, np.nan, np.nan]), "mu") == ""
