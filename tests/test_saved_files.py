@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,13 @@ import pytest
 
 from manip_learn.cli import main
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.features import CustomFeatures, FrameJacobian, MechanismRows
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.rollout import Rollout
+from manip_learn.control.rollout import Rollout, written_constraint
+from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.simulation import simulate
-from manip_learn.control.tasks import Hold
-from manip_learn.errors import OutputError, RecordingError
+from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor
+from manip_learn.errors import ConstraintMismatchError, OutputError, RecordingError
 from manip_learn.playback import replay
 from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import Robot, load_robot
@@ -196,3 +198,47 @@ def test_the_content_says_the_format(suffix: str, arms: Path, tmp_path: Path) ->
     assert Rollout.load(odd, robot).q.tobytes() == Rollout.load(path).q.tobytes()
     with pytest.raises(RecordingError, match="'arm'"):
         load_demonstrations(odd, load_robot(arms / "longer.urdf"))
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_rollout_keeps_what_guided_it(suffix: str, robot_of, tmp_path: Path) -> None:
+    """Target, constraint and following error come back from every format; the constraint can be built again."""
+    robot = robot_of("sawyer")
+    features = FrameJacobian(robot, "right_hand", "xyz")
+    constraint = Constraint(
+        [[0, 1, 0], [0, 0, 1]], features, {"kind": "motion-constrained", "phases": [["a", 0, 1, 0]]}
+    )
+    controller = ResolvedRateController(constraint, PointAttractor([0.6, 0.2, 0.4]))
+    rollout = simulate(robot, ServoLoop(controller, 0.01), robot.neutral(), 0.05, 0.01)
+    assert rollout.following_error is not None and rollout.following_error.shape == rollout.time.shape
+    slipping = replace(rollout, following_error=np.linspace(0.0, 0.1, len(rollout)))
+    loaded = Rollout.load(slipping.save(tmp_path / f"run.{suffix}"), robot)
+    assert loaded.target is not None and loaded.target.tolist() == [0.6, 0.2, 0.4]
+    assert loaded.following_error is not None
+    assert loaded.following_error.tobytes() == slipping.following_error.tobytes()  # type: ignore[union-attr]
+    assert loaded.constraint is not None
+    again = Constraint.from_dict(loaded.constraint, robot)
+    np.testing.assert_array_equal(again.selection, constraint.selection)
+    assert again.provenance == {"kind": "motion-constrained"}  # the phases are of other recordings
+    with pytest.raises(ConstraintMismatchError, match="the constraint was made for"):
+        Constraint.from_dict(loaded.constraint, robot_of("planar3"))
+
+
+def test_a_task_says_where_it_ends(robot_of) -> None:
+    """A drawer's motion ends at its start plus the way; features that cannot be written leave the rollout without."""
+    robot = robot_of("sawyer")
+    features = FrameJacobian(robot, "right_hand", "xyz")
+    constraint = Constraint([[0, 1, 0], [0, 0, 1]], features)
+    task = FreeDirection(constraint, 0.05, 0.1)
+    assert task.goal() is None
+    start = np.array([0.1, -0.8, 0.2, 1.5, 0.1, 0.6, 0.3])
+    rollout = simulate(robot, ResolvedRateController(constraint, task), start, 1.0, 0.01)
+    expected = robot.position(start, robot.frame("right_hand")) + [0.05, 0.0, 0.0]
+    np.testing.assert_allclose(rollout.target, expected, atol=1e-12)
+    hinge = MechanismRows(robot, "right_hand", "radial axial", axis=(0, 0, 1), point=(0.2, 0.0, 0.0))
+    door = Constraint(np.eye(2), hinge)
+    turned = simulate(robot, ResolvedRateController(door, FreeDirection(door, 0.3, 0.5)), start, 3.0, 0.01)
+    end = robot.position(turned.q[-1], robot.frame("right_hand"))
+    np.testing.assert_allclose(np.asarray(turned.target)[:3, 3], end, atol=2e-3)
+    python = Constraint([[1.0]], CustomFeatures(lambda q: q[None, :], ("a",), 1))
+    assert written_constraint(python) is None

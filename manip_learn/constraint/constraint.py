@@ -179,15 +179,26 @@ class Constraint:
         Raises:
             ConstraintMismatchError: Another robot, another schema, or no constraint file at all.
         """
-        content = _read(Path(path))
-        _check_robot(Path(path), content, robot, same_urdf)
+        return Constraint.from_dict(_read(Path(path)), robot, source=str(path), same_urdf=same_urdf)
+
+    @staticmethod
+    def from_dict(
+        content: Mapping[str, Any], robot: Robot, *, source: str = "the constraint", same_urdf: bool = True
+    ) -> Constraint:
+        """What `to_dict` wrote, for the robot that it was made for; errors call it `source`, the rest is as for `load`.
+
+        Raises:
+            ConstraintMismatchError: Another robot, another schema, or no constraint at all.
+        """
+        _check_format(source, content)
+        _check_robot(source, content, robot, same_urdf)
         try:
             features = _build(content["features"], robot)
             return Constraint(content["selection"], features, content.get("provenance"))
         except DAMAGE as error:
-            raise ConstraintMismatchError(f"{path}: the file is damaged ({error!r}); save it again") from error
+            raise ConstraintMismatchError(f"{source}: the file is damaged ({error!r}); save it again") from error
         except ManipLearnError as error:
-            raise ConstraintMismatchError(f"{path}: {error}") from error
+            raise ConstraintMismatchError(f"{source}: {error}") from error
 
     def __repr__(self) -> str:
         rows = "; ".join(_row_in_words(row, self.features.row_names) for row in self.selection)
@@ -234,26 +245,28 @@ def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
     return orthonormal_rows(matrix)
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> Any:
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "does not exist"
         raise ConstraintMismatchError(f"constraint file {path} {what}; `manip-learn learn ... --out FILE` writes one")
     try:
-        content = json.loads(path.read_bytes())
+        return json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
         raise ConstraintMismatchError(f"{path} is not a constraint file: it is not JSON ({error})") from error
     except OSError as error:
         raise ConstraintMismatchError(f"cannot read {path}: {error.strerror}") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
+
+
+def _check_format(path: str, content: Any) -> None:
+    if not isinstance(content, Mapping) or content.get("format") != FORMAT:
         raise ConstraintMismatchError(f'{path} is not a constraint file: it lacks "format": "{FORMAT}"')
     if content.get("schema") != SCHEMA:
         raise ConstraintMismatchError(
             f"{path} has schema {content.get('schema')!r}, this version reads {SCHEMA}: learn the constraint again"
         )
-    return content
 
 
-def _check_robot(path: Path, content: dict[str, Any], robot: Robot, same_urdf: bool) -> None:
+def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf: bool) -> None:
     saved = content.get("robot")
     if not isinstance(saved, dict):
         raise ConstraintMismatchError(f"{path} names no robot: the file is damaged; save it again")

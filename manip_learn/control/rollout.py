@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +15,7 @@ from jaxtyping import Float
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.control.status import Status
-from manip_learn.errors import RecordingError
+from manip_learn.errors import FeatureError, RecordingError
 from manip_learn.recordings.readers.saved_reader import read_saved
 from manip_learn.recordings.saved_motion import FileHeader, SavedMotion, check_robot
 from manip_learn.recordings.trajectory import Trajectory
@@ -39,6 +41,11 @@ class Rollout:
             has no `task_error`.
         frame: Frame that the constraint holds, whose path a replay draws; empty if its features have no frame.
         robot: Which robot it was made with, and which joints were locked where; None for a system without a robot.
+        target: Where the task was to arrive, as `Task.goal` says it; None for a task without such a place.
+        constraint: What guided it, as `Constraint.to_dict` writes it but for the phases of the recordings that it was
+            learnt from (`Constraint.from_dict` builds it); None if that is not known or cannot be written.
+        following_error: shape (T,), largest distance between commanded and measured joint positions, as a `ServoLoop`'s
+            commands give it [rad or m]; None if it is not known.
     """
 
     time: Float[np.ndarray, " T"]
@@ -50,9 +57,14 @@ class Rollout:
     task_error: Float[np.ndarray, " T"]
     frame: str = ""
     robot: RobotIdentity | None = None
+    target: Float[np.ndarray, "..."] | None = None
+    constraint: Mapping[str, Any] | None = None
+    following_error: Float[np.ndarray, " T"] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("time", "q", "u", "manipulability", "task_error"):
+        for name in ("time", "q", "u", "manipulability", "task_error", "target", "following_error"):
+            if getattr(self, name) is None:
+                continue
             array = np.array(getattr(self, name), dtype=np.float64)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
@@ -112,9 +124,19 @@ class Rollout:
         Raises:
             OutputError: It cannot be written, or has another ending.
         """
-        header = FileHeader("rollout", self.joint_names, self.robot, self.frame, nq=self.q.shape[1])
+        header = FileHeader(
+            "rollout",
+            self.joint_names,
+            self.robot,
+            self.frame,
+            nq=self.q.shape[1],
+            target=None if self.target is None else self.target.tolist(),
+            constraint=self.constraint,
+            follows=self.following_error is not None,
+        )
         words = tuple(str(word) for word in self.status)
-        motion = SavedMotion(header, self.time, self.q, self.u, self.manipulability, self.task_error, words)
+        curves = self.manipulability, self.task_error
+        motion = SavedMotion(header, self.time, self.q, self.u, *curves, words, following_error=self.following_error)
         return write_motion(path, motion)
 
     @staticmethod
@@ -161,7 +183,13 @@ class Rollout:
             )
         status = _status(path, motion.status)
         numbers = motion.time, motion.q, motion.u, motion.manipulability
-        return Rollout(*numbers, status, header.joint_names, motion.task_error, header.frame, header.robot), notes
+        guided = {
+            "target": None if header.target is None else np.array(header.target),
+            "constraint": header.constraint,
+            "following_error": motion.following_error,
+        }
+        described = status, header.joint_names, motion.task_error, header.frame, header.robot
+        return Rollout(*numbers, *described, **guided), notes
 
 
 def _status(path: Path, words: tuple[str, ...]) -> tuple[Status, ...]:
@@ -174,3 +202,14 @@ def _status(path: Path, words: tuple[str, ...]) -> tuple[Status, ...]:
             path=path,
         )
     return tuple(known[word] for word in words)
+
+
+def written_constraint(constraint: Constraint) -> Mapping[str, Any] | None:
+    """A constraint as a rollout keeps it; None if its features, or what it came from, cannot be written."""
+    provenance = {k: v for k, v in constraint.provenance.items() if k not in ("phases", "odd_trajectories")}
+    try:
+        content = constraint.to_dict() | {"provenance": provenance}
+        json.dumps(provenance, allow_nan=False)
+    except (FeatureError, TypeError, ValueError):  # Python functions; an entry of the user's own
+        return None
+    return content

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.control.command import Command, Controller, TaskController
 from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.integration import Method, next_posture
-from manip_learn.control.rollout import Rollout
+from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.errors import ConfigurationError
 from manip_learn.recordings.trajectory_source import Progress
@@ -142,8 +144,9 @@ def _integrated(
         tuple(c.status for c in commands),
         robot.joint_names if robot is not None else tuple(f"q{i}" for i in range(u.shape[1])),
         errors,
-        _frame_of(controller),
-        None if robot is None else RobotIdentity.of(robot),
+        robot=None if robot is None else RobotIdentity.of(robot),
+        following_error=_following(commands) if isinstance(controller, ServoLoop) else None,
+        **_guided(controller),
     )
 
 
@@ -195,17 +198,23 @@ def _compiled_rollout(
     robot = controller.robot
     run = controller.rollout(positions_of(robot, start[None])[0], steps, dt, method)
     q = run.q if start.shape[0] == robot.nv else np.array([robot.configuration(x) for x in run.q])
-    time, frame = np.arange(steps + 1) * dt, _frame_of(controller)
-    names, made_with = robot.joint_names, RobotIdentity.of(robot)
-    return Rollout(time, q, run.u, run.mu, run.status, names, run.error, frame, made_with)
+    numbers = np.arange(steps + 1) * dt, q, run.u, run.mu, run.status, robot.joint_names, run.error
+    return Rollout(*numbers, robot=RobotIdentity.of(robot), **_guided(controller))
 
 
-def _frame_of(controller: Controller) -> str:
-    """Name of the frame whose rows are constrained; empty if the controller has no such frame."""
+def _guided(controller: Controller) -> dict[str, Any]:
+    """What guided a rollout: the frame, the target and the constraint, as far as they are known."""
     law = controller.controller if isinstance(controller, ServoLoop) else controller
     law = law.controller if isinstance(law, CompiledController) else law
-    features = law.constraint.features if isinstance(law, ResolvedRateController) else None
-    return features.frame.name if isinstance(features, FrameJacobian) else ""
+    if not isinstance(law, ResolvedRateController):
+        return {}
+    features = law.constraint.features
+    frame = features.frame.name if isinstance(features, FrameJacobian | RelativeFrameJacobian | MechanismRows) else ""
+    return {"frame": frame, "target": law.task.goal(), "constraint": written_constraint(law.constraint)}
+
+
+def _following(commands: Sequence[Command]) -> Float[np.ndarray, " T"]:
+    return np.array([c.following_error for c in commands])
 
 
 def _silent(_title: str, _fraction: float) -> None:

@@ -36,6 +36,9 @@ class FileHeader:
         robot: Robot that it was made with, or None.
         frame: Frame that a rollout's constraint holds, or empty.
         nq: Columns of the postures.
+        target: Where a rollout's task was to arrive, as nested lists, or None.
+        constraint: What guided a rollout, as `Constraint.to_dict` writes it, or None.
+        follows: Whether a rollout has the following error.
         schema: Version of the file format; 1 has no robot.
     """
 
@@ -44,20 +47,24 @@ class FileHeader:
     robot: RobotIdentity | None
     frame: str = ""
     nq: int | None = None
+    target: list | None = None
+    constraint: Mapping[str, Any] | None = None
+    follows: bool = False
     schema: int = SCHEMA
 
     def to_json(self) -> str:
         """One line."""
+        content: dict[str, Any] = {
+            "format": PREFIX + self.kind,
+            "schema": self.schema,
+            "joint_names": list(self.joint_names),
+            "nq": self.nq,
+            "frame": self.frame,
+            "robot": None if self.robot is None else self.robot.to_dict(),
+        }
+        later = {"target": self.target, "constraint": self.constraint, "following_error": self.follows or None}
         return json.dumps(
-            {
-                "format": PREFIX + self.kind,
-                "schema": self.schema,
-                "joint_names": list(self.joint_names),
-                "nq": self.nq,
-                "frame": self.frame,
-                "robot": None if self.robot is None else self.robot.to_dict(),
-            },
-            allow_nan=False,
+            content | {name: value for name, value in later.items() if value is not None}, allow_nan=False
         )
 
     @staticmethod
@@ -84,7 +91,23 @@ class FileHeader:
             None if robot is None else RobotIdentity.from_dict(robot),
             frame,
             nq,
+            _target(content.get("target")),
+            _object("constraint", content.get("constraint")),
+            bool(content.get("following_error")),
         )
+
+
+def _target(value: object) -> list | None:
+    array = None if value is None else np.array(value, dtype=np.float64)
+    if array is not None and not (array.ndim in (1, 2) and np.all(np.isfinite(array))):
+        raise ValueError(f"the target must be finite numbers, it is {value!r:.60}")
+    return None if array is None else array.tolist()
+
+
+def _object(name: str, value: object) -> Mapping[str, Any] | None:
+    if value is not None and not isinstance(value, Mapping):
+        raise ValueError(f"the {name} must be an object, it is {value!r:.40}")
+    return value
 
 
 @final
@@ -100,6 +123,7 @@ class SavedMotion:
         manipulability: shape (T,), of rollouts; else None.
         task_error: shape (T,), of rollouts; else None.
         status: One word per sample, of rollouts; else empty.
+        following_error: shape (T,), of rollouts for which it is known; else None.
         name: What messages call it.
     """
 
@@ -111,6 +135,7 @@ class SavedMotion:
     task_error: Float[np.ndarray, " T"] | None = None
     status: tuple[str, ...] = ()
     name: str = "motion"
+    following_error: Float[np.ndarray, " T"] | None = None
 
 
 def motion_of_trajectory(trajectory: Trajectory, robot: Robot) -> SavedMotion:
@@ -133,6 +158,8 @@ def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
     width = header.nq or (header.robot.nq if header.robot else nv)
     needed = {"q": (motion.q, (rows, width)), "u": (motion.u, (rows, nv))}
     needed |= {"manipulability": (motion.manipulability, (rows,)), "task_error": (motion.task_error, (rows,))}
+    if header.follows:
+        needed |= {"following_error": (motion.following_error, (rows,))}
     if header.kind == "recording":
         needed = {"q": needed["q"]} | ({} if motion.u is None else {"u": needed["u"]})
     for name, (array, shape) in needed.items():

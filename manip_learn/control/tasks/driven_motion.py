@@ -55,6 +55,10 @@ class DrivenMotion(ABC):
     def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
         """How far the constrained coordinates are from where they are held [m or rad], at that distance."""
 
+    @abstractmethod
+    def goal(self, origin: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
+        """Where the frame is after a distance: a pose (4, 4), or numbers for the features' rows (p,)."""
+
     def error_jacobian(
         self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float
     ) -> Float[np.ndarray, "s nv"] | None:

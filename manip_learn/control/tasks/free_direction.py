@@ -123,6 +123,10 @@ class FreeDirection(Task):
         origin, after = self._begin(q, t)
         return self._motion.error_jacobian(origin, q, self._profile.at(after)[0])
 
+    def goal(self) -> Float[np.ndarray, "..."] | None:
+        """Where the motion ends; None before the first call, unless `start` was given."""
+        return None if self._origin is None else self._motion.goal(self._origin, self._profile.distance)
+
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Way that is left, and the deviation of the constrained coordinates, as one norm [m or rad]."""
         origin, after = self._begin(q, t)

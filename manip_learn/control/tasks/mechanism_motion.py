@@ -91,6 +91,21 @@ class MechanismMotion(DrivenMotion):
         now = self._coordinates(origin, q, distance)
         return np.array([now[name] for name in self._held])
 
+    def goal(self, origin: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
+        """Pose of the frame after a distance of the driven row, as on a hand that turns with the mechanism."""
+        g, goal = self._rows.geometry, np.eye(4)
+        turn = rotation_matrix((distance if self.unit == "rad" else 0.0) * g.axis)
+        shift = {"slide": distance, "axial": distance}.get(self._driven, 0.0) * g.axis
+        if "screw" in self._held or "helical" in self._held:
+            shift = g.pitch * distance * g.axis
+        if self._driven == "radial":
+            out = origin[:3, 3] - g.point
+            out = out - float(g.axis @ out) * g.axis
+            shift = distance * out / np.linalg.norm(out)
+        goal[:3, :3] = turn @ origin[:3, :3]
+        goal[:3, 3] = g.point + turn @ (origin[:3, 3] - g.point) + shift
+        return goal
+
     def _coordinates(self, origin: np.ndarray, q: ArrayLike, near: float) -> dict[str, float]:
         """The coordinate of each row, less its value at the start; angles next to `near`."""
         pose, g = self.origin(q), self._rows.geometry

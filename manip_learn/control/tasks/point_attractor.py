@@ -59,6 +59,10 @@ class PointAttractor(Task):
             f"got shape {shape}"
         )
 
+    def goal(self) -> Float[np.ndarray, "..."] | None:
+        """The target."""
+        return self.target
+
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
         """E with d/dt displacement = -E u; None where E = A(q) (see `Task`)."""
         features, shape = constraint.features, self.target.shape

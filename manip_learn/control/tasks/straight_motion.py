@@ -74,6 +74,10 @@ class StraightMotion(DrivenMotion):
         """Error along the constrained rows."""
         return self._held @ self._error(origin, q, distance)
 
+    def goal(self, origin: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
+        """The pose, or the coordinates, after a distance along f."""
+        return origin + distance * self._f if self._features is None else self._goal(origin, distance)
+
     def error_jacobian(
         self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float
     ) -> Float[np.ndarray, "s nv"] | None:

@@ -38,6 +38,13 @@ class Task(ABC):
         """
         return None
 
+    def goal(self) -> Float[np.ndarray, "..."] | None:
+        """Where the frame is to arrive: numbers for the features' rows (p,) or the constraint's (s,), or a pose (4, 4).
+
+        None where there is no such place, or where it depends on a start that is not known yet.
+        """
+        return None
+
     def velocity_and_jacobian(
         self, constraint: Constraint, q: np.ndarray, t: float
     ) -> tuple[Any, Float[np.ndarray, "s nv"] | None]:

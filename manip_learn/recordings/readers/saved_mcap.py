@@ -62,7 +62,7 @@ def read_saved_rollout(path: Path, header: FileHeader) -> SavedMotion:
     if not samples:
         raise refusal(path, "too-short", f"the rollout has no samples on {ROLLOUT_TOPIC}")
     nq, nv = header.nq or len(header.joint_names), len(header.joint_names)
-    for i, (_, q, u, _) in enumerate(samples):
+    for i, (_, q, u, _, _) in enumerate(samples):
         if len(q) != nq or len(u) != nv:
             raise refusal(
                 path, "shape", f"sample {i} has {len(q)} columns of q and {len(u)} of u, {nq} and {nv} are needed"
@@ -70,7 +70,8 @@ def read_saved_rollout(path: Path, header: FileHeader) -> SavedMotion:
     numbers = np.array([s[0] for s in samples])
     q, u = np.array([s[1] for s in samples]), np.array([s[2] for s in samples])
     status = tuple(s[3] for s in samples)
-    return SavedMotion(header, numbers[:, 0], q, u, numbers[:, 1], numbers[:, 2], status, path.name)
+    following = np.array([np.nan if s[4] is None else s[4] for s in samples]) if header.follows else None
+    return SavedMotion(header, numbers[:, 0], q, u, numbers[:, 1], numbers[:, 2], status, path.name, following)
 
 
 def _records(file: IO[bytes], size: int) -> Iterator[tuple[int, int]]:

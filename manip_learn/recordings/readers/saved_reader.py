@@ -31,7 +31,8 @@ from manip_learn.recordings.saved_motion import (
 from manip_learn.robot import Robot
 
 BAG_PARSER = "manip_learn.recordings.readers.rosbag_reader"
-ARRAYS = ("time", "q", "u", "manipulability", "task_error")
+CURVES = ("u", "manipulability", "task_error", "following_error")
+ARRAYS = ("time", "q", *CURVES)
 TEXTS = ("format", "header", "status", "joint_names", "frame")
 
 
@@ -151,8 +152,8 @@ def _npz_motion(path: Path, header: FileHeader) -> SavedMotion:
     arrays = {name: archive.numbers(name) for name in ARRAYS if name in archive}
     nq = header.nq if header.schema > 1 else arrays["q"].shape[1]
     status = archive.texts("status") if "status" in archive else ()
-    optional = [arrays.get(name) for name in ("u", "manipulability", "task_error")]
-    return SavedMotion(replace(header, nq=nq), arrays["time"], arrays["q"], *optional, status=status, name=path.name)
+    curves = {name: arrays.get(name) for name in CURVES}
+    return SavedMotion(replace(header, nq=nq), arrays["time"], arrays["q"], **curves, status=status, name=path.name)
 
 
 def _is_mcap(path: Path) -> bool:

@@ -14,7 +14,7 @@ from manip_learn.recordings.saved_motion import FileHeader, SavedMotion, refusal
 from manip_learn.recordings.writers.csv_writer import MARK, column_line, column_names
 
 WORDS = {"inf": np.inf, "-inf": -np.inf}
-CURVES = ("manipulability", "task_error")
+CURVES = ("manipulability", "task_error", "following_error")
 
 
 def header_text(first_line: str) -> str | None:
@@ -64,6 +64,7 @@ def read_saved_csv(path: Path, header: FileHeader) -> SavedMotion:
         curves[:, 1] if is_rollout else None,
         tuple(status),
         path.name,
+        curves[:, 2] if is_rollout and header.follows else None,
     )
 
 
@@ -118,8 +119,8 @@ def read_saved_jsonl(path: Path, header: FileHeader) -> SavedMotion:
     columns = {name: np.array(values, dtype=np.float64) for name, values in arrays.items()}
     if not columns["time"].size:
         raise refusal(path, "too-short", "there is a header but no sample")
-    return SavedMotion(header, columns["time"], columns["q"], columns.get("u"), *map(columns.get, CURVES),
-                       status=tuple(status), name=path.name)  # fmt: skip
+    curves = {name: columns.get(name) for name in ("u", *CURVES)}
+    return SavedMotion(header, columns["time"], columns["q"], **curves, status=tuple(status), name=path.name)
 
 
 def _numbers(name: str, value: object, header: FileHeader) -> float | list[float]:

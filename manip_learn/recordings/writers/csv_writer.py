@@ -22,7 +22,8 @@ def column_names(header: FileHeader, with_velocities: bool) -> list[str]:
     is_joints = header.nq in (None, len(joints))
     postures = joints if is_joints else [f"q[{i}]" for i in range(header.nq or 0)]
     velocities = [f"{n}{VELOCITY_SUFFIX}" for n in joints] if with_velocities else []
-    curves = ["manipulability", "task_error", "status"] if header.kind == "rollout" else []
+    following = ["following_error"] if header.follows else []
+    curves = ["manipulability", "task_error", *following, "status"] if header.kind == "rollout" else []
     return ["time", *postures, *velocities, *curves]
 
 
@@ -36,7 +37,8 @@ def column_line(header: FileHeader, with_velocities: bool) -> str:
 def csv_bytes(motion: SavedMotion) -> bytes:
     """The table, UTF-8."""
     columns = [motion.time[:, None], motion.q, motion.u]
-    columns += [None if c is None else c[:, None] for c in (motion.manipulability, motion.task_error)]
+    curves = motion.manipulability, motion.task_error, motion.following_error
+    columns += [None if c is None else c[:, None] for c in curves]
     table = np.hstack([c for c in columns if c is not None])
     words = [[word] for word in motion.status] or [[]] * len(table)
     lines = [MARK + motion.header.to_json(), column_line(motion.header, motion.u is not None)]

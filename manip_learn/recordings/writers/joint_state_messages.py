@@ -12,6 +12,8 @@ from manip_learn.errors import OutputError
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 ROLLOUT_SAMPLE = "manip_learn_msgs/msg/RolloutSample"
+FOLLOWED_SAMPLE = "manip_learn_msgs/msg/FollowedSample"  # with the following error
+_SAMPLE = "float64 time\nfloat64 manipulability\nfloat64 task_error\nfloat64[] q\nfloat64[] u\nstring status\n"
 LAST_STAMP = 2**31 * 1_000_000_000  # [ns] seconds are int32 in ROS
 # definitions as MCAP wants them: the message, then what it refers to
 DEFINITIONS = {
@@ -20,8 +22,8 @@ DEFINITIONS = {
     + "\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
     + "=" * 80
     + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n",
-    ROLLOUT_SAMPLE: "float64 time\nfloat64 manipulability\nfloat64 task_error\n"
-    "float64[] q\nfloat64[] u\nstring status\n",
+    ROLLOUT_SAMPLE: _SAMPLE,
+    FOLLOWED_SAMPLE: _SAMPLE + "float64 following_error\n",
 }
 CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
@@ -69,17 +71,25 @@ def joint_state_encoder(names: tuple[str, ...]) -> Callable[[int, np.ndarray, np
     return encode
 
 
-def rollout_sample(numbers: tuple[float, float, float], q: np.ndarray, u: np.ndarray, status: str) -> bytes:
-    """One sample: (time, manipulability, task error), posture, velocities, status."""
+def rollout_sample(
+    numbers: tuple[float, float, float], q: np.ndarray, u: np.ndarray, status: str, following: float | None = None
+) -> bytes:
+    """One sample: (time, manipulability, task error), posture, velocities, status, and the following error if known."""
     message = bytearray(struct.pack("<3d", *numbers))
     _append_doubles(message, q)
     _append_doubles(message, u)
     _align(message, 4)
     text = status.encode() + b"\x00"
-    return CDR_LITTLE_ENDIAN + bytes(message) + struct.pack("<I", len(text)) + text
+    message += struct.pack("<I", len(text)) + text
+    if following is not None:
+        _align(message, 8)
+        message += struct.pack("<d", following)
+    return CDR_LITTLE_ENDIAN + bytes(message)
 
 
-def rollout_sample_values(message: bytes) -> tuple[tuple[float, float, float], np.ndarray, np.ndarray, str]:
+def rollout_sample_values(
+    message: bytes,
+) -> tuple[tuple[float, float, float], np.ndarray, np.ndarray, str, float | None]:
     """What `rollout_sample` was given.
 
     Raises:
@@ -103,9 +113,14 @@ def rollout_sample_values(message: bytes) -> tuple[tuple[float, float, float], n
     at += -at % 4
     (length,) = struct.unpack_from("<I", content, at)
     text = content[at + 4 : at + 4 + length]
-    if len(text) != length or at + 4 + length != len(content):
-        raise ValueError("the status of a sample does not end with its message")
-    return (numbers[0], numbers[1], numbers[2]), arrays[0], arrays[1], text.rstrip(b"\x00").decode()
+    at += 4 + length
+    following = None
+    if len(text) == length and len(content) == at + -at % 8 + 8:
+        (following,) = struct.unpack_from("<d", content, at + -at % 8)
+        at = len(content)
+    if len(text) != length or at != len(content):
+        raise ValueError("a sample does not end with its status or its following error")
+    return (numbers[0], numbers[1], numbers[2]), arrays[0], arrays[1], text.rstrip(b"\x00").decode(), following
 
 
 def _append_doubles(message: bytearray, values: np.ndarray) -> None:

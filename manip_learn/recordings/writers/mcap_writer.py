@@ -29,6 +29,7 @@ from manip_learn.recordings.mcap_layout import (
 from manip_learn.recordings.saved_motion import SavedMotion
 from manip_learn.recordings.writers.joint_state_messages import (
     DEFINITIONS,
+    FOLLOWED_SAMPLE,
     JOINT_STATE,
     ROLLOUT_SAMPLE,
     joint_state_encoder,
@@ -53,7 +54,7 @@ def mcap_bytes(motion: SavedMotion) -> bytes:
         stamps = stamps + NOT_SET
     topics = [(JOINT_TOPIC, JOINT_STATE)]
     if motion.header.kind == "rollout":
-        topics.append((ROLLOUT_TOPIC, ROLLOUT_SAMPLE))
+        topics.append((ROLLOUT_TOPIC, ROLLOUT_SAMPLE if motion.following_error is None else FOLLOWED_SAMPLE))
     file = _McapFile(topics)
     file.metadata(METADATA_NAME, {HEADER_KEY: motion.header.to_json()})
     for stamp, messages in zip(stamps.tolist(), _messages(motion, stamps), strict=True):
@@ -71,7 +72,8 @@ def _messages(motion: SavedMotion, stamps: np.ndarray) -> Iterator[list[bytes]]:
         messages = [encode(stamp, q if are_positions else nothing, u)]
         if motion.manipulability is not None and motion.task_error is not None:
             numbers = float(motion.time[i]), float(motion.manipulability[i]), float(motion.task_error[i])
-            messages.append(rollout_sample(numbers, q, u, str(motion.status[i])))
+            following = None if motion.following_error is None else float(motion.following_error[i])
+            messages.append(rollout_sample(numbers, q, u, str(motion.status[i]), following))
         yield messages
 
 

@@ -21,6 +21,7 @@ def npz_bytes(motion: SavedMotion) -> bytes:
         "joint_names": np.array(header.joint_names, dtype=str),
         "manipulability": motion.manipulability,
         "task_error": motion.task_error,
+        "following_error": motion.following_error,
         "status": np.array(motion.status, dtype=str) if header.kind == "rollout" else None,
     }
     stream = io.BytesIO()
