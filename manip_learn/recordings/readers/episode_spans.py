@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError
-from manip_learn.recordings.readers.recording import reason
+from manip_learn.recordings.readers.parquet_file import opened_parquet
 
 FIRST, LAST = "first", "last"
 
@@ -19,21 +18,9 @@ def parquet_rows(file: Path, columns: tuple[str, ...]) -> Iterator[dict[str, Any
         RecordingError: Damaged.
         MissingExtraError: The extra `lerobot` is not installed.
     """
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        raise MissingExtraError("reading LeRobot data", "lerobot") from error
-    try:
-        with pq.ParquetFile(file) as parquet:
-            if columns[0] not in parquet.schema_arrow.names:
-                return
-            column = parquet.read(columns=[columns[0]]).column(0)
-            if len(column) and not column.null_count:
-                yield {FIRST: int(column[0].as_py()), LAST: int(column[len(column) - 1].as_py())}
-    except (pa.ArrowException, *DAMAGE) as error:
-        raise RecordingError(
-            f"{file.name}: the Parquet file cannot be read ({reason(error)}): download or write it again",
-            code="damaged",
-            path=file,
-        ) from error
+    with opened_parquet(file) as parquet:
+        if columns[0] not in parquet.schema_arrow.names:
+            return
+        column = parquet.read(columns=[columns[0]]).column(0)
+        if len(column) and not column.null_count:
+            yield {FIRST: int(column[0].as_py()), LAST: int(column[len(column) - 1].as_py())}

@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from manip_learn.errors import MissingExtraError, RecordingError
-from manip_learn.recordings.readers.recording import reason
+from manip_learn.recordings.readers.parquet_file import opened_parquet
 
 
 def parquet_rows(file: Path, columns: tuple[str, ...]) -> Iterator[dict[str, Any]]:
@@ -17,22 +16,10 @@ def parquet_rows(file: Path, columns: tuple[str, ...]) -> Iterator[dict[str, Any
         RecordingError: Damaged.
         MissingExtraError: The extra `lerobot` is not installed.
     """
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        raise MissingExtraError("reading LeRobot data", "lerobot") from error
-    try:
-        with pq.ParquetFile(file) as parquet:
-            there = [c for c in columns if c in parquet.schema_arrow.names]
-            if columns[0] not in there:
-                yield {columns[0]: 0}  # a file without episode numbers is one episode
-                return
-            for batch in parquet.iter_batches(columns=there):
-                yield from batch.to_pylist()
-    except (pa.ArrowException, OSError, ValueError, KeyError, NotImplementedError, RuntimeError) as error:
-        raise RecordingError(
-            f"{file.name}: the Parquet file cannot be read ({reason(error)}): download or write it again",
-            code="damaged",
-            path=file,
-        ) from error
+    with opened_parquet(file) as parquet:
+        there = [c for c in columns if c in parquet.schema_arrow.names]
+        if columns[0] not in there:
+            yield {columns[0]: 0}  # a file without episode numbers is one episode
+            return
+        for batch in parquet.iter_batches(columns=there):
+            yield from batch.to_pylist()
