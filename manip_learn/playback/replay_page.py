@@ -8,6 +8,7 @@ import tempfile
 import webbrowser
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Any, final
 
@@ -47,6 +48,12 @@ class ReplayResult:
     html: Path
     bytes: int
     notes: tuple[str, ...]
+
+    def _repr_html_(self) -> str:
+        """The page itself, within a notebook: as text, because notebooks do not serve every file."""
+        page = escape(self.html.read_text(encoding="utf-8"))
+        style = "width:100%;height:640px;border:0"
+        return f'<iframe title="replay" srcdoc="{page}" style="{style}" sandbox="allow-scripts"></iframe>'
 
 
 def replay(

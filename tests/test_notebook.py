@@ -1,0 +1,47 @@
+"""The notebook runs in a real kernel, and every object of the library shows itself in it."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+NOTEBOOK = EXAMPLES / "drawer.ipynb"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+    """The notebook's code cells after a run in a folder of their own, as a user would have copied it."""
+    folder = tmp_path_factory.mktemp("notebook")
+    (folder / "data").mkdir()
+    shutil.copytree(EXAMPLES / "data" / "sawyer_drawer", folder / "data" / "sawyer_drawer")
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    NotebookClient(notebook, timeout=240, kernel_name="python3", resources={"metadata": {"path": folder}}).execute()
+    assert (folder / "replay.html").stat().st_size > 100_000
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+@pytest.mark.timeout(300)
+def test_every_cell_shows_something(run: list[Any]):
+    """One card per cell as HTML, and a short text for consoles; nothing is printed to the error stream."""
+    titles = ["Robot sawyer", "Demonstrations", "What was learnt", "Constraint: 2 of 3 rows", "Rollout", "<iframe"]
+    for cell, title in zip(run, titles, strict=True):
+        errors = [out for out in cell.outputs if out.output_type in ("error", "stream")]
+        assert errors == []
+        shown = [out.data for out in cell.outputs if out.output_type == "execute_result"]
+        assert len(shown) == 1
+        assert title in shown[0]["text/html"]
+        assert shown[0]["text/plain"].count("\n") < 10
+
+
+def test_notebook_is_shipped_without_outputs():
+    """Outputs are made by the reader's own run: those of ours would be out of date."""
+    for cell in nbformat.read(NOTEBOOK, as_version=4).cells:
+        if cell.cell_type == "code":
+            assert cell.outputs == []
+            assert cell.execution_count is None
