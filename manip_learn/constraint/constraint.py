@@ -12,12 +12,8 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.constraint.features.centre_of_mass import CentreOfMass
+from manip_learn.constraint.features.described_features import described_features
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.constraint.features.mechanism_rows import MechanismRows
-from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
-from manip_learn.constraint.features.stacked import Stacked
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError
 from manip_learn.linalg import orthonormal_rows
 from manip_learn.robot import html_card
@@ -193,7 +189,7 @@ class Constraint:
         _check_format(source, content)
         _check_robot(source, content, robot, same_urdf)
         try:
-            features = _build(content["features"], robot)
+            features = described_features(content["features"], robot)
             return Constraint(content["selection"], features, content.get("provenance"))
         except DAMAGE as error:
             raise ConstraintMismatchError(f"{source}: the file is damaged ({error!r}); save it again") from error
@@ -284,21 +280,6 @@ def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf:
             f"{str(saved.get('fingerprint'))[:12]}, this one {robot.fingerprint[:12]}): learn it again, or load it "
             "with same_urdf=False if only looks have changed"
         )
-
-
-def _build(described: dict[str, Any], robot: Robot) -> FeatureMap:
-    kind = described["kind"]
-    if kind == "frame-jacobian":
-        return FrameJacobian(robot, described["frame"], described["axes"], described["reference"])
-    if kind == "relative-frame-jacobian":
-        return RelativeFrameJacobian(robot, described["frame"], described["relative_to"], described["axes"])
-    if kind == "centre-of-mass":
-        return CentreOfMass(robot, " ".join(described["axes"]))
-    if kind == "mechanism-rows":
-        return MechanismRows.from_description(robot, described)
-    if kind == "stacked":
-        return Stacked([_build(part, robot) for part in described["parts"]])
-    raise ConstraintMismatchError(f"unknown kind of features {kind!r}: this file comes from a newer version")
 
 
 def _row_in_words(row: np.ndarray, names: tuple[str, ...]) -> str:
