@@ -12,7 +12,9 @@ import typer
 
 from manip_learn.commands import arguments as shared
 from manip_learn.commands.output import answer, progress, refused_by_system, waiting
-from manip_learn.commands.read_options import ReadOptions, flags_of, takes_read_options
+from manip_learn.commands.read_options import ReadOptions
+from manip_learn.commands.robot_options import RobotOptions
+from manip_learn.commands.shared_options import flags_of, takes_shared_options
 from manip_learn.commands.vectors import joined_vectors, vector
 from manip_learn.errors import ManipLearnError, advice_for_command
 
@@ -42,18 +44,18 @@ def demo(
 
 
 @app.command()
+@takes_shared_options
 def inspect(
     robot: shared.RobotName,
-    lock: shared.Lock = None,
-    package_dir: shared.Packages = None,
-    objects: shared.Objects = None,
+    *,
+    robot_options: RobotOptions,
     as_json: shared.Json = False,
 ) -> None:
     """Show joints, frames, limits and warnings of a robot."""
     from manip_learn.commands.inspect import inspect as run
     from manip_learn.commands.inspect import summary_dict
 
-    steps = run(robot, lock, package_dir, objects)
+    steps = run(robot, robot_options)
     summary = next(steps)
     if not as_json:  # at once: the library that checks it takes longer to load than the robot
         answer(False, {}, "print_robot", summary)
@@ -62,7 +64,7 @@ def inspect(
 
 
 @app.command()
-@takes_read_options
+@takes_shared_options
 def learn(
     robot: shared.RobotName,
     recordings: shared.Recordings,
@@ -74,10 +76,8 @@ def learn(
     estimator: Annotated[str, typer.Option(help="auto, null-space, joint or separate.")] = "auto",
     out: Annotated[Path | None, typer.Option(help="Constraint file to write (JSON).")] = None,
     html: Annotated[Path | None, typer.Option(help="Replay of the recordings to write, with their phases.")] = None,
-    lock: shared.Lock = None,
-    package_dir: shared.Packages = None,
-    objects: shared.Objects = None,
     *,
+    robot_options: RobotOptions,
     options: ReadOptions,
     phases: shared.Phases = "auto",
     mechanism: Annotated[str, typer.Option(help="auto: say what holds the hand (hinge, line, ...); off.")] = "auto",
@@ -94,23 +94,22 @@ def learn(
     with progress(as_json) as report:
         learnt = run(
             robot, recordings, frame=frame, relative_to=relative_to, axes=axes, reference=reference,
-            n_constraints=constraints, estimator=estimator, out=out, html=html, locked=lock,
-            package_dirs=package_dir, objects=objects, seed=seed, points=points, phases=phases,
-            mechanism=mechanism, start=start, until=until, options=options, dask=dask, progress=report
+            n_constraints=constraints, estimator=estimator, out=out, html=html, seed=seed, points=points,
+            phases=phases, mechanism=mechanism, start=start, until=until, robot_options=robot_options,
+            options=options, dask=dask, progress=report
         )  # fmt: skip
     answer(as_json, learnt.to_dict(), "print_learnt", learnt)
 
 
 @app.command()
-@takes_read_options
+@takes_shared_options
 def audit(
     robot: shared.RobotName,
     constraint: shared.ConstraintFile,
     recordings: shared.Recordings,
     csv: Annotated[Path | None, typer.Option(help="Table to write, one line per episode (CSV).")] = None,
-    package_dir: shared.Packages = None,
-    objects: shared.Objects = None,
     *,
+    robot_options: RobotOptions,
     options: ReadOptions,
     dask: shared.Dask = None,
     as_json: shared.Json = False,
@@ -120,13 +119,14 @@ def audit(
 
     with progress(as_json) as report:
         audited = run(
-            robot, constraint, recordings, csv=csv, package_dirs=package_dir, objects=objects, options=options,
-            dask=dask, progress=report
+            robot, constraint, recordings, csv=csv, robot_options=robot_options, options=options, dask=dask,
+            progress=report
         )  # fmt: skip
     answer(as_json, audited.to_dict(), "print_audit", audited)
 
 
 @app.command()
+@takes_shared_options
 def control(
     robot: shared.RobotName,
     constraint: shared.ConstraintFile,
@@ -141,8 +141,8 @@ def control(
     inverse: Annotated[str, typer.Option(help="damped, exact or truncated.")] = "damped",
     tolerance: Annotated[float, typer.Option(help="Final error that counts as reached [m or rad].")] = 0.01,
     out: Annotated[Path | None, typer.Option(help="Rollout file to write: .npz, .csv, .jsonl or .mcap.")] = None,
-    package_dir: shared.Packages = None,
-    objects: shared.Objects = None,
+    *,
+    robot_options: RobotOptions,
     as_json: shared.Json = False,
 ) -> None:
     """Simulate a controller that performs the task and increases its manipulability."""
@@ -152,14 +152,13 @@ def control(
         result = run(
             robot, constraint, start=vector("--start", start), target=vector("--target", target), policy=policy,
             rest=vector("--rest", rest), gain=gain, task_gain=task_gain, duration=duration, dt=dt,
-            inverse=inverse, tolerance=tolerance, out=out, package_dirs=package_dir, objects=objects,
-            progress=report
+            inverse=inverse, tolerance=tolerance, out=out, robot_options=robot_options, progress=report
         )  # fmt: skip
     answer(as_json, result.to_dict(), "print_controlled", result)
 
 
 @app.command()
-@takes_read_options
+@takes_shared_options
 def replay(
     robot: shared.RobotName,
     rollouts: shared.Rollouts,
@@ -167,10 +166,8 @@ def replay(
     open_browser: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
     tip: Annotated[str | None, typer.Option(help="Frame whose path is drawn.")] = None,
     constraint: shared.Shown = None,
-    lock: shared.Lock = None,
-    package_dir: shared.Packages = None,
-    objects: shared.Objects = None,
     *,
+    robot_options: RobotOptions,
     options: ReadOptions,
     as_json: shared.Json = False,
 ) -> None:
@@ -179,24 +176,22 @@ def replay(
 
     with waiting(as_json, "writing the replay"):
         page = run(
-            robot, rollouts, html=html, open_browser=open_browser, tip=tip, locked=lock,
-            package_dirs=package_dir, objects=objects, options=options, constraint_file=constraint
+            robot, rollouts, html=html, open_browser=open_browser, tip=tip, robot_options=robot_options,
+            options=options, constraint_file=constraint
         )  # fmt: skip
     content = {"html": str(page.html), "bytes": page.bytes, "notes": list(page.notes)}
     answer(as_json, content, "print_replayed", page)
 
 
 @app.command()
-@takes_read_options
+@takes_shared_options
 def export(
     robot: shared.RobotName,
     files: shared.Exported,
     out: shared.ExportOut,
     to: shared.ExportTo = None,
-    lock: shared.Lock = None,
-    package_dir: shared.Packages = None,
-    objects: shared.Objects = None,
     *,
+    robot_options: RobotOptions,
     options: ReadOptions,
     as_json: shared.Json = False,
 ) -> None:
@@ -204,7 +199,7 @@ def export(
     from manip_learn.commands.export import export as run
 
     with waiting(as_json, "writing"):
-        result = run(robot, files, out, to, lock, package_dir, objects, options)
+        result = run(robot, files, out, to, robot_options, options)
     answer(as_json, result.to_dict(), "print_exported", result)
 
 

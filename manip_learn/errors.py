@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import lzma
+import re
 import struct
 import tokenize
 import zipfile
@@ -23,6 +24,7 @@ DAMAGE: tuple[type[Exception], ...] = (
     *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError, RuntimeError, SyntaxError),
     *(TypeError, ValueError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError),
 )
+FLAG = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 # flags of the command that runs; None where the library is called from Python
 _FLAGS: ContextVar[frozenset[str] | None] = ContextVar("flags of the command", default=None)
 
@@ -45,12 +47,12 @@ def command_flags() -> frozenset[str] | None:
 def advice(sentence: str, python: str, flag: str) -> str:
     """The sentence with `{}` replaced by what the caller can write: the Python argument, or the flag with its value.
 
-    Empty where a command runs that does not have the flag.
+    Empty where a command runs that does not have the flags.
     """
     flags = _FLAGS.get()
     if flags is None:
         return sentence.replace("{}", python)
-    return sentence.replace("{}", flag) if flag.split()[0] in flags else ""
+    return sentence.replace("{}", flag) if flags.issuperset(FLAG.findall(flag)) else ""
 
 
 def spoken(python: str, command: str) -> str:
@@ -59,7 +61,18 @@ def spoken(python: str, command: str) -> str:
 
 
 class ManipLearnError(Exception):
-    """Base of all errors raised on purpose by manip_learn."""
+    """Base of all errors raised on purpose by manip_learn.
+
+    Attributes:
+        code: Short stable name of the reason, e.g. `"option"`; docs/troubleshooting.md has an entry for each.
+    """
+
+    code: str = "input"
+
+    def __init__(self, message: str, *, code: str | None = None):
+        super().__init__(message)
+        if code is not None:
+            self.code = code
 
 
 class RobotError(ManipLearnError):
@@ -87,7 +100,9 @@ class UnknownNameError(ManipLearnError):
         near: The closest names that exist.
     """
 
-    def __init__(self, kind: str, name: str, known: Iterable[str], where: str = ""):
+    code = "unknown-name"
+
+    def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "", more: str = ""):
         names = sorted({str(n) for n in known})
         self.kind = kind
         self.name = str(name)
@@ -100,7 +115,7 @@ class UnknownNameError(ManipLearnError):
             hint = f"it has {shown}" + (f" and {len(names) - 12} more" if len(names) > 12 else "")
         else:
             hint = f"there are no {kind}s"
-        super().__init__(f"unknown {kind} {self.name!r}{place}: {hint}")
+        super().__init__(f"unknown {kind} {self.name!r}{place}: {hint}{more}")
 
     def __reduce__(self):
         return (_rebuild_unknown_name, (self.args[0], self.kind, self.name, self.near))
@@ -125,9 +140,13 @@ def closest_names(name: str, known: Iterable[str], n: int = 4) -> list[str]:
 class ConfigurationError(ManipLearnError):
     """A configuration or velocity vector has the wrong size or holds NaN or infinity."""
 
+    code = "posture"
+
 
 class FeatureError(ManipLearnError):
     """A feature map cannot be built or evaluated as asked."""
+
+    code = "features"
 
 
 @final
@@ -140,11 +159,14 @@ class NumberOfConstraintsError(FeatureError):
         features: The features, in words.
     """
 
+    code = "number-of-constraints"
+
     def __init__(self, given: int, most: int, features: str):
         self.given = given
         self.most = most
         self.features = features
-        super().__init__(f"n_constraints must be between 1 and {most} for {features}, got {given}")
+        asked = advice("{}", "n_constraints", "--constraints") or "the number of constraints"
+        super().__init__(f"{asked} must be between 1 and {most} for {features}, got {given}")
 
     def __reduce__(self):
         return NumberOfConstraintsError, (self.given, self.most, self.features)
@@ -153,9 +175,13 @@ class NumberOfConstraintsError(FeatureError):
 class ConstraintError(ManipLearnError):
     """A selection matrix is unusable (wrong size, dependent rows, not finite)."""
 
+    code = "constraint"
+
 
 class ConstraintMismatchError(ConstraintError):
     """A saved constraint belongs to another robot or another kind of file."""
+
+    code = "constraint-file"
 
 
 class RecordingError(ManipLearnError):
@@ -199,13 +225,19 @@ class NotIdentifiableError(ManipLearnError):
 class TargetError(ManipLearnError):
     """A task target or a joint target has the wrong size or is not finite."""
 
+    code = "target"
+
 
 class ExperimentError(ManipLearnError):
     """An experiment cannot be run as asked, e.g. with zero trials."""
 
+    code = "experiment"
+
 
 class OutputError(ManipLearnError):
     """An output file or folder cannot be written."""
+
+    code = "output"
 
 
 @final
@@ -215,6 +247,8 @@ class MissingExtraError(ManipLearnError):
     Attributes:
         extra: Name of the extra that brings it.
     """
+
+    code = "missing-extra"
 
     def __init__(self, what: str, extra: str):
         self.extra = extra

@@ -334,7 +334,7 @@ def test_xacro_only_when_asked(tmp_path):
         "0 0 ${unknown}": "unknown",
         "0 0 ${1+}": "syntax",
         "$(arg x)": "arg",
-        "$(find nowhere)": "ROS_PACKAGE_PATH",
+        "$(find nowhere)": "nowhere.*package_dirs",
         "<": "expanded",
     }
     for expression, part in wrong.items():
@@ -385,3 +385,34 @@ def test_a_doctype_in_an_included_file_is_refused(tmp_path):
     assert (caught.value.code, caught.value.path.name) == ("doctype", "height.xacro")
     part.write_text(f'{head}<xacro:property name="h" value="0.5"/></robot>', encoding="utf-8")
     assert load_robot(path, xacro=True).nv == 2  # a refusal leaves nothing behind
+
+
+def test_arguments_and_packages_of_xacro_files(tmp_path):
+    """Values are given to `<xacro:arg>`, a misspelt name is refused, and `$(find ...)` looks in package_dirs."""
+    pytest.importorskip("xacrodoc")
+    (tmp_path / "packages" / "heights").mkdir(parents=True)
+    head = '<robot name="part" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    part = tmp_path / "packages" / "heights" / "h.xacro"
+    part.write_text(f'{head}<xacro:arg name="extra" default="0"/></robot>', encoding="utf-8")
+    arm = ARM.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
+    include = '<xacro:arg name="height" default="0.5"/><xacro:include filename="$(find heights)/h.xacro"/>'
+    path = tmp_path / "robots" / "arm.xacro"
+    path.parent.mkdir()
+    arm = arm.replace('<link name="base"/>', include + '<link name="base"/>')
+    path.write_text(arm.replace("0 0 0.3", "0 0 ${$(arg height)+$(arg extra)}"), encoding="utf-8")
+
+    def height(**values):
+        robot = load_robot(path, package_dirs=[tmp_path / "packages"], xacro=values or True)
+        return robot.pose([0, 0], robot.frame("upper"))[2, 3]
+
+    assert height() == pytest.approx(0.5)
+    assert height(height=0.25, extra="1") == pytest.approx(1.25)
+    with pytest.raises(RobotError, match="no argument 'hieght'; it has 'height'") as caught:
+        height(hieght="0.25")
+    assert caught.value.code == "xacro-arg"
+    with pytest.raises(RobotError, match="heights.*package_dirs"):
+        load_robot(path, xacro=True)
+    with pytest.raises(RobotError, match="a mapping"):
+        load_robot(path, xacro="ur5")
+    with pytest.raises(RobotError, match="no .xacro file"):
+        load_robot("planar3", xacro={"height": "1"})

@@ -9,14 +9,9 @@ import typer
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 RobotName = Annotated[str, typer.Argument(metavar="ROBOT", help="A name (sawyer, planar3, panda, ...) or a URDF file.")]
-Lock = Annotated[list[str] | None, typer.Option("--lock", help="Joint to hold still; may be given several times.")]
-Packages = Annotated[list[str] | None, typer.Option("--package-dir", help="Folder that contains mesh packages.")]
 Recordings = Annotated[list[str], typer.Argument(metavar="RECORDING...", help="Files, or a folder of them.")]
 ConstraintFile = Annotated[str, typer.Argument(metavar="CONSTRAINT.JSON", help="Written by `learn --out`.")]
 Dask = Annotated[str | None, typer.Option(help="Scheduler address, or local: work on a dask cluster.")]
-Objects = Annotated[
-    list[str] | None, typer.Option("--object", help="Object whose pose is recorded (NAME.x ... NAME.rz); repeatable.")
-]
 Exported = Annotated[list[str], typer.Argument(metavar="FILE...", help="Recordings or rollouts, or a folder of them.")]
 ExportOut = Annotated[
     Path,

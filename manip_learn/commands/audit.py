@@ -8,6 +8,7 @@ from typing import Any, final
 
 from manip_learn.commands.cluster import cluster_client
 from manip_learn.commands.robot_loading import robot_of_constraint
+from manip_learn.commands.robot_options import RobotOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.learning.audit import AuditReport, audit_episodes
 from manip_learn.recordings.load_demonstrations import ReadOptions
@@ -34,8 +35,7 @@ def audit(
     recordings: list[str],
     *,
     csv: Path | None = None,
-    package_dirs: list[str] | None = None,
-    objects: list[str] | None = None,
+    robot_options: RobotOptions | None = None,
     options: ReadOptions | None = None,
     dask: str | None = None,
     progress: Progress | None = None,
@@ -45,7 +45,7 @@ def audit(
     Raises:
         ManipLearnError: Anything that is wrong with the robot, the constraint file, the recordings or the output.
     """
-    robot = robot_of_constraint(robot_name, constraint_file, package_dirs or [], objects)
+    robot = robot_of_constraint(robot_name, constraint_file, robot_options or RobotOptions())
     constraint = Constraint.load(constraint_file, robot)
     source = RecordingSource(recordings, robot, **(options or {}))
     with cluster_client(dask) as client:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_learn.commands.robot_loading import robot_of_constraint
+from manip_learn.commands.robot_options import RobotOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
@@ -110,8 +111,7 @@ def control(
     inverse: str = "damped",
     tolerance: float = 0.01,
     out: Path | None = None,
-    package_dirs: list[str] | None = None,
-    objects: list[str] | None = None,
+    robot_options: RobotOptions | None = None,
     progress: Progress | None = None,
 ) -> Controlled:
     """Simulate a controller and write the rollout to a file if one is named.
@@ -119,7 +119,7 @@ def control(
     Raises:
         ManipLearnError: Anything that is wrong with the robot, the constraint file, the numbers or the output.
     """
-    robot = robot_of_constraint(robot_name, constraint_file, package_dirs or [], objects)
+    robot = robot_of_constraint(robot_name, constraint_file, robot_options or RobotOptions())
     constraint = Constraint.load(constraint_file, robot)
     q0 = robot.neutral() if start is None else robot.checked_posture(start)
     _check_start(robot, q0)

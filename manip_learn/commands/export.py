@@ -10,6 +10,7 @@ from typing import Any, final
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.commands.robot_loading import load_for_files
+from manip_learn.commands.robot_options import RobotOptions
 from manip_learn.errors import OutputError
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.load_demonstrations import ReadOptions
@@ -62,9 +63,7 @@ def export(
     recordings: list[str],
     out: Path,
     to: str | None = None,
-    locked: list[str] | None = None,
-    package_dirs: list[str] | None = None,
-    objects: list[str] | None = None,
+    robot_options: RobotOptions | None = None,
     options: ReadOptions | None = None,
 ) -> Exported:
     """Read recordings or rollouts, and write them in another format.
@@ -74,9 +73,7 @@ def export(
         recordings: Files, or a folder of them.
         out: File for one trajectory; folder for several, or for LeRobot data.
         to: Format of the files in a folder; of a file its ending says it.
-        locked: Joints to hold still.
-        package_dirs: Folders that contain mesh packages.
-        objects: Objects whose pose is recorded.
+        robot_options: Joints to hold still, folders of meshes, objects, and whether xacro may be expanded.
         options: Keywords of `load_demonstrations`.
 
     Raises:
@@ -84,7 +81,7 @@ def export(
         ManipLearnError: Anything that is wrong with the robot or the recordings.
     """
     kind = _format(out, to)
-    robot = load_for_files(robot_name, recordings, locked or (), package_dirs or (), objects or ())
+    robot = load_for_files(robot_name, recordings, robot_options or RobotOptions())
     demonstrations = load_demonstrations(recordings, robot, **(options or {}))
     motions = [motion_of_trajectory(t, robot) for t in demonstrations]
     if kind == LEROBOT:

@@ -7,15 +7,13 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from manip_learn.robot import load_robot
+from manip_learn.commands.robot_options import RobotOptions
 from manip_learn.robot.robot_summary import RobotSummary, summarise, with_cross_check
 
 
 def inspect(
     robot_name: str,
-    locked: list[str] | None = None,
-    package_dirs: list[str] | None = None,
-    objects: list[str] | None = None,
+    robot_options: RobotOptions | None = None,
 ) -> Iterator[RobotSummary]:
     """Load a robot and look at it.
 
@@ -25,7 +23,7 @@ def inspect(
     Raises:
         ManipLearnError: The robot cannot be loaded.
     """
-    robot = load_robot(robot_name, package_dirs or [], locked or [], objects=objects or ())
+    robot = (robot_options or RobotOptions()).load(robot_name)
     summary = summarise(robot)
     yield summary
     yield with_cross_check(summary, robot)

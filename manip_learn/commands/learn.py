@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final, get_args
 
 from manip_learn.commands.cluster import cluster_client
-from manip_learn.commands.robot_loading import load_for_recordings, source_for_recordings
+from manip_learn.commands.recording_loading import load_for_recordings, source_for_recordings
+from manip_learn.commands.robot_options import RobotOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeFrameJacobian
 from manip_learn.errors import FeatureError, RecordingError
@@ -83,15 +84,13 @@ def learn(
     estimator: str = "auto",
     out: Path | None = None,
     html: Path | None = None,
-    locked: list[str] | None = None,
-    package_dirs: list[str] | None = None,
-    objects: list[str] | None = None,
     seed: int = 0,
     points: int | None = None,
     phases: str = "auto",
     mechanism: str = "auto",
     start: float | None = None,
     until: float | None = None,
+    robot_options: RobotOptions | None = None,
     options: ReadOptions | None = None,
     dask: str | None = None,
     progress: Progress | None = None,
@@ -120,7 +119,7 @@ def learn(
         progress("reading", 0.0)
     load = load_for_recordings if dask is None else source_for_recordings
     robot, demos, chosen, notes = load(
-        robot_name, recordings, frame, locked or [], package_dirs or [], options, objects or [], relative_to
+        robot_name, recordings, frame, robot_options or RobotOptions(), options, relative_to
     )
     if isinstance(demos, Demonstrations) and (start is not None or until is not None):
         demos = Demonstrations([t[start:until] for t in demos], demos.notes)
@@ -130,9 +129,6 @@ def learn(
     candidates: list[FeatureMap] = [FrameJacobian(robot, chosen, axes, r) for r in REFERENCES[reference]]
     if relative_to is not None:
         candidates = [RelativeFrameJacobian(robot, chosen, relative_to, axes)]
-    most = min(min(c.n_rows, c.nv) for c in candidates)
-    if n_constraints is not None and not 1 <= n_constraints <= most:
-        raise FeatureError(f"--constraints must be between 1 and {most} for the axes {axes!r}, got {n_constraints}")
     learner = ConstraintLearner(
         candidates,
         n_constraints,

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import functools
-import inspect
-from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 import typer
 
-from manip_learn.errors import ManipLearnError
+from manip_learn.commands.robot_options import pair
 
 # the keywords of `load_demonstrations`; their own type is not imported here, so that `--help` stays quick
 ReadOptions = Any
@@ -44,7 +41,7 @@ def read_options(
         "units": units,
         "time_unit": time_unit,
         "ignore_columns": ignore_column,
-        "rename": dict(_pair(r) for r in rename) if rename else None,
+        "rename": dict(pair("--rename", "NAME_IN_FILE=NAME_IN_ROBOT", r) for r in rename) if rename else None,
         "joint_names": joint_names.replace(",", " ").split() if joint_names else None,
         "topics": topic,
         "rate": rate,
@@ -55,39 +52,3 @@ def read_options(
         "feature": feature,
     }
     return {key: value for key, value in given.items() if value is not None and value != []}
-
-
-def takes_read_options(command: Callable[..., None]) -> Callable[..., None]:
-    """A command with the options of `read_options` in place of its parameter `options`, which gets what they say."""
-    own = inspect.signature(command, eval_str=True).parameters
-    shared = inspect.signature(read_options, eval_str=True).parameters
-
-    @functools.wraps(command)
-    def with_options(**given: Any) -> None:
-        options = read_options(**{name: given.pop(name) for name in shared})
-        command(**given, options=options)
-
-    merged: list[inspect.Parameter] = []
-    for parameter in own.values():
-        merged += shared.values() if parameter.name == "options" else [parameter]
-    merged = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in merged]
-    vars(with_options).update(__signature__=inspect.Signature(merged), __annotations__={})
-    return with_options
-
-
-def flag_of(option: str) -> str:
-    """The flag for a keyword of `load_demonstrations`."""
-    return {"ignore_columns": "--ignore-column", "topics": "--topic"}.get(option, "--" + option.replace("_", "-"))
-
-
-def flags_of(program: Any, arguments: Sequence[str]) -> set[str]:
-    """Flags that the command named in the arguments has; `program` is typer's group of commands."""
-    command = next((program.commands[a] for a in arguments if a in program.commands), program)
-    return {flag for parameter in command.params for flag in (*parameter.opts, *parameter.secondary_opts)}
-
-
-def _pair(text: str) -> tuple[str, str]:
-    file_name, _, robot_name = text.partition("=")
-    if not file_name or not robot_name:
-        raise ManipLearnError(f"--rename must be NAME_IN_FILE=NAME_IN_ROBOT, got {text!r}")
-    return file_name, robot_name

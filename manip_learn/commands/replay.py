@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from manip_learn.commands.read_options import flag_of
 from manip_learn.commands.robot_loading import load_for_files, robot_of_constraint
+from manip_learn.commands.robot_options import RobotOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConstraintMismatchError, RecordingError
@@ -16,6 +16,7 @@ from manip_learn.playback import replay as write_replay
 from manip_learn.playback.phase_bands import phases_from_json
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.load_demonstrations import ReadOptions
+from manip_learn.recordings.readers.option_uses import flag_of
 from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.trajectory import Trajectory
 
@@ -27,9 +28,7 @@ def replay(
     html: Path | None = None,
     open_browser: bool = False,
     tip: str | None = None,
-    locked: list[str] | None = None,
-    package_dirs: list[str] | None = None,
-    objects: list[str] | None = None,
+    robot_options: RobotOptions | None = None,
     options: ReadOptions | None = None,
     constraint_file: Path | None = None,
 ) -> ReplayResult:
@@ -44,12 +43,12 @@ def replay(
         ConstraintMismatchError: A constraint file of another robot, or none at all.
         ManipLearnError: Anything else that is wrong with the robot or the output.
     """
-    dirs = package_dirs or []
+    loading = robot_options or RobotOptions()
     if not files:
         raise RecordingError("name at least one rollout file; `manip-learn control ... --out rollout.npz` writes one")
     learnt: dict[str, Any] = {}
     if constraint_file is not None:
-        robot = robot_of_constraint(robot_name, str(constraint_file), dirs, objects)
+        robot = robot_of_constraint(robot_name, str(constraint_file), loading)
         constraint = Constraint.load(constraint_file, robot)
         learnt = constraint.provenance
         if not isinstance(learnt.get("mechanism") or {}, Mapping):
@@ -58,7 +57,7 @@ def replay(
             )
         tip = tip or getattr(constraint.features, "frame", None)
     else:
-        robot = load_for_files(robot_name, files, locked or (), dirs, objects or ())
+        robot = load_for_files(robot_name, files, loading)
     named: dict[str, Rollout | Trajectory] = {}
     notes: list[str] = []
     rollouts = [file for file in files if _is_rollout(Path(file))]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.features.described_features import described_features
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp
-from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError
+from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, spoken
 from manip_learn.linalg import orthonormal_rows
 from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
@@ -277,8 +277,11 @@ def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf:
     if same_urdf and saved.get("fingerprint") != robot.fingerprint:
         raise ConstraintMismatchError(
             f"{path} was made for another version of robot {saved.get('name')!r} (hash "
-            f"{str(saved.get('fingerprint'))[:12]}, this one {robot.fingerprint[:12]}): learn it again, or load it "
-            "with same_urdf=False if only looks have changed"
+            f"{str(saved.get('fingerprint'))[:12]}, this one {robot.fingerprint[:12]}): "
+            + spoken(
+                "learn it again, or load it with same_urdf=False if only looks have changed",
+                "learn it again, or name the description that it was learnt with",
+            )
         )
 
 

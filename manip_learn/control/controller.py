@@ -27,7 +27,7 @@ from manip_learn.control.singularity import (
     approach_bound,
 )
 from manip_learn.control.tasks import Hold, Task
-from manip_learn.errors import ConfigurationError, ConstraintError
+from manip_learn.errors import ConfigurationError, ConstraintError, advice
 from manip_learn.linalg import Inverse
 from manip_learn.robot.frame_kinematics import is_plain
 from manip_learn.robot.robot import Robot
@@ -169,7 +169,7 @@ class ResolvedRateController:
         if not isfinite(sum(velocity.tolist())):
             raise ConfigurationError(
                 f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {law.smallest:.1e}): "
-                "use inverse='damped'"
+                + advice("use {}", "inverse='damped'", "--inverse damped")
             )
         limits, damped = self.limits, self.inverse == "damped" and law.smallest < self.threshold
         if limits is None:

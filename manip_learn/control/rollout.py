@@ -15,7 +15,7 @@ from jaxtyping import Float
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.control.status import Status
-from manip_learn.errors import FeatureError, RecordingError
+from manip_learn.errors import FeatureError, RecordingError, spoken
 from manip_learn.recordings.readers.saved_reader import read_saved
 from manip_learn.recordings.saved_motion import FileHeader, SavedMotion, check_robot
 from manip_learn.recordings.trajectory import Trajectory
@@ -171,7 +171,10 @@ class Rollout:
         header = motion.header
         if motion.u is None or motion.manipulability is None or motion.task_error is None:
             raise RecordingError(
-                f"{path.name} is a recording, no rollout: load_demonstrations reads it", code="not-a-rollout", path=path
+                f"{path.name} is a recording, no rollout"
+                + spoken(": load_demonstrations reads it", ": name a file that `manip-learn control --out` wrote"),
+                code="not-a-rollout",
+                path=path,
             )
         notes = check_robot(path, header, robot) if robot is not None or header.schema == 1 else ()
         if robot is not None and header.joint_names != robot.joint_names:

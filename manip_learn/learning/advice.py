@@ -8,7 +8,7 @@ import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.errors import NotIdentifiableError
+from manip_learn.errors import NotIdentifiableError, advice
 from manip_learn.learning.division import Division
 from manip_learn.learning.overview import distinct_names, lone_contacts
 from manip_learn.learning.phases.find_phases import one_constraint_fits
@@ -60,7 +60,7 @@ def advise_in_general(refusal: NotIdentifiableError) -> NotIdentifiableError:
         return refusal
     return NotIdentifiableError(
         f"{refusal}; record more varied motions, try other axes or the other reference, or give the number of rows if "
-        "you know it",
+        "you know it" + advice(" ({})", "n_constraints=2", "--constraints 2"),
         code=refusal.code,
     )
 
@@ -78,15 +78,18 @@ def _several_phases(division: Division, phases: str, n: int) -> list[str]:
         return []
     if phases == "off":
         return [
-            "no single constraint fits the recordings as a whole: allow --phases auto, or cut them with --from and "
-            "--until"
+            "no single constraint fits the recordings as a whole: cut them"
+            + advice(", or allow {}", "phases='auto'", "--phases auto")
         ]
     if n < 2:
-        return ["no single constraint fits the recording as a whole: cut it with --from and --until"]
+        return [
+            "no single constraint fits the recording as a whole: cut it"
+            + advice(" with {}", "trajectory[start:until]", "--from and --until")
+        ]
     return [
         "no stretch of the recordings obeys a constraint that several of them confirm: this looks like free motion. A "
         "contact without any constant direction, other than with a tether, is learnt from recordings that are cut to "
-        "it (--from, --until)"
+        + advice("it ({})", "trajectory[start:until]", "--from and --until")
     ]
 
 
@@ -100,7 +103,8 @@ def _other_rows(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMa
         for reference in ("world", "local"):
             other = FrameJacobian(first.robot, first.frame.name, axes, reference)
             if (other.row_names, reference) not in tried and one_constraint_fits(other, demonstrations):
-                return [f"with other rows one constraint does fit: try --axes {axes} --reference {reference}"]
+                python, flags = f"axes={axes!r}, reference={reference!r}", f"--axes {axes} --reference {reference}"
+                return [f"with other rows one constraint does fit{advice(': try {}', python, flags)}"]
     return []
 
 
@@ -112,7 +116,8 @@ def _still_joints(demonstrations: Demonstrations) -> list[str]:
     still = [n for n, e in zip(demonstrations.joint_names, np.atleast_1d(energy), strict=True) if e < STILL * total]
     if not still:
         return []
-    return [f"joint(s) {', '.join(still)} hardly move: move them too, or lock them with --lock"]
+    python, flags = f"load_robot(..., locked={still})", " ".join(f"--lock {name}" for name in still)
+    return [f"joint(s) {', '.join(still)} hardly move: move them too, or lock them{advice(': {}', python, flags)}"]
 
 
 def _too_slow(demonstrations: Demonstrations) -> list[str]:

@@ -12,7 +12,7 @@ import numpy as np
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
-from manip_learn.errors import NotIdentifiableError
+from manip_learn.errors import NotIdentifiableError, advice
 from manip_learn.learning.candidate import Candidate, LearnerSettings
 from manip_learn.learning.data_summary import DataSummary
 from manip_learn.learning.division import Part
@@ -169,7 +169,8 @@ def _unsupported(answer: Answer) -> Answer:
         raise NotIdentifiableError(
             f"the motion leaves {s} direction(s) unused (gap {answer.candidate.gap:.3g}), but nothing shows that they "
             f"are held: {evidence.sentence()}. A motion that is repeated looks like this, too: vary the way and the "
-            "posture between recordings, or give the number of rows if you know it",
+            "posture between recordings, or give the number of rows if you "
+            f"know it{advice(' ({})', f'n_constraints={s}', f'--constraints {s}')}",
             code="no-evidence",
         )
     return dataclasses.replace(

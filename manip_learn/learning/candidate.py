@@ -9,7 +9,7 @@ from typing import Literal, final
 import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.errors import NotIdentifiableError
+from manip_learn.errors import NotIdentifiableError, advice
 from manip_learn.learning.data_summary import DataSummary
 from manip_learn.learning.estimators.estimate import CLEAR_GAP, Estimate
 from manip_learn.learning.estimators.joint_estimator import estimate_joint
@@ -239,7 +239,8 @@ def _check_fit(estimate: Estimate) -> list[str]:
     if estimate.name == "null-space" and estimate.unexplained > SOFT_ENERGY:
         return [
             f"{100 * estimate.unexplained:.2g} % of the motion's energy breaks the constraint: it is soft, or the "
-            "demonstrator moves the constrained directions on purpose (then use estimator='joint')"
+            "demonstrator moves the constrained directions on purpose"
+            + advice(" (then use {})", "estimator='joint'", "--estimator joint")
         ]
     if estimate.name == "joint" and estimate.held_out > EXPLAINED:
         return [

@@ -190,7 +190,12 @@ def _request(robot: Robot, options: ReadOptions) -> ReadRequest:
     if degrees:
         if fields.get("units") not in (None, "degrees"):
             raise RecordingError(
-                f"degrees=True and units={fields['units']!r} contradict each other: give one", code="option"
+                advice(
+                    "{} contradict each other: give one",
+                    f"degrees=True and units={fields['units']!r}",
+                    f"--degrees and --units {fields['units']}",
+                ),
+                code="option",
             )
         fields["units"] = "degrees"
     if fields.get("episodes") is not None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, final
 
-from manip_learn.errors import RecordingError, spoken
+from manip_learn.errors import RecordingError, advice, spoken
 from manip_learn.robot.robot import Robot
 
 SHOWN = 8
@@ -109,8 +109,8 @@ class RobotIdentity:
         )
         fix = spoken(
             f"Load the robot that it was made with, {how}",
-            f"Give the description of {self.name!r} that it was made with; the joints that were locked then are locked "
-            "without --lock",
+            f"Give the description of {self.name!r} that it was made with; the joints that were locked then are locked"
+            + advice(" without {}", "", "--lock"),
         )
         raise RecordingError(
             f"{where} was made with robot {self.name!r}, the robot loaded is {robot.name!r}: {'; '.join(found)}. {fix}",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -11,10 +11,11 @@ import pinocchio as pin
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.description.catalogue import find_robot
-from manip_learn.robot.description.description_file import expanded_xacro, read_description
+from manip_learn.robot.description.description_file import read_description
 from manip_learn.robot.description.locking import Locked, names_of
 from manip_learn.robot.description.mjcf_reader import validate_mjcf
 from manip_learn.robot.description.objects import object_names
+from manip_learn.robot.description.xacro_file import expanded_xacro
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.urdf_robot import robot_from_urdf, robot_from_validated
 
@@ -29,7 +30,7 @@ def load_robot(
     locked: Locked = (),
     *,
     base: Base = "fixed",
-    xacro: bool = False,
+    xacro: bool | Mapping[str, str] = False,
     objects: Sequence[str] = (),
 ) -> Robot:
     """Load a robot by its name or from a file; nothing is repaired or ignored without a sentence in `Robot.warnings`.
@@ -37,11 +38,13 @@ def load_robot(
     Args:
         name: `"planar3"`, `"sawyer"`, a robot of example-robot-data such as `"panda"`, or the path of a URDF or MJCF
             file. What exists as a file, or ends in .urdf, .xml, .mjcf or .xacro, is a path.
-        package_dirs: Folders that contain the packages of `package://` meshes. Kinematics needs none.
+        package_dirs: Folders that contain the packages of `package://` meshes and of `$(find ...)` in xacro files.
+            Kinematics of a URDF needs none.
         locked: Joints to hold still, at zero or the limit nearest to it; or a mapping joint -> position [rad or m],
             None for that same place.
         base: Whether the root link is `"fixed"`, or free to move in space (`"floating"`) or in the plane (`"planar"`).
-        xacro: Whether a .xacro file may be expanded. Off by default, since expanding runs its author's expressions.
+        xacro: Whether a .xacro file may be expanded: True, or the values of its arguments, e.g. `{"ur_type": "ur5e"}`.
+            Off by default, since expanding runs its author's expressions.
         objects: Names of things whose pose is recorded beside the joints, e.g. `("box",)`: each becomes a link of that
             name on a floating joint of that name, which hangs on the root link, six more degrees of freedom
             `box.x box.y box.z box.rx box.ry box.rz` (position [m] and rotation vector [rad] in the root link's frame)
@@ -62,7 +65,13 @@ def load_robot(
         raise RobotError(f"base is {base!r}; it must be one of 'fixed', 'floating', 'planar'", code="base")
     root_joint = BASES[base]() if base in BASES else None
     names = object_names(objects)
-    content = expanded_xacro(path, allowed=xacro) if path.suffix == ".xacro" else read_description(path)
+    if isinstance(xacro, Mapping) and path.suffix != ".xacro":
+        raise RobotError(
+            f"{path}: this is no .xacro file, so it has no arguments: leave {', '.join(xacro)} out",
+            code="xacro-arg",
+            path=path,
+        )
+    content = expanded_xacro(path, xacro, folders) if path.suffix == ".xacro" else read_description(path)
     return robot_from_text(content, path, package_dirs=folders, locked=locked, root_joint=root_joint, objects=names)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pinocchio as pin
 
 from manip_learn.robot.robot import Robot
@@ -57,6 +58,12 @@ def default_tip(robot: Robot) -> str:
     above = {name: len(joints) for name, joints in _joints_above(robot).items()}
     most = max(above.values(), default=0)
     return next((name for name in reversed(above) if above[name] == most), next(iter(robot.frame_names), ""))
+
+
+def distance_to_last_joint(robot: Robot, frame: str) -> float:
+    """Distance from the origin of a frame to that of the last moving joint above it [m]; the same at every posture."""
+    placement = robot.pinocchio_model.frames[robot.frame(frame).index].placement
+    return float(np.linalg.norm(placement.translation))
 
 
 def _joints_above(robot: Robot) -> dict[str, frozenset[int]]:

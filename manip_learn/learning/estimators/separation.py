@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from manip_learn.errors import NotIdentifiableError
+from manip_learn.errors import NotIdentifiableError, advice
 from manip_learn.learning.estimators.estimate import Estimate, gaps_of_levels
 from manip_learn.learning.estimators.null_space import energy_share, fit_null_space, held_out_share, levels
 from manip_learn.learning.estimators.policy_model import PolicyModel, RadialModel
@@ -186,7 +186,7 @@ def separate_null_motion(samples: Samples, rng: np.random.Generator) -> tuple[Se
     if float(np.mean(w**2)) * samples.nv < VANISHED * samples.energy:
         raise NotIdentifiableError(
             "the separation finds no null-space motion: what is left of the motion after the task is nothing to learn "
-            "from; use estimator='joint'",
+            "from" + advice("; use {}", "estimator='joint'", "--estimator joint"),
             code="no-null-motion",
         )
     return separation, dataclasses.replace(samples, u=w)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import final
 
-from manip_learn.errors import RecordingError
+from manip_learn.errors import RecordingError, advice
 
 ITEM = re.compile(r"\s*(?:(\d{1,9})|(\d{1,9})?\s*:\s*(\d{1,9})?)\s*")
 SHOWN = 4  # numbers in a message
@@ -79,6 +79,7 @@ def _item(part: str, text: str) -> tuple[int, int | None]:
 
 def _refused(given: object) -> RecordingError:
     return RecordingError(
-        f"episodes must be numbers and ranges such as '0:50,60,75' (counted from 0; 0:50 is 0 to 49), got {given!r}",
+        f"{advice('{}', 'episodes', '--episodes')} must be numbers and ranges such as '0:50,60,75' (counted from 0; "
+        f"0:50 is 0 to 49), got {given!r}",
         code="option",
     )

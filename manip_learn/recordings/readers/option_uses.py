@@ -5,9 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, final
 
-from manip_learn.errors import RecordingError, advice, closest_names
+from manip_learn.errors import RecordingError, advice, closest_names, spoken
 
 MOST_SEEN = 10_000  # names kept for near matches
+
+
+def flag_of(option: str) -> str:
+    """The flag of the command line for a keyword of `load_demonstrations`."""
+    return {"ignore_columns": "--ignore-column", "topics": "--topic"}.get(option, "--" + option.replace("_", "-"))
+
+
+def as_written(option: str) -> str:
+    """A keyword of `load_demonstrations` as the caller writes it: in Python, or on the command line."""
+    return spoken(option, flag_of(option))
 
 
 @final

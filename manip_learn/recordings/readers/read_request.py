@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, final, get_args
 
-from manip_learn.errors import RecordingError
+from manip_learn.errors import RecordingError, spoken
 from manip_learn.recordings.readers.episode_selection import EpisodeSelection
-from manip_learn.recordings.readers.option_uses import OptionUses, UnmatchedOption
+from manip_learn.recordings.readers.option_uses import OptionUses, UnmatchedOption, as_written
 from manip_learn.recordings.readers.parser_request import ParserRequest, RobotOutline
 from manip_learn.robot import Robot
 
@@ -72,7 +72,7 @@ class ReadRequest:
         for option, what in (("task", "the text of a task"), ("feature", "the name of a feature")):
             value = getattr(self, option)
             if value is not None and not (isinstance(value, str) and value.strip()):
-                raise RecordingError(f"{option} must be {what}, got {value!r}", code="option")
+                raise RecordingError(f"{as_written(option)} must be {what}, got {value!r}", code="option")
         if not isinstance(self.rename, Mapping):
             raise RecordingError(
                 f"rename must be a mapping {{name in the file: name in the robot}}, got {self.rename!r}", code="option"
@@ -80,7 +80,8 @@ class ReadRequest:
         is_number = isinstance(self.rate, int | float)
         if self.rate is not None and not (is_number and math.isfinite(self.rate) and self.rate > 0):
             raise RecordingError(
-                f"rate must be a positive number of samples per second [Hz], got {self.rate!r}", code="option"
+                f"{as_written('rate')} must be a positive number of samples per second [Hz], got {self.rate!r}",
+                code="option",
             )
 
     def renamed(self, name: str) -> str:
@@ -131,7 +132,8 @@ class ReadRequest:
 
 def _check_choice(option: str, value: object, allowed: tuple[object, ...]) -> None:
     if value not in allowed:
-        raise RecordingError(f"{option} must be one of {', '.join(map(repr, allowed))}, got {value!r}", code="option")
+        choices = ", ".join(spoken(repr(a), str(a)) for a in allowed if a)
+        raise RecordingError(f"{as_written(option)} must be one of {choices}, got {value!r}", code="option")
 
 
 def _names(option: str, value: str | Sequence[str] | None) -> tuple[str, ...] | None:
@@ -140,5 +142,5 @@ def _names(option: str, value: str | Sequence[str] | None) -> tuple[str, ...] | 
     given = (value,) if isinstance(value, str) else value
     names = tuple(n for n in given if isinstance(n, str)) if isinstance(given, Sequence) else ()
     if not isinstance(given, Sequence) or len(names) != len(given):
-        raise RecordingError(f"{option} must be names, got {value!r}", code="option")
+        raise RecordingError(f"{as_written(option)} must be names, got {value!r}", code="option")
     return names

@@ -1,21 +1,15 @@
-"""The bytes of a robot description, read without trusting the path; xacro is expanded only on request."""
+"""The bytes of a robot description, read without trusting the path."""
 
 from __future__ import annotations
 
 import errno
 import os
 import stat
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
-from xml.parsers.expat import ExpatError
 
-from manip_learn.errors import MissingExtraError, RobotError, advice
+from manip_learn.errors import RobotError
 
 MAX_BYTES = 10_000_000
-_EXPANDING = threading.Lock()
 
 
 def read_regular_file(path: Path, most: int) -> bytes:
@@ -76,74 +70,3 @@ def _hint(path: Path) -> str:
         return "name a URDF file"
     inside = sorted(p.name for p in path.glob("*.urdf"))[:4]
     return f"it is a folder; name a file in it, e.g. {', '.join(inside)}" if inside else "it is a folder; name a file"
-
-
-def expanded_xacro(path: Path, *, allowed: bool) -> bytes:
-    """Text of the URDF that a xacro file stands for.
-
-    Args:
-        path: The .xacro file.
-        allowed: Whether the caller opted in.
-
-    Raises:
-        RobotError: Codes `xacro` (not opted in), `xacro-failed`, and those of reading a file.
-        MissingExtraError: xacrodoc is not installed.
-    """
-    content = read_description(path)
-    if not allowed:
-        raise RobotError(
-            f"{path}: a xacro file is not expanded unless you ask, since it runs expressions and includes other files; "
-            + (
-                advice("if you trust it: {}", "load_robot(..., xacro=True)", "--xacro")
-                or "if you trust it: xacro robot.xacro > robot.urdf"
-            ),
-            code="xacro",
-            path=path,
-        )
-    _refuse_doctype(content, path)
-    try:
-        from xacro import XacroException
-        from xacrodoc import XacroDoc
-    except ImportError as error:
-        raise MissingExtraError(f"the xacro file {path}", "xacro") from error
-    try:
-        with _includes_from(path.parent):
-            return XacroDoc.from_file(str(path)).to_urdf_string().encode()
-    except (XacroException, ExpatError, OSError, ValueError, LookupError, RuntimeError) as error:
-        said = " ".join(str(error).split())[:300]
-        raise RobotError(
-            f"{path}: xacro could not be expanded ({said}); correct it, or set ROS_PACKAGE_PATH for $(find ...)",
-            code="xacro-failed",
-            path=path,
-        ) from error
-
-
-def _refuse_doctype(content: bytes, path: Path) -> None:
-    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-        raise RobotError(f"{path}: a <!DOCTYPE> is not read; delete it", code="doctype", path=path)
-
-
-@contextmanager
-def _includes_from(folder: Path) -> Iterator[None]:
-    """Within it, xacro looks for relative includes in a folder, and refuses one with a DOCTYPE like the top file.
-
-    xacro keeps the file at hand in a global variable, so that one thread at a time expands.
-    """
-    import xacro
-
-    parse, root = xacro.parse, xacro.root_dir
-
-    def checked(inp: Any, filename: str | None = None) -> Any:
-        if inp is None and filename is not None:
-            place = Path(xacro.root_dir) / filename
-            if place.is_file():  # otherwise xacro says what is missing
-                _refuse_doctype(read_description(place), place)
-        return parse(inp, filename)
-
-    with _EXPANDING:
-        xacro.parse, xacro.root_dir = checked, str(folder)
-        xacro.init_stacks(None)  # an expansion that failed leaves its files behind
-        try:
-            yield
-        finally:
-            xacro.parse, xacro.root_dir = parse, root

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
-from manip_learn.errors import closest_names
+from manip_learn.errors import advice, closest_names
 from manip_learn.robot.description.diagnostics import Diagnostics, quoted, shortened
 from manip_learn.robot.description.mimic import Mimics, resolve_mimics
 from manip_learn.robot.description.urdf_elements import UrdfFile, UrdfJoint, UrdfLink
@@ -96,7 +96,7 @@ def check_root(root: XmlNode, log: Diagnostics) -> None:
     for node in root.children:
         if node.tag.startswith("xacro:") or node.tag in ("macro", "include"):
             seen = f"<{shortened(node.tag)}> is xacro, not URDF"
-            fix = "expand it, or name the file *.xacro and load it with xacro=True"
+            fix = "expand it" + advice(", or name the file *.xacro and load it with {}", "xacro=True", "--xacro")
             raise log.refusal("xacro", node.line, "the robot", seen, "plain URDF is expected", fix)
         if node.tag not in KNOWN_CHILDREN:
             ignored.setdefault(node.tag, node.line)

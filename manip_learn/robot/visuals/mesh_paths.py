@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import final
 from urllib.parse import unquote
 
-from manip_learn.errors import RobotError
+from manip_learn.errors import RobotError, advice
 from manip_learn.robot.description.catalogue import example_package_dir
 
 LEVELS_UP = 6
@@ -125,11 +125,12 @@ def _first_inside(uri: str, name: str, folders: tuple[Path, ...], allowed: tuple
         outside = real
     if outside is not None:
         raise RobotError(
-            f"mesh {uri[:200]!r} leads to {outside}, outside the robot's folders; if that is meant, name its folder in "
-            "package_dirs",
+            f"mesh {uri[:200]!r} leads to {outside}, outside the robot's folders"
+            + advice("; if that is meant, name its folder with {}", "package_dirs=[...]", "--package-dir FOLDER"),
             code="mesh-outside",
         )
     raise RobotError(
-        f"mesh {uri[:200]!r} was not found; name the folder that contains its package in package_dirs",
+        f"mesh {uri[:200]!r} was not found"
+        + advice("; name the folder that contains its package with {}", "package_dirs=[...]", "--package-dir FOLDER"),
         code="mesh-missing",
     )
