@@ -165,6 +165,7 @@ def test_speed_changes_the_pace(robot_of, tmp_path, opened):
         page.evaluate("manipLearn.seek(0)")
         page.locator("#speed").select_option(speed)
         page.evaluate("manipLearn.play()")
+        wait_until(page, "manipLearn.time > 0")
         page.wait_for_timeout(700)
         covered[speed] = page.evaluate("manipLearn.time")
         page.evaluate("manipLearn.pause()")
@@ -290,7 +291,7 @@ def phased_page(robot, folder, opened, **more):
 def test_phases_are_bands_at_their_times(robot_of, tmp_path, opened):
     """Each phase is a band from its start to its end on the chart's own axis, in the colour of the legend."""
     page = phased_page(robot_of("planar3"), tmp_path, opened)
-    colours = dict(zip(["constraint 1", "constraint 2", "free motion"], ["#0072b2", "#d55e00", "#98a3ae"], strict=True))
+    colours = dict(zip(["constraint 1", "constraint 2", "free motion"], ["#0072b2", "#d55e00", "#8a95a0"], strict=True))
     bars = page.evaluate(
         """() => [...document.querySelectorAll("#chart .bands rect")].map(r => {
             const box = r.getBoundingClientRect();

@@ -15,7 +15,9 @@ from typing import Any, Literal
 
 from manip_learn.errors import OutputError
 
-PROGRAM = ("scene.js", "stage.js", "phases.js", "chart.js", "player.js", "live.js", "main.js")
+PROGRAM = (
+    *("theme.js", "scene.js", "stage.js", "phases.js", "chart.js", "keys.js", "player.js", "live.js", "main.js"),
+)
 
 
 def page(data: dict[str, Any], *, robot: str, subtitle: str, mode: Literal["replay", "live"] = "replay") -> str:

@@ -1,4 +1,4 @@
-"""Colours distinguishable with colour blindness (after Okabe and Ito), dark enough for lines on white."""
+"""Colours distinguishable with colour blindness (after Okabe and Ito); lines of them have 3:1 on white and on black."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ COLOURS: dict[str, str] = {
     "vermilion": "#d55e00",
     "green": "#009e73",
     "purple": "#b2589a",
-    "amber": "#d49000",
-    "sky": "#3fa2dc",
-    "brown": "#7a5230",
+    "amber": "#c98600",
+    "sky": "#3a9bd4",
+    "brown": "#8c5f38",
     "grey": "#6b7580",
 }
 

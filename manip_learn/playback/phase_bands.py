@@ -13,7 +13,7 @@ from manip_learn.playback.palette import COLOURS
 # trajectory, start [s], end [s], number of the constraint counted from 0, None for free motion; why nothing was learnt
 Phase = tuple[str, float, float, int | None] | tuple[str, float, float, int | None, str]
 MAX_CONSTRAINTS = 1000  # a larger number is a mistake, not a constraint
-FREE_COLOUR = "#98a3ae"
+FREE_COLOUR = "#8a95a0"
 _CONSTRAINT_COLOURS = tuple(value for name, value in COLOURS.items() if name != "grey")
 
 

@@ -1,14 +1,14 @@
 // The manipulability curves, the status strips below them, and a cursor that can be dragged.
 
 const STATUS = {
-  ok: { colour: "#dfe5ea", say: "ok" },
+  ok: { colour: "var(--status-ok)", say: "ok" },
   "null-scaled": { colour: "#9cc7e0", say: "null-space part scaled" },
   rerouted: { colour: "#56b4e9", say: "null-space motion makes room for the task" },
   damped: { colour: "#e69f00", say: "damped" },
   "velocity-limited": { colour: "#cc79a7", say: "velocity limit" },
   "position-limited": { colour: "#7b4fa3", say: "position limit" },
   "acceleration-limited": { colour: "#b08bbf", say: "acceleration limit" },
-  singular: { colour: "#17212b", say: "singular" },
+  singular: { colour: "var(--status-singular)", say: "singular" },
   stopped: { colour: "#8a949c", say: "stopped" },
   "following-error": { colour: "#c0392b", say: "following error" },
 };
@@ -50,8 +50,22 @@ class Chart {
       onSeek(this.start + Math.min(Math.max(share, 0), 1) * this.duration);
     };
     if (!onSeek) return;
-    element.addEventListener("pointerdown", (event) => { element.setPointerCapture(event.pointerId); seek(event); });
-    element.addEventListener("pointermove", (event) => { if (event.buttons & 1) seek(event); });
+    // a finger that scrolls the page does not move in time: it seeks by dragging sideways, or by a tap
+    let from = null;
+    const isSideways = (event) => Math.abs(event.clientX - from.clientX) > Math.abs(event.clientY - from.clientY);
+    element.addEventListener("pointerdown", (event) => {
+      element.setPointerCapture(event.pointerId);
+      from = event;
+      if (event.pointerType !== "touch") seek(event);
+    });
+    element.addEventListener("pointermove", (event) => { if (event.buttons & 1 && from && (event.pointerType !== "touch" || isSideways(event))) seek(event); });
+    element.addEventListener("click", seek);
+  }
+
+  turnLogarithmic() {
+    this.logarithmic = !this.logarithmic;
+    get("log").setAttribute("aria-pressed", String(this.logarithmic));
+    this.draw();
   }
 
   statusStyle(word) {
@@ -105,9 +119,9 @@ class Chart {
     curves.forEach((r) => this.drawCurve(root, r));
     strips.forEach((r, i) => this.drawStrip(root, r, this.bottom + 9 + row * i, row - 3));
     bands.forEach((r, i) => drawBands(root, this, r, this.bottom + stripsHeight + 8 + bandRow * i, bandRow));
-    this.cursor = svg("line", { y1: this.top, y2: this.bottom + below + 2, stroke: "#17212b", "stroke-width": 1.5 }, root);
-    this.knob = svg("path", { d: "M-6 0h12l-6 8z", fill: "#17212b" }, root);
-    this.dots = curves.map((r) => [r, svg("circle", { r: 5, fill: r.colour, stroke: "#fff", "stroke-width": 2 }, root)]);
+    this.cursor = svg("line", { y1: this.top, y2: this.bottom + below + 2, stroke: "var(--ink)", "stroke-width": 1.5 }, root);
+    this.knob = svg("path", { d: "M-6 0h12l-6 8z", fill: "var(--ink)" }, root);
+    this.dots = curves.map((r) => [r, svg("circle", { r: 5, fill: r.colour, stroke: "var(--page)", "stroke-width": 2 }, root)]);
     this.element.replaceChildren(root);
     if (this.time !== undefined) this.setTime(this.time);
   }
@@ -115,7 +129,7 @@ class Chart {
   // Room for the numbers of the curve, or for the names of the bands.
   margin(bands, bandRow) {
     if (!bands.length || bandRow < BAND.named) return 58;
-    return Math.max(58, Math.min(170, 22 + 7.4 * Math.max(...bands.map((r) => shortName(r.name).length))));
+    return Math.max(58, Math.min(170, 0.34 * this.element.clientWidth, 22 + 7.4 * Math.max(...bands.map((r) => shortName(r.name).length))));
   }
 
   // All visible ones while there is room, else that of the solid rollout.
@@ -128,13 +142,13 @@ class Chart {
     const bare = !this.curves.length && this.bottom < 10;
     for (const v of bare ? [] : this.ticksY()) {
       const y = this.y(v);
-      svg("line", { x1: this.left, x2: this.right, y1: y, y2: y, stroke: "#e3e8ed" }, root);
+      svg("line", { x1: this.left, x2: this.right, y1: y, y2: y, stroke: "var(--grid)" }, root);
       svg("text", { x: this.left - 8, y: y + 4, "text-anchor": "end" }, root).textContent = short(v);
     }
     const ticks = niceTicks(this.start, this.start + this.duration, (this.right - this.left) / 90);
     ticks.forEach((t, i) => {
       const x = this.x(t);
-      svg("line", { x1: x, x2: x, y1: this.top, y2: this.bottom + (bare ? below : 0), stroke: "#e3e8ed" }, root);
+      svg("line", { x1: x, x2: x, y1: this.top, y2: this.bottom + (bare ? below : 0), stroke: "var(--grid)" }, root);
       const text = svg("text", { x, y: this.bottom + below + 18, "text-anchor": "middle" }, root);
       text.textContent = short(Number(t.toPrecision(8))) + (i === ticks.length - 1 ? " s" : "");
       if (x > this.right - 14) text.setAttribute("text-anchor", "end");
@@ -181,6 +195,16 @@ class Chart {
     if (this.rollouts.some(hasGaps)) phases.push(NO_PHASE);
     return [...[...known, ...words].map((word) => this.statusStyle(word)), ...phases.map(({ colour, label, mark, ink }) => ({ colour, say: label, mark, ink }))];
   }
+}
+
+// What the picture shows, for those who cannot see it.
+function inWords(rollouts) {
+  const least = ({ name, curve, curveTimes }) => {
+    const i = curve.indexOf(Math.min(...curve));
+    return `${name}: lowest manipulability ${readable(curve[i])} at ${curveTimes[i].toFixed(2)} s`;
+  };
+  const curves = rollouts.filter((r) => r.curve.length).map(least), bands = rollouts.filter((r) => r.bands.length);
+  return [...curves, ...bands.map((r) => `${r.name}: ${r.bands.length} phases`)].join("; ") || "Status over time";
 }
 
 // Index of the last time that is not after t.

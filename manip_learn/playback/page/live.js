@@ -14,13 +14,9 @@ class Live {
     this.chart = new Chart(get("chart"), show.rollouts, LIVE_SPAN, null);
     this.legend = new Legend(get("legend"), show.rollouts, { onShow: (r, v) => show.show(r, v), onSolid: () => {} });
     get("panel").hidden = true;
-    get("log").addEventListener("click", () => {
-      this.chart.logarithmic = !this.chart.logarithmic;
-      get("log").setAttribute("aria-pressed", String(this.chart.logarithmic));
-      this.chart.draw();
-    });
-    for (const button of document.querySelectorAll("[data-view]"))
-      button.addEventListener("click", () => show.stage && show.stage.look(button.dataset.view === "fit" ? show.stage.view : button.dataset.view));
+    get("log").addEventListener("click", () => this.chart.turnLogarithmic());
+    wireCamera(show);
+    wireKeys({ ...cameraKeys(show), l: () => this.chart.turnLogarithmic() });
     this.tail = []; // where the tip was: time, x, y, z
     this.tailMesh = new THREE.Mesh(new THREE.BufferGeometry(), new THREE.MeshStandardMaterial({ color: linear(this.rollout.colour), roughness: 0.6 }));
     this.rollout.instance.root.add(this.tailMesh);

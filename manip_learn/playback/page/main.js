@@ -28,6 +28,8 @@ function start() {
     get time() { return show.time; },
     get duration() { return show.duration; },
     get playing() { return Boolean(player.playing); },
+    // Where the camera stands, in the robot's base [m].
+    get eye() { return show.stage.eye().toArray(); },
     get drawing() { return Boolean(show.stage); },
   };
   window.manipLearnReady = true;

@@ -21,8 +21,9 @@ function hasGaps(rollout) {
   return rollout.bands.length > 0 && covered < 0.99 * rollout.duration;
 }
 
-function shortName(name) {
-  return name.length <= MAX_NAME ? name : `${name.slice(0, 9)}…${name.slice(-(MAX_NAME - 10))}`;
+function shortName(name, most = MAX_NAME) {
+  const head = Math.min(9, most >> 1);
+  return name.length <= most ? name : `${name.slice(0, head)}…${name.slice(-Math.max(most - head - 1, 1))}`;
 }
 
 // As many rows as there is room for; the solid recording is always among them.
@@ -34,10 +35,10 @@ function bandRows(rollouts, room) {
 
 function drawBands(root, chart, rollout, y, row) {
   const height = Math.max(row - (row > 8 ? 5 : 1), 2), group = svg("g", { class: "bands" }, root);
-  svg("line", { x1: chart.x(chart.start), x2: chart.x(rollout.duration), y1: y + height / 2, y2: y + height / 2, stroke: NO_PHASE.colour, "stroke-width": 2 }, group);
+  svg("line", { x1: chart.x(chart.start), x2: chart.x(rollout.duration), y1: y + height / 2, y2: y + height / 2, stroke: "var(--unclassified)", "stroke-width": 2 }, group);
   if (row >= BAND.named) {
     const name = svg("text", { x: chart.left - 10, y: y + height / 2 + 4, "text-anchor": "end", class: rollout.solid ? "solid" : "" }, group);
-    name.textContent = shortName(rollout.name);
+    name.textContent = shortName(rollout.name, Math.min(MAX_NAME, Math.floor((chart.left - 14) / 8)));
     svg("title", {}, name).textContent = rollout.name;
   }
   for (const { start, end, kind } of rollout.bands) {
@@ -72,13 +73,14 @@ function pathColours(rollout, times, sides) {
 }
 
 function mechanismGroup(mechanism, colour, radius) {
-  const group = new THREE.Group(), ink = new THREE.MeshBasicMaterial({ color: linear("#17212b") });
+  const group = new THREE.Group(), ink = new THREE.MeshBasicMaterial({ toneMapped: false });
+  onTheme(() => ink.color.copy(linear(pageColour("--scene-ink"))));
   for (const line of mechanism.lines) group.add(new THREE.Mesh(tubeGeometry(decode(line, Float32Array), radius), ink));
   for (const patch of mechanism.patches) {
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.BufferAttribute(decode(patch, Float32Array), 3));
     geometry.setIndex([0, 1, 2, 0, 2, 3]);
-    const material = new THREE.MeshBasicMaterial({ color: linear(colour), transparent: true, opacity: 0.2, side: THREE.DoubleSide, depthWrite: false });
+    const material = new THREE.MeshBasicMaterial({ color: linear(colour), toneMapped: false, transparent: true, opacity: 0.2, side: THREE.DoubleSide, depthWrite: false });
     group.add(Object.assign(new THREE.Mesh(geometry, material), { renderOrder: 1 }));
   }
   return group;

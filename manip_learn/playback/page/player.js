@@ -112,7 +112,7 @@ class Legend {
       eye.append(mark); pick.append(name, state); row.append(eye, pick, mu); element.append(row);
       eye.addEventListener("click", () => onShow(rollout, !rollout.visible));
       pick.addEventListener("click", () => onSolid(rollout));
-      return { rollout, row, eye, state, mu };
+      return { rollout, row, eye, pick, state, mu };
     });
     if (mechanism) {
       const words = document.createElement("p");
@@ -124,9 +124,10 @@ class Legend {
   }
 
   setTime(t, sayStatus = (word) => word) {
-    for (const { rollout, row, eye, state, mu } of this.rows) {
+    for (const { rollout, row, eye, pick, state, mu } of this.rows) {
       row.className = `rollout${rollout.solid ? " solid" : ""}${rollout.visible ? "" : " off"}`;
       eye.setAttribute("aria-pressed", String(rollout.visible));
+      pick.setAttribute("aria-pressed", String(rollout.solid));
       const ended = t > rollout.duration + 1e-9, word = statusAt(rollout, t), phase = phaseAt(rollout, t);
       if (rollout.hasPhases) row.style.setProperty("--colour", (phase || NO_PHASE).colour);
       state.textContent = [rollout.hasPhases ? phase && phase.label : rollout.colourName, word && sayStatus(word), ended && `ended at ${rollout.duration.toFixed(2)} s`].filter(Boolean).join(" · ");
@@ -144,7 +145,7 @@ class Player {
     this.show = show;
     this.playing = false;
     this.speed = 1;
-    this.loop = true;
+    this.loop = false;
     this.chart = new Chart(get("chart"), show.rollouts, show.duration, (t) => this.seek(t));
     this.legend = new Legend(get("legend"), show.rollouts, {
       onShow: (rollout, visible) => { show.show(rollout, visible); this.chart.draw(); this.update(); },
@@ -152,7 +153,8 @@ class Player {
       mechanism: show.mechanism,
     });
     this.wireTransport();
-    this.wireKeys();
+    this.setLoop(!matchMedia("(prefers-reduced-motion: reduce)").matches); // where motion is unwelcome, once is enough
+    wireKeys(this.keyActions());
     this.fillColourKey();
     this.arrangePanel();
     this.drawSlider();
@@ -164,6 +166,7 @@ class Player {
   arrangePanel() {
     const { rollouts } = this.show, curves = rollouts.some((r) => r.curve.length), bands = rollouts.filter((r) => r.bands.length).length;
     get("panel").hidden = !curves && !bands && rollouts.every((r) => !r.status.length);
+    get("chart").setAttribute("aria-label", inWords(rollouts));
     get("phase").hidden = !bands;
     if (!bands) return;
     get("panel").setAttribute("aria-label", curves ? "Manipulability and phases" : "Phases");
@@ -193,25 +196,15 @@ class Player {
     get("back").addEventListener("click", () => this.step(-1));
     get("forward").addEventListener("click", () => this.step(1));
     get("loop").addEventListener("click", () => this.setLoop(!this.loop));
-    get("log").addEventListener("click", () => this.setLogarithmic(!this.chart.logarithmic));
+    get("log").addEventListener("click", () => this.chart.turnLogarithmic());
     get("scrub").max = this.show.duration || 1;
     get("scrub").addEventListener("input", (event) => this.seek(Number(event.target.value)));
-    get("speed").addEventListener("change", (event) => { this.speed = Number(event.target.value); event.target.blur(); });
+    get("speed").addEventListener("change", (event) => { this.speed = Number(event.target.value); releaseFocus(event.target); });
     get("duration").textContent = `/ ${this.show.duration.toFixed(2)} s`;
-    for (const button of document.querySelectorAll("[data-view]")) button.addEventListener("click", () => this.look(button.dataset.view));
-  }
-
-  look(view) {
-    if (this.show.stage) this.show.stage.look(view === "fit" ? this.show.stage.view : view);
+    wireCamera(this.show);
   }
 
   setLoop(loop) { this.loop = loop; get("loop").setAttribute("aria-pressed", String(loop)); }
-
-  setLogarithmic(on) {
-    this.chart.logarithmic = on;
-    get("log").setAttribute("aria-pressed", String(on));
-    this.chart.draw();
-  }
 
   changeSpeed(by) {
     const box = get("speed");
@@ -219,23 +212,14 @@ class Player {
     this.speed = Number(box.value);
   }
 
-  wireKeys() {
+  keyActions() {
     const end = this.show.duration;
-    const actions = {
+    return {
       " ": () => this.toggle(), ArrowLeft: (e) => (e.shiftKey ? this.seek(this.show.time - 1) : this.step(-1)),
       ArrowRight: (e) => (e.shiftKey ? this.seek(this.show.time + 1) : this.step(1)),
       ArrowUp: () => this.changeSpeed(1), ArrowDown: () => this.changeSpeed(-1), Home: () => this.seek(0), End: () => this.seek(end),
-      f: () => this.look("fit"), 1: () => this.look("iso"), 2: () => this.look("front"), 3: () => this.look("side"), 4: () => this.look("top"),
-      l: () => this.setLogarithmic(!this.chart.logarithmic), r: () => this.setLoop(!this.loop),
+      ...cameraKeys(this.show), l: () => this.chart.turnLogarithmic(), r: () => this.setLoop(!this.loop),
     };
-    document.addEventListener("keydown", (event) => {
-      if (event.ctrlKey || event.metaKey || event.altKey) return;
-      const kind = event.target.tagName, action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-      const own = kind === "SELECT" || kind === "SUMMARY" || (kind === "BUTTON" && event.key === " " && event.target.id !== "play");
-      if (!action || own) return;
-      event.preventDefault();
-      action(event);
-    });
   }
 
   play() {
@@ -277,6 +261,14 @@ class Player {
     get("phase").style.setProperty("--colour", phase ? phase.colour : "transparent");
     get("scrub").value = t;
     get("clock").textContent = `${t.toFixed(2)} s`;
+    get("scrub").setAttribute("aria-valuetext", this.inWords(t, phase));
+  }
+
+  // The moment for those who hear it.
+  inWords(t, phase) {
+    const { solid, duration } = this.show, word = statusAt(solid, t);
+    const said = [phase && phase.label, word && this.chart.statusStyle(word).say, solid.curve.length && `manipulability ${readable(curveValue(solid, t))}`];
+    return [`${t.toFixed(2)} s of ${duration.toFixed(2)} s`, ...said].filter(Boolean).join(", ");
   }
 
   frame(now) {

@@ -223,7 +223,7 @@ class TipPath {
     this.group = new THREE.Group();
     this.sides = 8;
     const geometry = tubeGeometry(points, radius, this.sides), past = geometry.clone();
-    const faint = new THREE.MeshBasicMaterial({ color: colour, transparent: true, opacity: 0.28, depthWrite: false, ...behind(rollout.index) });
+    const faint = new THREE.MeshBasicMaterial({ color: colour, toneMapped: false, transparent: true, opacity: DARK.matches ? 0.45 : 0.28, depthWrite: false, ...behind(rollout.index) });
     const strong = new THREE.MeshStandardMaterial({ color: colour, roughness: 0.6, emissive: colour, emissiveIntensity: 0.25, ...behind(rollout.index) });
     this.rollout = rollout;
     this.past = new THREE.Mesh(past, rollout.hasPhases ? this.colouredByPhase(rollout, geometry, past, faint) : strong);
@@ -237,7 +237,7 @@ class TipPath {
     const colours = pathColours(rollout, this.times, this.sides);
     for (const tube of [geometry, past]) tube.setAttribute("color", colours);
     Object.assign(faint, { vertexColors: true, color: new THREE.Color(1, 1, 1), opacity: 0.5 });
-    return new THREE.MeshBasicMaterial({ vertexColors: true, ...behind(rollout.index) });
+    return new THREE.MeshBasicMaterial({ vertexColors: true, toneMapped: false, ...behind(rollout.index) });
   }
 
   setTime(t, tip) {

@@ -3,7 +3,7 @@
 const FLOOR_SHADER = {
   vertex: "varying vec2 at; void main() { at = position.xy; gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }",
   fragment: `
-    varying vec2 at; uniform float cell; uniform float reach; uniform vec2 middle;
+    varying vec2 at; uniform vec3 colour; uniform float cell; uniform float reach; uniform vec2 middle;
     float lines(float size) {
       vec2 p = at / size, w = fwidth(p), d = abs(fract(p - 0.5) - 0.5) / w;
       return (1.0 - min(min(d.x, d.y), 1.0)) * (1.0 - smoothstep(0.25, 0.6, max(w.x, w.y)));
@@ -11,11 +11,26 @@ const FLOOR_SHADER = {
     void main() {
       float fade = 1.0 - smoothstep(0.35, 1.0, length(at - middle) / reach);
       float a = max(0.22 * lines(cell), 0.4 * lines(5.0 * cell)) * fade;
-      gl_FragColor = vec4(0.36, 0.42, 0.49, a);
+      gl_FragColor = vec4(colour, a);
     }`,
 };
 
 // Directions from the target to the camera, in the robot's base frame (z up).
+// Light beyond this share of white is compressed, brightest channel first, so that white robots keep their shapes and
+// coloured ones their hue. It takes the place of the tone mapping that three.js leaves to its users.
+const SHOULDER = "0.45";
+THREE.ShaderChunk.tonemapping_pars_fragment = THREE.ShaderChunk.tonemapping_pars_fragment.replace(
+  "vec3 CustomToneMapping( vec3 color ) { return color; }",
+  `vec3 CustomToneMapping( vec3 color ) {
+    const float knee = ${SHOULDER};
+    float m = max(max(color.r, color.g), color.b), room = 1.0 - knee;
+    return m > knee ? color * (knee + room * (1.0 - exp((knee - m) / room))) / m : color;
+  }`,
+);
+
+// A turn or a zoom by one key.
+const TURN = Math.PI / 18, NEARER = 0.88;
+
 const VIEWS = { front: [1, 0, 0.06], side: [0, -1, 0.06], top: [0, -0.0005, 1] };
 
 class Stage {
@@ -34,6 +49,7 @@ class Stage {
     for (const path of [["Lights"], ["Grid"], ["Axes"]]) viewer.set_property(path, "visible", false);
     viewer.set_3d_pane_size = () => this.resize();
     viewer.renderer.outputEncoding = THREE.sRGBEncoding;
+    viewer.renderer.toneMapping = THREE.CustomToneMapping;
     viewer.renderer.sortObjects = true;
     viewer.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
     viewer.scene.add(this.world);
@@ -52,12 +68,14 @@ class Stage {
     this.look(data.view);
     new ResizeObserver(() => this.resize()).observe(element);
     this.resize();
+    element.addEventListener("keydown", (event) => this.turnByKey(event));
+    wirePrinting(this);
   }
 
   dirty() { this.viewer.needs_render = true; }
 
   addLights() {
-    const s = this.size, sun = new THREE.DirectionalLight(0xffffff, 0.95);
+    const s = this.size, sun = new THREE.DirectionalLight(0xffffff, 0.9);
     sun.position.set(this.middle.x + 0.7 * s, this.middle.y - 0.5 * s, this.middle.z + 1.4 * s);
     sun.target.position.copy(this.middle);
     sun.castShadow = true;
@@ -67,10 +85,10 @@ class Stage {
     sun.shadow.bias = -0.0006;
     sun.shadow.normalBias = 0.004 * s;
     sun.shadow.radius = 5;
-    const fill = new THREE.DirectionalLight(0xdfe9f5, 0.35);
+    const fill = new THREE.DirectionalLight(0xdfe9f5, 0.16);
     fill.position.set(this.middle.x - s, this.middle.y - 0.6 * s, this.middle.z + 0.4 * s);
     fill.target.position.copy(this.middle);
-    const sky = new THREE.HemisphereLight(0xffffff, 0xb9c2cc, 0.62);
+    const sky = new THREE.HemisphereLight(0xffffff, 0x7d8a97, 0.46);
     sky.position.set(0, 0, 1);
     this.world.add(sun, sun.target, fill, fill.target, sky);
   }
@@ -82,7 +100,7 @@ class Stage {
       new THREE.ShaderMaterial({
         vertexShader: FLOOR_SHADER.vertex, fragmentShader: FLOOR_SHADER.fragment, transparent: true, depthWrite: false,
         side: THREE.DoubleSide, extensions: { derivatives: true },
-        uniforms: { cell: { value: cell }, reach: { value: reach }, middle: { value: new THREE.Vector2(this.middle.x, this.middle.y) } },
+        uniforms: { colour: { value: new THREE.Color() }, cell: { value: cell }, reach: { value: reach }, middle: { value: new THREE.Vector2(this.middle.x, this.middle.y) } },
       }),
     );
     const shade = new THREE.Mesh(grid.geometry, new THREE.ShadowMaterial({ opacity: 0.17, depthWrite: false }));
@@ -91,13 +109,18 @@ class Stage {
     shade.position.z = height;
     grid.renderOrder = shade.renderOrder = -1;
     this.world.add(grid, shade);
+    onTheme(() => {
+      grid.material.uniforms.colour.value.set(pageColour("--floor-line"));
+      shade.material.opacity = Number(pageColour("--floor-shade"));
+      this.dirty();
+    });
   }
 
   addAxes(length) {
     const radius = 0.035 * length;
     [[1, 0, 0, "#d55e00", "x"], [0, 1, 0, "#009e73", "y"], [0, 0, 1, "#0072b2", "z"]].forEach(([x, y, z, colour, name]) => {
       const direction = new THREE.Vector3(x, y, z), arrow = new THREE.Group();
-      const material = new THREE.MeshBasicMaterial({ color: linear(colour) });
+      const material = new THREE.MeshBasicMaterial({ color: linear(colour), toneMapped: false });
       const shaft = new THREE.Mesh(new THREE.CylinderGeometry(radius, radius, length, 12).translate(0, length / 2, 0), material);
       const head = new THREE.Mesh(new THREE.ConeGeometry(2.6 * radius, 0.22 * length, 16).translate(0, 1.1 * length, 0), material);
       arrow.add(shaft, head);
@@ -115,7 +138,7 @@ class Stage {
     pen.fillText(text, 32, 32);
     const map = new THREE.CanvasTexture(canvas);
     map.encoding = THREE.sRGBEncoding;
-    const sprite = new THREE.Sprite(new THREE.SpriteMaterial({ map, depthWrite: false }));
+    const sprite = new THREE.Sprite(new THREE.SpriteMaterial({ map, depthWrite: false, toneMapped: false }));
     sprite.scale.setScalar(size);
     return sprite;
   }
@@ -136,7 +159,7 @@ class Stage {
     const back = new THREE.Vector3(...this.directions[view]).normalize();
     const right = new THREE.Vector3(0, 0, 1).cross(back).normalize(), up = new THREE.Vector3().crossVectors(back, right);
     const w = Math.max(this.element.clientWidth, 1), h = Math.max(this.element.clientHeight, 1);
-    const legend = w > 760 ? Math.min(300, 0.3 * w) : 0;
+    const legend = w > 760 && getComputedStyle(get("legend")).position === "absolute" ? Math.min(300, 0.3 * w) : 0;
     const tanV = Math.tan((this.camera.fov * Math.PI) / 360) * 0.88, tanH = (tanV * (w - legend)) / h;
     // the outline in the camera's axes: centre it, then step back until all of it is inside
     const seen = this.outline.map((p) => p.clone().sub(this.middle)).map((p) => [p.dot(right), p.dot(up), p.dot(back)]);
@@ -153,9 +176,35 @@ class Stage {
     this.dirty();
   }
 
+  // Arrows go round the robot, plus and minus nearer and farther; the camera's world is y-up.
+  turnByKey(event) {
+    const by = { ArrowLeft: [-TURN, 0, 1], ArrowRight: [TURN, 0, 1], ArrowUp: [0, -TURN, 1], ArrowDown: [0, TURN, 1],
+      "+": [0, 0, NEARER], "=": [0, 0, NEARER], "-": [0, 0, 1 / NEARER] }[event.key];
+    if (!by || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    event.stopPropagation();
+    const controls = this.viewer.controls, at = new THREE.Spherical().setFromVector3(this.camera.position.clone().sub(controls.target));
+    at.theta += by[0];
+    at.phi = Math.min(Math.max(at.phi + by[1], 0.01), Math.PI - 0.01);
+    at.radius = Math.min(Math.max(at.radius * by[2], controls.minDistance), controls.maxDistance);
+    this.camera.position.setFromSpherical(at).add(controls.target);
+    this.moved = true;
+    controls.update();
+    this.dirty();
+  }
+
+  // What is drawn now, as the address of an image.
+  picture() {
+    this.viewer.render();
+    return this.viewer.renderer.domElement.toDataURL("image/png");
+  }
+
+  // The camera's place in the robot's base, whose z is up.
+  eye() { return new THREE.Vector3(this.camera.position.x, -this.camera.position.z, this.camera.position.y); }
+
   // Ghosts are blended from far to near.
   sortGhosts(instances) {
-    const eye = new THREE.Vector3(this.camera.position.x, -this.camera.position.z, this.camera.position.y);
+    const eye = this.eye();
     const far = instances.map((instance) => [instance.tipPosition().distanceTo(eye), instance]).sort((a, b) => b[0] - a[0]);
     far.forEach(([, instance], i) => instance.setOrder(10 + 2 * i));
   }
