@@ -156,9 +156,9 @@ def test_unknown_columns_tell_the_option(planar3: Robot, tmp_path: Path) -> None
 
 def test_time_under_another_name(planar3: Robot, tmp_path: Path) -> None:
     """The refusal names the column that is probably meant; rename reads it."""
-    path = written(tmp_path / "demo.csv", csv(TABLE, "timestamp,joint1,joint2,joint3"))
-    assert "rename={'timestamp': 'time'}" in str(refusal(path, planar3))
-    assert len(load_demonstrations(path, planar3, rename={"timestamp": "time"})) == 1
+    path = written(tmp_path / "demo.csv", csv(TABLE, "my_time,joint1,joint2,joint3"))
+    assert "rename={'my_time': 'time'}" in str(refusal(path, planar3))
+    assert len(load_demonstrations(path, planar3, rename={"my_time": "time"})) == 1
 
 
 def test_a_joint_may_be_called_like_a_velocity(tmp_path: Path) -> None:

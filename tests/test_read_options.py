@@ -177,7 +177,7 @@ DEGREES = np.column_stack([TABLE[:, 0], np.degrees(TABLE[:, 1:])])
 PARTIAL = np.column_stack([TABLE, np.gradient(TABLE[:, 1], TABLE[:, 0])])
 FAULTS = {
     "a misspelt joint": csv(TABLE, HEADER.replace("joint2", "jiont2")),
-    "another name for the time": csv(TABLE, HEADER.replace("time", "timestamp")),
+    "another name for the time": csv(TABLE, HEADER.replace("time", "my_time")),
     "a column of no joint": csv(np.column_stack([TABLE, TABLE[:, 1]]), HEADER + ",joint11"),
     "milliseconds": HEADER + "\n" + "".join(f"{1.7e12 + 1e3 * t:.0f},{a},{b},{c}\n" for t, a, b, c in TABLE),
     "degrees": csv(DEGREES),

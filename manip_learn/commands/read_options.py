@@ -18,6 +18,10 @@ def read_options(
     time_unit: Annotated[str | None, typer.Option(help="Of the time stamps: s, ms, us or ns.")] = None,
     ignore_column: Annotated[list[str] | None, typer.Option(help="Column to ignore; repeatable.")] = None,
     rename: Annotated[list[str] | None, typer.Option(help="NAME_IN_FILE=NAME_IN_ROBOT of a joint.")] = None,
+    columns: Annotated[
+        list[str] | None,
+        typer.Option(help="Pattern of the columns, 'position.{joint}' or 'q[{index}]'; given twice: velocities."),
+    ] = None,
     joint_names: Annotated[str | None, typer.Option(help="Column names, in order, for files without names.")] = None,
     topic: Annotated[list[str] | None, typer.Option(help="Topic of a bag; default: all that hold joints.")] = None,
     rate: Annotated[float | None, typer.Option(help="Samples per second, for files without time stamps.")] = None,
@@ -36,12 +40,14 @@ def read_options(
     Raises:
         ManipLearnError: A renaming that is not FILE_NAME=ROBOT_NAME.
     """
+    pairs = [pair("--rename", "NAME_IN_FILE=NAME_IN_ROBOT", text, unnamed=True) for text in rename or ()]
     given: dict[str, Any] = {
         "degrees": degrees or None,
         "units": units,
         "time_unit": time_unit,
         "ignore_columns": ignore_column,
-        "rename": dict(pair("--rename", "NAME_IN_FILE=NAME_IN_ROBOT", r) for r in rename) if rename else None,
+        "rename": dict(pairs) or None,
+        "columns": columns,
         "joint_names": joint_names.replace(",", " ").split() if joint_names else None,
         "topics": topic,
         "rate": rate,

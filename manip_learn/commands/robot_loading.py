@@ -11,7 +11,7 @@ from manip_learn.errors import DAMAGE, ConstraintMismatchError, RecordingError, 
 from manip_learn.recordings.readers.recording_files import recording_files
 from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.saved_motion import FileHeader
-from manip_learn.recordings.validation.joint_matching import unmoved_joint_names
+from manip_learn.recordings.validation.unmoved_joints import unmoved_joint_names
 from manip_learn.robot import Robot
 
 PLAIN = RobotOptions()

@@ -74,13 +74,13 @@ def robot_options(
     return RobotOptions(tuple(lock or ()), tuple(package_dir or ()), tuple(objects or ()), values or xacro)
 
 
-def pair(flag: str, form: str, text: str, *, may_be_empty: bool = False) -> tuple[str, str]:
+def pair(flag: str, form: str, text: str, *, may_be_empty: bool = False, unnamed: bool = False) -> tuple[str, str]:
     """Both sides of the first equals sign.
 
     Raises:
         ManipLearnError: There is none, nothing before it, or nothing behind it where there must be something.
     """
     name, equals, value = text.partition("=")
-    if not name or not equals or not (value or may_be_empty):
+    if not (name or unnamed) or not equals or not (value or may_be_empty):
         raise ManipLearnError(f"{flag} must be {form}, got {text!r}", code="option")
     return name, value

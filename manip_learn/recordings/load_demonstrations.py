@@ -20,8 +20,8 @@ from manip_learn.recordings.readers.recording_files import RecordingFile, record
 from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.saved_motion import check_robot
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.validation.joint_matching import unmoved_joint_names
 from manip_learn.recordings.validation.object_poses import QUATERNION, ROTATION_VECTOR
+from manip_learn.recordings.validation.unmoved_joints import unmoved_joint_names
 from manip_learn.recordings.validation.validate import validate
 from manip_learn.recordings.writers.csv_writer import VELOCITY_SUFFIX
 from manip_learn.robot import Robot
@@ -43,6 +43,9 @@ class ReadOptions(TypedDict, total=False):
         time_unit: `"s"`, `"ms"`, `"us"` or `"ns"`. Not given: seconds; what looks like another unit is refused.
         ignore_columns: Columns that are not read.
         rename: Name in the file -> `"time"` or the robot's name of the joint.
+        columns: Pattern of the columns of positions in a text table, e.g. `"position.{joint}"` or `"q[{index}]"`, where
+            an index counts the robot's joints from 0 or 1; or two, the second of velocities. All other columns are
+            left out, with a note. Not given: columns are called as the joints, or contain their names in one way only.
         joint_names: Names of the columns, in order, for files that have none (robomimic, some LeRobot data).
         topics: Topics of a bag; not given: all JointState topics that carry joints of the robot.
         rate: Samples per second, for files that have no time stamps [Hz].
@@ -61,6 +64,7 @@ class ReadOptions(TypedDict, total=False):
     time_unit: TimeUnit | None
     ignore_columns: Sequence[str]
     rename: Mapping[str, str]
+    columns: str | Sequence[str]
     joint_names: Sequence[str] | None
     topics: Sequence[str] | None
     rate: float | None

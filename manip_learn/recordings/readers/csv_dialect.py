@@ -14,6 +14,7 @@ from manip_learn.recordings.readers.recording import reason
 
 LONGEST_LINE = 1_000_000
 COMMENT_MARKS = ("#", "%")
+STAMPED = "%time,"  # `rostopic echo -p` begins its header like a comment
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
 DELIMITER_WORDS = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
 
@@ -86,6 +87,8 @@ def sniff_dialect(path: Path, names: tuple[str, ...] | None = None) -> CsvDialec
         raise not_text(path, error) from error
     dialect = CsvDialect(encoding, _delimiter(line), (), number)
     fields = dialect.split(line)
+    if comment.startswith(STAMPED) and len(echoed := CsvDialect("", ",", (), 0).split(comment)) == len(fields):
+        return CsvDialect(encoding, dialect.delimiter, tuple(echoed), number - 1, commented_header=True)
     if fields and all(NUMBER.fullmatch(f) for f in fields):
         commented = _split_comment(comment)
         if len(commented) == len(fields) and not all(NUMBER.fullmatch(n) for n in commented):

@@ -11,7 +11,8 @@ from typing import IO, NoReturn
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import RecordingError, advice, closest_names
+from manip_learn.errors import RecordingError, advice
+from manip_learn.recordings.readers.csv_columns import columns_of
 from manip_learn.recordings.readers.csv_dialect import (
     DELIMITER_WORDS,
     LONGEST_LINE,
@@ -40,13 +41,15 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     dialect = sniff_dialect(path, request.joint_names)
     if dialect.named_by_caller:
         request.uses.use("joint_names")
-    names = _column_names(path, dialect, request)
+    columns = columns_of(path, dialect, request)
+    names = columns.names
     used = [i for i, name in enumerate(names) if name is not None]
     cut = is_cut_off(path, dialect) and request.last_line == "drop"
     dialect = replace(dialect, without_cut_line=cut)
-    table = _table(path, dialect, used)
+    table = _table(path, dialect, used, request)
     kept = [str(names[i]) for i in used]
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
+    notes += columns.notes
     if cut and len(table) < 2:
         raise RecordingError(
             f"{path.name}: there is {len(table)} row of numbers beside the last line, which has no line end and may be "
@@ -64,17 +67,18 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     if surplus:
         notes.append(f"not needed and not used: {', '.join(surplus)}")
     velocity = {n: _base_name(n, (VELOCITY_SUFFIX,), own) for n in kept}
-    time_column = kept.index("time")
     v = [i for i, n in enumerate(kept) if velocity[n] and n not in surplus]
-    p = [i for i, n in enumerate(kept) if not velocity[n] and n not in surplus and i != time_column]
+    p = [i for i, n in enumerate(kept) if not velocity[n] and n not in surplus and used[i] not in columns.time]
     yield Recording(
         path=path,
         name=path.name,
-        time=table[:, time_column],
+        time=columns.stamps(table, used, request),
         position_names=tuple(kept[i] for i in p),
         positions=table[:, p],
         velocity_names=tuple(str(velocity[kept[i]]) for i in v),
         velocities=table[:, v] if v else None,
+        strict_columns=columns.strict,
+        in_seconds=columns.in_seconds(request),
         line_of=partial(_line_of, path, dialect),
         notes=tuple(notes),
     )
@@ -87,40 +91,7 @@ def _base_name(name: str, suffixes: tuple[str, ...], own_names: tuple[str, ...])
     return next((name.removesuffix(s) for s in suffixes if name.endswith(s) and name != s), None)
 
 
-def _column_names(path: Path, dialect: CsvDialect, request: ReadRequest) -> list[str | None]:
-    """Name of every column after renaming; None where it is ignored."""
-    names: list[str | None] = [request.renamed(n) for n in dialect.columns]
-    if "time" not in names:
-        near = closest_names("time", [n for n in names if n]) or [n for n in ("t", "stamp", "secs") if n in names]
-        hint = ""
-        if near:
-            python, flag = f"rename={{{near[0]!r}: 'time'}}", f"--rename {near[0]}=time"
-            hint = advice(f"; if {near[0]!r} is meant, pass {{}} or rename it", python, flag)
-        shown = ", ".join(map(repr, dialect.columns[:8])) + (" ..." if len(dialect.columns) > 8 else "")
-        raise _header_error(
-            path,
-            dialect,
-            "no-time",
-            f"there is no column 'time'; the {DELIMITER_WORDS[dialect.delimiter]}-separated header has {shown}{hint}",
-        )
-    seen: set[str] = set()
-    for i, (raw, name) in enumerate(zip(dialect.columns, names, strict=True)):
-        if request.ignores(raw, *([name] if name else [])):
-            names[i] = None
-            continue
-        if not name:
-            raise _header_error(path, dialect, "unnamed-column", f"column {i + 1} of {len(names)} has no name")
-        if name in seen:
-            raise _header_error(path, dialect, "duplicate-column", f"two columns are called {name!r}: keep one")
-        seen.add(name)
-    return names
-
-
-def _header_error(path: Path, dialect: CsvDialect, code: str, text: str) -> RecordingError:
-    return RecordingError(f"{path.name}:{dialect.header_line}: {text}", code=code, path=path, line=dialect.header_line)
-
-
-def _table(path: Path, dialect: CsvDialect, used: list[int]) -> Float[np.ndarray, "T n"]:
+def _table(path: Path, dialect: CsvDialect, used: list[int], request: ReadRequest) -> Float[np.ndarray, "T n"]:
     """The used columns of all rows.
 
     Raises:
@@ -148,7 +119,7 @@ def _table(path: Path, dialect: CsvDialect, used: list[int]) -> Float[np.ndarray
     except UnicodeError as error:
         raise not_text(path, error) from error
     except ValueError as error:
-        _explain(path, dialect, used, error)
+        _explain(path, dialect, used, request, error)
 
 
 def _chained(first: str, rest: Iterator[str]) -> Iterator[str]:
@@ -206,7 +177,7 @@ def _mixed_marks(path: Path, number: int, line: str) -> RecordingError:
     )
 
 
-def _explain(path: Path, dialect: CsvDialect, used: list[int], cause: ValueError) -> NoReturn:
+def _explain(path: Path, dialect: CsvDialect, used: list[int], request: ReadRequest, cause: ValueError) -> NoReturn:
     """Raise the error that names the field which NumPy's parser refused."""
     wanted = set(used)
     with path.open(encoding=dialect.encoding) as file:
@@ -214,13 +185,16 @@ def _explain(path: Path, dialect: CsvDialect, used: list[int], cause: ValueError
             for i, field in enumerate(dialect.split(line)):
                 if i in wanted and not NUMBER.fullmatch(field):
                     what = "an empty field" if not field else repr(field[:40])
+                    name = dialect.columns[i]
+                    other = name not in ("time", *request.robot.joint_names) and not request.columns
+                    leave = advice("; if it is no joint's: {}", "columns='{joint}'", "--columns '{joint}'")
                     raise RecordingError(
-                        f"{path.name}:{number}, column {dialect.columns[i]!r}: {what} where a number is needed: "
-                        "correct the row or remove it",
+                        f"{path.name}:{number}, column {name!r}: {what} where a number is needed: "
+                        f"correct the row or remove it{leave if other else ''}",
                         code="not-a-number",
                         path=path,
                         line=number,
-                        column=dialect.columns[i],
+                        column=name,
                     ) from cause
     raise RecordingError(
         f"{path.name}: the numbers cannot be read: {reason(cause)}", code="not-a-number", path=path

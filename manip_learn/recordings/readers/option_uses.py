@@ -86,6 +86,7 @@ class OptionUses:
         rate: float | None,
         time_unit: str | None,
         feature: str | None,
+        columns: Sequence[str] | None,
     ) -> list[UnmatchedOption]:
         """A sentence for each option that matched nothing."""
         names = [
@@ -105,6 +106,7 @@ class OptionUses:
             "joint_names": (joint_names, f"joint_names={list(joint_names or ())}", "--joint-names"),
             "rate": (rate, f"rate={rate}", f"--rate {rate}"),
             "time_unit": (time_unit, f"time_unit={time_unit!r}", f"--time-unit {time_unit}"),
+            "columns": (columns, f"columns={columns}", " ".join(f"--columns '{p}'" for p in columns or ())),
             "feature": (feature, f"feature={feature!r}", f"--feature {feature}"),
         }
         for option, (value, python, flag) in given.items():
@@ -125,6 +127,7 @@ class OptionUses:
 WHY = {
     "topics": "topics are read from ROS bags, and none of the recordings is one",
     "joint_names": "the recordings name their columns or joints themselves, so these names are not used",
+    "columns": "patterns are those of columns of text tables, and none of the recordings is one",
     "rate": "the recordings have time stamps, so the rate is not used",
     "feature": "features are those of LeRobot data sets, and none of the recordings is one",
     "time_unit": "the recordings are of formats that state the unit of their time stamps",

@@ -31,6 +31,7 @@ class ReadRequest:
         time_unit: Unit of the time column; None: seconds, and values that look like another unit are refused.
         ignore_columns: Names of columns that are not read.
         rename: Name in the file -> `"time"` or the name of a joint.
+        columns: Patterns of the names of columns: of positions, and of velocities.
         joint_names: Names of the columns, in order, for files that have none.
         topics: Topics of a bag to read; None: all that carry the robot's joints.
         rate: Samples per second, for files without time stamps [Hz].
@@ -51,6 +52,7 @@ class ReadRequest:
     time_unit: TimeUnit | None = None
     ignore_columns: tuple[str, ...] = ()
     rename: Mapping[str, str] = field(default_factory=dict)
+    columns: tuple[str, ...] = ()
     joint_names: tuple[str, ...] | None = None
     topics: tuple[str, ...] | None = None
     rate: float | None = None
@@ -67,8 +69,9 @@ class ReadRequest:
         _check_choice("time_unit", self.time_unit, (None, *get_args(TimeUnit)))
         _check_choice("outside_limits", self.outside_limits, ("refuse", "note"))
         _check_choice("last_line", self.last_line, ("drop", "keep"))
-        for option in ("ignore_columns", "joint_names", "topics"):
+        for option in ("ignore_columns", "columns", "joint_names", "topics"):
             object.__setattr__(self, option, _names(option, getattr(self, option)))
+        _check_patterns(self.columns)
         for option, what in (("task", "the text of a task"), ("feature", "the name of a feature")):
             value = getattr(self, option)
             if value is not None and not (isinstance(value, str) and value.strip()):
@@ -98,6 +101,7 @@ class ReadRequest:
             rate=self.rate,
             time_unit=self.time_unit,
             feature=self.feature,
+            columns=self.columns or None,
         )
 
     def ignores(self, *names: str) -> bool:
@@ -134,6 +138,17 @@ def _check_choice(option: str, value: object, allowed: tuple[object, ...]) -> No
     if value not in allowed:
         choices = ", ".join(spoken(repr(a), str(a)) for a in allowed if a)
         raise RecordingError(f"{as_written(option)} must be one of {choices}, got {value!r}", code="option")
+
+
+def _check_patterns(patterns: tuple[str, ...]) -> None:
+    wrong = [p for p in patterns if p.count("{joint}") + p.count("{index}") != 1]
+    if wrong or len(patterns) > 2:
+        seen = f"{wrong[0]!r}" if wrong else f"{len(patterns)} patterns"
+        raise RecordingError(
+            f"{as_written('columns')} must be one pattern of the columns of positions, and at most one of velocities, "
+            f"each with {{joint}} or {{index}}, e.g. 'position.{{joint}}' or 'q[{{index}}]', got {seen}",
+            code="option",
+        )
 
 
 def _names(option: str, value: str | Sequence[str] | None) -> tuple[str, ...] | None:

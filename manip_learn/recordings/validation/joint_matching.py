@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +11,7 @@ from manip_learn.errors import RecordingError, advice, closest_names
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.validation.object_poses import with_rotation_vectors
+from manip_learn.recordings.validation.unmoved_joints import unmoved_joint_names
 from manip_learn.robot import Robot
 
 LOCKED_MOTION = 0.02  # [rad or m], more than encoder noise
@@ -27,14 +27,6 @@ def angular_coordinates(robot: Robot) -> Bool[np.ndarray, " nv"]:
         elif block.kind in ("planar", "floating"):
             angular[block.v.start : block.v.start + (2 if block.kind == "planar" else 3)] = False
     return angular
-
-
-@functools.lru_cache(maxsize=8)
-def unmoved_joint_names(robot: Robot) -> tuple[str, ...]:
-    """Joints of the description that are no degrees of freedom: locked, fixed and mimic joints."""
-    frames = robot.pinocchio_model.frames
-    fixed = [f.name for f in frames if f.type.name in ("FIXED_JOINT", "JOINT")]
-    return tuple(n for n in (*fixed, *(m.joint for m in robot.mimics)) if n not in robot.joint_names)
 
 
 def match_joints(recording: Recording, request: ReadRequest) -> Recording:
@@ -143,7 +135,8 @@ def _unknown(recording: Recording, robot: Robot, name: str) -> RecordingError:
     return recording.refusal(
         "unknown-column",
         f"no joint of robot {robot.name!r} matches this column{hint}: correct the name"
-        + advice(", or pass {}", f"ignore_columns=[{name!r}]", f"--ignore-column {name}"),
+        + advice(", or pass {}", f"ignore_columns=[{name!r}]", f"--ignore-column {name}")
+        + advice(" ({} reads the joints and leaves all else out)", "columns='{joint}'", "--columns '{joint}'"),
         column=name,
     )
 

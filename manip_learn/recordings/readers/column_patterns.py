@@ -1,0 +1,216 @@
+"""Patterns of column names: `position.{joint}` and `q[{index}]`, given by the caller or found in a header."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import final
+
+from manip_learn.errors import advice, closest_names
+
+JOINT, INDEX = "{joint}", "{index}"
+SHOWN = 8
+POSITION = {"position", "positions", "pos", "q", "angle", "angles", "theta", "rad"}
+VELOCITY = {"velocity", "velocities", "vel", "qd", "dq", "qdot", "qvel", "speed"}
+COMMAND = {"desired", "command", "commanded", "cmd", "target", "goal", "setpoint", "reference", "ref", "des", "action"}
+OTHER = {
+    *("effort", "efforts", "torque", "torques", "tau", "current", "acceleration", "acc", "accel", "qdd", "ddq"),
+    *("temperature", "temp", "voltage", "force", "error", "errors", "limit", "jerk", "name"),
+}
+NUMBERED = re.compile(r"(?P<head>.*?)(?P<number>\d+)(?P<tail>\D*)")
+
+
+class PatternError(ValueError):
+    """A pattern that does not fit the names; the reader says where."""
+
+
+@final
+@dataclass(frozen=True)
+class Found:
+    """Columns of the joints: of positions, and of velocities where there are some.
+
+    Attributes:
+        positions: Column -> joint.
+        velocities: Column -> joint.
+        note: How they were found.
+    """
+
+    positions: dict[int, str]
+    velocities: dict[int, str]
+    note: str
+
+
+def kind_of(pattern: str) -> str:
+    """`position`, `velocity`, `command`, `other`, or nothing where its words do not say."""
+    if re.search(r"(rad|deg)/s", pattern.lower()):
+        return "velocity"
+    words = set(re.findall(r"[a-z]+", pattern.replace(JOINT, " ").replace(INDEX, " ").lower()))
+    for kind, known in (("other", OTHER), ("command", COMMAND), ("velocity", VELOCITY), ("position", POSITION)):
+        if words & known:
+            return kind
+    return ""
+
+
+def by_patterns(
+    patterns: Sequence[str], names: Sequence[str | None], moving: Sequence[str], still: Iterable[str]
+) -> Found:
+    """Columns that the caller's patterns name: those of positions, then those of velocities.
+
+    Args:
+        patterns: One or two.
+        names: Of the columns.
+        moving: Joints of the robot in its order, which an index counts.
+        still: Joints that do not move, which may be recorded too.
+
+    Raises:
+        PatternError: One of them names no column, or numbers that are not those of the joints.
+    """
+    parts = [_columns(p, names, moving, still) for p in patterns]
+    if len(parts) == 1 and JOINT in patterns[0]:
+        usual = {i: j for j in moving for i, n in enumerate(names) if n == f"{j}_velocity"}
+        parts.append(usual if set(usual.values()) == set(moving) else {})
+    note = ""
+    if any(INDEX in p for p in patterns):
+        listed = ", ".join(f"{names[i]} as {joint}" for i, joint in parts[0].items())
+        note = f"columns read in the robot's order, as asked: {listed}"
+    return Found(parts[0], parts[1] if len(parts) > 1 else {}, note)
+
+
+def _columns(pattern: str, names: Sequence[str | None], moving: Sequence[str], still: Iterable[str]) -> dict[int, str]:
+    said = advice("{}: ", f"columns={pattern!r}", f"--columns '{pattern}'")
+    if JOINT in pattern:
+        found = {i: j for j in (*moving, *still) for i, n in enumerate(names) if n == pattern.replace(JOINT, j)}
+        if not found:
+            wanted = [pattern.replace(JOINT, j) for j in moving]
+            raise PatternError(f"{said}there is no column {wanted[0]!r}; there is {shown(names, wanted[0])}")
+        return found
+    regex = re.compile(re.escape(pattern).replace(re.escape(INDEX), r"(\d+)"))
+    numbered = {int(m.group(1)): i for i, n in enumerate(names) if n is not None and (m := regex.fullmatch(n))}
+    if not numbered:
+        wanted = pattern.replace(INDEX, "0")
+        raise PatternError(f"{said}there is no column such as {wanted!r}; there is {shown(names, wanted)}")
+    first, n = min(numbered), len(numbered)
+    if first > 1 or sorted(numbered) != list(range(first, first + n)):
+        raise PatternError(
+            f"{said}the columns are numbered {', '.join(map(str, sorted(numbered)))}; 0, 1, 2, ... or 1, 2, 3, ... "
+            "without gaps is needed"
+        )
+    if n > len(moving):
+        raise PatternError(
+            f"{said}there are {n} such columns and {len(moving)} moving joints ({', '.join(moving)}): lock fewer "
+            "joints, or rename the columns to joints"
+        )
+    return {numbered[first + k]: joint for k, joint in zip(range(n), moving, strict=False)}
+
+
+def shown(names: Sequence[str | None], wanted: str = "") -> str:
+    """The names that look like the wanted one, else the first of all."""
+    all_names = [n for n in names if n]
+    listed = closest_names(wanted, all_names) if wanted else []
+    listed = listed or all_names[:SHOWN]
+    return ", ".join(map(repr, listed)) + (" ..." if len(all_names) > len(listed) else "")
+
+
+def by_joint_names(names: Sequence[str | None], moving: Sequence[str], still: Sequence[str]) -> Found | None:
+    """Columns that contain the names of joints, where they leave no choice; None if there are none.
+
+    All columns of positions must be made alike, e.g. `/joint_states/{joint}/position`. Words such as `velocity` or
+    `effort` say that others are meant; those of commands (`target`, `desired`) are never taken for what was measured.
+
+    Raises:
+        PatternError: Several patterns fit: says which, and what to type.
+    """
+    made = _templates(names, (*moving, *still))
+    own = {p: c for p, c in made.items() if set(c) & set(moving)}
+    if not own:
+        return None
+    kinds: dict[str, list[str]] = {}
+    for pattern in own:
+        kinds.setdefault(kind_of(pattern), []).append(pattern)
+    candidates = kinds.get("position") or kinds.get("") or []
+    velocity = [p for p in kinds.get("velocity", []) if set(own[p]) >= set(moving)]
+    if len(candidates) != 1:
+        choices = [*candidates, *([] if candidates else kinds.get("command", []))]
+        if not choices:
+            return None
+        flags = " or ".join(advice("{}", f"columns={p!r}", f"--columns '{p}'") or p for p in choices)
+        raise PatternError(f"several columns name each joint, or only those of a command do: say which: {flags}")
+    chosen = candidates[0]
+    positions = {i: j for j, i in own[chosen].items()}
+    speeds = {i: j for j, i in own[velocity[0]].items()} if len(velocity) == 1 else {}
+    alike = f" and {velocity[0]!r}" if speeds else ""
+    return Found(positions, speeds, f"columns are read as {chosen!r}{alike}, the only ones that name the joints")
+
+
+def _templates(names: Sequence[str | None], joints: Sequence[str]) -> dict[str, dict[str, int]]:
+    """Pattern -> joint -> column, of all names that contain that of a joint as a whole word."""
+    words = [(j, re.compile(rf"(?<![A-Za-z0-9]){re.escape(j)}(?![A-Za-z0-9])")) for j in sorted(joints, key=len)[::-1]]
+    made: dict[str, dict[str, int]] = {}
+    for i, name in enumerate(names):
+        for joint, word in words:
+            places = list(word.finditer(name or ""))
+            if len(places) == 1:
+                start, end = places[0].span()
+                made.setdefault(f"{(name or '')[:start]}{JOINT}{(name or '')[end:]}", {})[joint] = i
+            if places:
+                break
+    return made
+
+
+def numbered_families(names: Sequence[str | None]) -> dict[str, list[int]]:
+    """Pattern with `{index}` -> columns in the order of their numbers: names that differ in their last number only."""
+    families: dict[str, dict[int, int]] = {}
+    for i, name in enumerate(names):
+        match = NUMBERED.fullmatch(name or "")
+        if match:
+            families.setdefault(f"{match['head']}{INDEX}{match['tail']}", {})[int(match["number"])] = i
+    runs = {p: [numbers[k] for k in sorted(numbers)] for p, numbers in families.items() if _is_run(sorted(numbers))}
+    return {p: columns for p, columns in runs.items() if len(columns) > 1}
+
+
+def _is_run(numbers: list[int]) -> bool:
+    return numbers[0] in (0, 1) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+
+def numbered_advice(names: Sequence[str | None], moving: Sequence[str]) -> str:
+    """What to type for numbered columns, with the joints that their numbers would stand for; empty without any."""
+    families = {p: c for p, c in numbered_families(names).items() if len(c) <= len(moving)}
+    kinds = {p: kind_of(p) for p in families}
+    positions = [p for p in families if kinds[p] == "position"] or [p for p in families if kinds[p] == ""]
+    speeds = [p for p in families if kinds[p] == "velocity"]
+    said = []
+    for pattern in positions:
+        patterns = [pattern, *(speeds if len(speeds) == 1 and len(positions) == 1 else [])]
+        python = f"columns={patterns if len(patterns) > 1 else pattern!r}"
+        order = ", ".join(f"{names[i]} as {j}" for i, j in zip(families[pattern], moving, strict=False))
+        said.append(advice(f"{{}} reads {order}", python, " ".join(f"--columns '{p}'" for p in patterns)))
+    return "; or ".join(s for s in said if s)
+
+
+def by_recorded_names(
+    names: Sequence[str | None], values: Sequence[str], known: Iterable[str]
+) -> tuple[Found, list[int]] | None:
+    """Numbered columns whose joints the file names itself, as `rostopic echo -p` writes them.
+
+    Args:
+        names: Of the columns, e.g. `field.name0`, `field.position0`, `field.velocity0`.
+        values: Fields of the first row.
+        known: Names of the robot's joints.
+
+    Returns:
+        The columns of the joints, and those that hold their names; None if there are none.
+    """
+    families, joints = numbered_families(names), set(known)
+    for pattern, columns in families.items():
+        said = [values[i] for i in columns]
+        if not re.search(r"name", pattern, re.IGNORECASE) or not joints & set(said):
+            continue
+        parts = {}
+        for kind in ("position", "velocity"):
+            other = families.get(re.sub("name", kind, pattern, flags=re.IGNORECASE), [])
+            parts[kind] = dict(zip(other, said, strict=True)) if len(other) == len(said) else {}
+        if parts["position"]:
+            note = f"the joints are those that the columns {pattern!r} name"
+            return Found(parts["position"], parts["velocity"], note), columns
+    return None

@@ -1,0 +1,213 @@
+"""Tables as other programs export them: read with at most two flags, nothing guessed, and every advised flag works."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manip_learn.cli import main
+from manip_learn.errors import RecordingError
+from manip_learn.recordings import load_demonstrations
+from manip_learn.robot import Robot, load_robot
+
+EPOCH = 1_722_000_000.25
+TIME = np.arange(60) * 0.02
+JOINTS = ("joint1", "joint2", "joint3")
+
+
+def motion() -> tuple[np.ndarray, np.ndarray]:
+    """Positions [rad] and velocities [rad/s] of three joints, each column unlike the others."""
+    phase = TIME[:, None] * np.array([1.0, 1.7, 2.3])
+    return 0.4 * np.sin(phase) + [0.1, 0.2, 0.3], 0.4 * np.array([1.0, 1.7, 2.3]) * np.cos(phase)
+
+
+Q, U = motion()
+
+
+def table(header: list[str], *columns: object) -> str:
+    """Comma-separated text; a column is an array, or one value for all rows."""
+    full = [c if isinstance(c, list | np.ndarray) else [c] * len(TIME) for c in columns]
+    rows = [",".join(f"{v:.17g}" if isinstance(v, float) else str(v) for v in row) for row in zip(*full, strict=True)]
+    return "\n".join([",".join(header), *rows, ""])
+
+
+def plotjuggler() -> str:
+    """PlotJuggler's CSV exporter: `__time` and the paths of the series."""
+    kinds = [(kind, values) for kind, values in (("effort", 0 * Q), ("position", Q), ("velocity", U))]
+    header = ["__time", "/joint_states/header/stamp"]
+    header += [f"/joint_states/{joint}/{kind}" for joint in JOINTS for kind, _ in kinds]
+    columns = [values[:, i] for i in range(3) for _, values in kinds]
+    return table(header, EPOCH + TIME, EPOCH + TIME, *columns)
+
+
+def position_joint() -> str:
+    """`position.<joint>` columns, as data frames that were flattened have."""
+    header = ["timestamp", *(f"{kind}.{j}" for kind in ("position", "velocity", "effort") for j in JOINTS)]
+    return table(header, TIME, *Q.T, *U.T, *(0 * Q).T)
+
+
+def bracketed() -> str:
+    """`q[i]` and `dq[i]`, as libfranka's logs have them."""
+    header = ["time", *(f"q[{i}]" for i in range(3)), *(f"dq[{i}]" for i in range(3)), "success_rate"]
+    return table(header, TIME, *Q.T, *U.T, 1.0)
+
+
+def numbered() -> str:
+    """`q1` .. `q3`."""
+    return table(["t", "q1", "q2", "q3"], TIME, *Q.T)
+
+
+def rostopic() -> str:
+    """`rostopic echo -p /joint_states`: the joints are named in columns of text, in the publisher's order."""
+    order = [2, 0, 1]
+    header = ["%time", "field.header.seq", "field.header.stamp", "field.header.frame_id"]
+    header += [f"field.{kind}{i}" for kind in ("name", "position", "velocity", "effort") for i in range(3)]
+    stamps = [round(1e9 * (EPOCH + t)) for t in TIME]
+    columns = [[s + 1000 for s in stamps], list(range(7, 7 + len(TIME))), stamps, "base"]
+    columns += [JOINTS[i] for i in order]
+    return table(header, *columns, *Q.T[order], *U.T[order], *(0 * Q).T)
+
+
+def bagpy() -> str:
+    """A ROS 1 bag through bagpy: receive time, and the stamp in two columns."""
+    header = ["Time", "header.seq", "header.stamp.secs", "header.stamp.nsecs", "header.frame_id"]
+    header += [f"{kind}_{i}" for kind in ("name", "position", "velocity", "effort") for i in range(3)]
+    stamps = EPOCH + TIME
+    secs = [int(s) for s in stamps]
+    nsecs = [round(1e9 * (s - int(s))) for s in stamps]
+    rest = [*Q.T, *U.T, *(0 * Q).T]
+    return table(header, stamps + 0.001, list(range(len(TIME))), secs, nsecs, "base", *JOINTS, *rest)
+
+
+def pandas_dump() -> str:
+    """`DataFrame.to_csv`: row numbers without a name, and columns that belong to no joint."""
+    return table(["", "timestamp", *JOINTS, "gripper_width", "label"], list(range(len(TIME))), TIME, *Q.T, 0.08, "pick")
+
+
+def pandas_milliseconds() -> str:
+    """Row numbers that were read back, and a time with its unit."""
+    return table(["Unnamed: 0", "time_ms", *JOINTS], list(range(len(TIME))), 1e3 * TIME, *Q.T)
+
+
+# format -> how it is written, flags, what a note says
+FORMATS: dict[str, tuple[Callable[[], str], list[str], str]] = {
+    "PlotJuggler": (plotjuggler, [], "'/joint_states/{joint}/position' and '/joint_states/{joint}/velocity'"),
+    "position.<joint>": (position_joint, [], "'position.{joint}' and 'velocity.{joint}'"),
+    "q[i], dq[i]": (bracketed, ["--columns", "q[{index}]", "--columns", "dq[{index}]"], "q[0] as joint1"),
+    "q1 .. q7": (numbered, ["--columns", "q{index}"], "q3 as joint3"),
+    "rostopic echo -p": (rostopic, [], "the joints are those that the columns 'field.name{index}' name"),
+    "bagpy": (bagpy, [], "'header.stamp.secs' [s] and 'header.stamp.nsecs' [ns]"),
+    "pandas": (pandas_dump, ["--columns", "{joint}"], "columns not used: column 1 (row numbers), gripper_width, label"),
+    "pandas, milliseconds": (pandas_milliseconds, [], "'time_ms', in milliseconds"),
+}
+WITH_VELOCITY = ("PlotJuggler", "position.<joint>", "q[i], dq[i]", "rostopic echo -p", "bagpy")
+
+
+@pytest.fixture(scope="module")
+def planar3() -> Robot:
+    """The shipped three-joint arm."""
+    return load_robot("planar3")
+
+
+def keywords(flags: list[str]) -> dict[str, object]:
+    """The same in Python."""
+    return {"columns": flags[1::2]} if flags else {}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_the_table_is_read(name: str, planar3: Robot, tmp_path: Path) -> None:
+    """Positions, velocities and stamps come back in the robot's order and in s; the note says what was read."""
+    write, flags, said = FORMATS[name]
+    assert sum(f.startswith("--") for f in flags) <= 2
+    path = tmp_path / "demo.csv"
+    path.write_text(write())
+    demos = load_demonstrations(path, planar3, **keywords(flags))
+    np.testing.assert_array_equal(demos[0].q, Q)
+    np.testing.assert_allclose(demos[0].time - demos[0].time[0], TIME, atol=1e-6)
+    if name in WITH_VELOCITY:
+        np.testing.assert_array_equal(demos[0].u, U)
+    else:
+        assert demos[0].u is None
+    assert any(said in note for note in demos.notes), demos.notes
+
+
+@pytest.mark.parametrize("name", [n for n in FORMATS if FORMATS[n][1]])
+def test_the_error_prints_the_flags_to_type(name: str, tmp_path: Path, capsys) -> None:
+    """Without flags the command refuses, and what it advises, typed as it stands, reads the table."""
+    path = tmp_path / "demo.csv"
+    path.write_text(FORMATS[name][0]())
+    words = ["export", "planar3", str(path), "--out", str(tmp_path / "out.csv")]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    flags = re.findall(r"--columns '[^']+'", said)
+    assert flags, said
+    assert main([*words, *shlex.split(" ".join(flags))]) == 0, capsys.readouterr().err
+    written = load_demonstrations(tmp_path / "out.csv", load_robot("planar3"))
+    np.testing.assert_array_equal(written[0].q, Q)
+
+
+def refused(path: Path, robot: Robot, text: str, **options: object) -> RecordingError:
+    """The refusal of a table."""
+    path.write_text(text)
+    with pytest.raises(RecordingError) as caught:
+        load_demonstrations(path, robot, **options)
+    return caught.value
+
+
+def test_several_candidates_are_a_choice(planar3: Robot, tmp_path: Path) -> None:
+    """Measured and commanded positions, or two sources, are never told apart by the reader, nor are two times."""
+    path = tmp_path / "demo.csv"
+    two = table(["time", *(f"{s}.{j}.position" for s in ("left", "right") for j in JOINTS)], TIME, *Q.T, *U.T)
+    error = refused(path, planar3, two)
+    assert error.code == "columns"
+    assert "columns='left.{joint}.position' or columns='right.{joint}.position'" in str(error)
+    assert len(load_demonstrations(path, planar3, columns="right.{joint}.position")) == 1
+    only_command = table(["time", *(f"target.{j}" for j in JOINTS)], TIME, *Q.T)
+    assert "columns='target.{joint}'" in str(refused(path, planar3, only_command))
+    measured_too = table(["time", *(f"{s}.{j}" for s in ("actual", "target") for j in JOINTS)], TIME, *Q.T, *U.T)
+    path.write_text(measured_too)
+    np.testing.assert_array_equal(load_demonstrations(path, planar3)[0].q, Q)
+    error = refused(path, planar3, table(["t", "stamp", *JOINTS], TIME, TIME, *Q.T))
+    assert error.code == "no-time" and "rename={'t': 'time'} or rename={'stamp': 'time'}" in str(error)
+
+
+def test_numbers_must_be_those_of_the_joints(planar3: Robot, tmp_path: Path) -> None:
+    """Gaps, more columns than joints, or a pattern that names nothing are refused with what is there."""
+    path = tmp_path / "demo.csv"
+    error = refused(path, planar3, table(["time", "q0", "q1", "q3"], TIME, *Q.T), columns="q{index}")
+    assert "numbered 0, 1, 3" in str(error)
+    four = table(["time", "q0", "q1", "q2", "q3"], TIME, *Q.T, Q[:, 0])
+    assert "4 such columns and 3 moving joints" in str(refused(path, planar3, four, columns="q{index}"))
+    assert "no column such as 'p0'" in str(refused(path, planar3, four, columns="p{index}"))
+    assert "no column 'pos.joint1'" in str(refused(path, planar3, position_joint(), columns="pos.{joint}"))
+    for bad in ("q", "{joint}{index}", ["a{joint}", "b{joint}", "c{joint}"]):
+        assert refused(path, planar3, four, columns=bad).code == "option"
+    bag_option = refused(path, planar3, rostopic().replace("joint1", "joint2", 1), columns="q{index}")
+    assert bag_option.code == "columns"
+
+
+def test_names_that_change_are_refused(planar3: Robot, tmp_path: Path) -> None:
+    """Messages of two publishers in one table cannot be read by the first row's names."""
+    lines = rostopic().splitlines()
+    lines[20] = lines[20].replace("joint1", "joint9")
+    assert refused(tmp_path / "demo.csv", planar3, "\n".join([*lines, ""])).code == "unsteady-names"
+
+
+def test_a_stated_unit_is_not_asked_for_again(planar3: Robot, tmp_path: Path) -> None:
+    """Nanoseconds of `rostopic` need no flag; a plain `timestamp` that looks like milliseconds is still refused."""
+    text = table(["timestamp", *JOINTS], 1e3 * (EPOCH + TIME), *Q.T)
+    assert refused(tmp_path / "demo.csv", planar3, text).code == "time-unit"
+
+
+def test_a_column_close_to_a_joint_is_still_a_mistake(planar3: Robot, tmp_path: Path) -> None:
+    """Where columns are called as the joints, a surplus one is refused; one flag leaves all of them out."""
+    text = table(["time", *JOINTS, "joint11", "joint12"], TIME, *Q.T, *U.T[:2])
+    error = refused(tmp_path / "demo.csv", planar3, text)
+    assert error.code == "unknown-column" and "columns='{joint}'" in str(error)
+    demos = load_demonstrations(tmp_path / "demo.csv", planar3, columns="{joint}")
+    assert any("joint11, joint12" in note for note in demos.notes)
