@@ -13,19 +13,36 @@ import typer
 from manip_learn.commands import arguments as shared
 from manip_learn.commands.output import answer, progress, refused_by_system, waiting
 from manip_learn.commands.read_options import ReadOptions
+from manip_learn.commands.refusal import nobody_reads, refuse
 from manip_learn.commands.robot_options import RobotOptions
 from manip_learn.commands.shared_options import flags_of, takes_shared_options
 from manip_learn.commands.vectors import joined_vectors, vector
 from manip_learn.errors import ManipLearnError, advice_for_command
 
+COMPLETION = "_MANIP_LEARN_COMPLETE"  # set by the shell that asks for completions
+
 app = typer.Typer(
     name="manip-learn",
     help="Learn which directions a demonstrated task constrains, and keep the arm away from its singularities.",
     epilog="Start with: manip-learn demo",
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+
+@app.callback()
+def front(version: shared.Version = False) -> None:
+    """Learn which directions a demonstrated task constrains, and keep the arm away from its singularities."""
+
+
+@app.command()
+def robots(as_json: shared.Json = False) -> None:
+    """List the robots that can be named, with their joints."""
+    from manip_learn.commands.robots import known_robots
+
+    listed = known_robots()
+    answer(as_json, listed.to_dict(), "print_robots", listed)
 
 
 @app.command()
@@ -33,6 +50,7 @@ def demo(
     robot: Annotated[str, typer.Option(help="sawyer or planar3.")] = "sawyer",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("demo_out"),
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the replay.")] = True,
+    explain: shared.Explain = False,
     as_json: shared.Json = False,
 ) -> None:
     """Learn from shipped recordings, compare three policies, write the replay."""
@@ -40,7 +58,7 @@ def demo(
 
     with progress(as_json) as report:
         result = run(robot, out, browser and not as_json, report)
-    answer(as_json, result.to_dict(), "print_demo", result)
+    answer(as_json, result.to_dict(), "print_demo", result, explain=explain)
 
 
 @app.command()
@@ -68,8 +86,8 @@ def inspect(
 def learn(
     robot: shared.RobotName,
     recordings: shared.Recordings,
-    frame: Annotated[str | None, typer.Option(help="The frame that was guided, e.g. the tool's tip.")] = None,
-    relative_to: Annotated[str | None, typer.Option(help="Frame, e.g. an object, from which it is seen.")] = None,
+    frame: shared.GuidedFrame = None,
+    relative_to: shared.SeenFrom = None,
     axes: Annotated[str, typer.Option(help="xyz, pose, planar, rotation, or any of 'x y z rx ry rz'.")] = "xyz",
     reference: Annotated[str, typer.Option(help="world, local, or auto (the larger gap).")] = "auto",
     constraints: Annotated[int | None, typer.Option(help="Number of constraints; default: from the data.")] = None,
@@ -86,6 +104,7 @@ def learn(
     points: Annotated[int | None, typer.Option(help="Use at most this many samples of each trajectory.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap and of random starts.")] = 0,
     dask: shared.Dask = None,
+    explain: shared.Explain = False,
     as_json: shared.Json = False,
 ) -> None:
     """Learn a constraint from recordings and report it."""
@@ -98,7 +117,7 @@ def learn(
             phases=phases, mechanism=mechanism, start=start, until=until, robot_options=robot_options,
             options=options, dask=dask, progress=report
         )  # fmt: skip
-    answer(as_json, learnt.to_dict(), "print_learnt", learnt)
+    answer(as_json, learnt.to_dict(), "print_learnt", learnt, explain=explain)
 
 
 @app.command()
@@ -112,6 +131,7 @@ def audit(
     robot_options: RobotOptions,
     options: ReadOptions,
     dask: shared.Dask = None,
+    explain: shared.Explain = False,
     as_json: shared.Json = False,
 ) -> None:
     """Judge recorded episodes by a constraint: rank them, and name those to leave out."""
@@ -122,7 +142,7 @@ def audit(
             robot, constraint, recordings, csv=csv, robot_options=robot_options, options=options, dask=dask,
             progress=report
         )  # fmt: skip
-    answer(as_json, audited.to_dict(), "print_audit", audited)
+    answer(as_json, audited.to_dict(), "print_audit", audited, explain=explain)
 
 
 @app.command()
@@ -143,6 +163,7 @@ def control(
     out: Annotated[Path | None, typer.Option(help="Rollout file to write: .npz, .csv, .jsonl or .mcap.")] = None,
     *,
     robot_options: RobotOptions,
+    explain: shared.Explain = False,
     as_json: shared.Json = False,
 ) -> None:
     """Simulate a controller that performs the task and increases its manipulability."""
@@ -154,7 +175,7 @@ def control(
             rest=vector("--rest", rest), gain=gain, task_gain=task_gain, duration=duration, dt=dt,
             inverse=inverse, tolerance=tolerance, out=out, robot_options=robot_options, progress=report
         )  # fmt: skip
-    answer(as_json, result.to_dict(), "print_controlled", result)
+    answer(as_json, result.to_dict(), "print_controlled", result, explain=explain)
 
 
 @app.command()
@@ -164,7 +185,7 @@ def replay(
     rollouts: shared.Rollouts,
     html: Annotated[Path, typer.Option(help="File to write.")] = Path("replay.html"),
     open_browser: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
-    tip: Annotated[str | None, typer.Option(help="Frame whose path is drawn.")] = None,
+    tip: shared.Tip = None,
     constraint: shared.Shown = None,
     *,
     robot_options: RobotOptions,
@@ -231,45 +252,45 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = joined_vectors(list(sys.argv[1:] if argv is None else argv))
-    if not arguments:
-        return _complain("no command given: try `manip-learn demo`, or `manip-learn --help` for all commands")
+    if not arguments and COMPLETION not in os.environ:
+        return refuse(
+            "no command given: try `manip-learn demo`, or `manip-learn --help` for all commands", False, "usage"
+        )
     command = get_command(app)
     with advice_for_command(flags_of(command, arguments)):
-        code = _run(lambda: command.main(arguments, prog_name="manip-learn", standalone_mode=False))
+        code = _run(
+            lambda: command.main(arguments, prog_name="manip-learn", standalone_mode=False), "--json" in arguments
+        )
     if argv is None:
         sys.exit(code)
     return code
 
 
-def _run(command: Callable[[], Any]) -> int:
+def _run(command: Callable[[], Any], as_json: bool) -> int:
     # depending on its version, typer bundles click or uses the public one: either way this is click's UsageError
     usage_error: Any = typer.BadParameter.__mro__[1]
     try:
         outcome = command()
         sys.stdout.flush()
     except ManipLearnError as error:
-        return _complain(str(error))
+        return refuse(str(error), as_json, error.code, error.facts())
     except usage_error as error:
         context = getattr(error, "ctx", None)
         where = f"manip-learn {context.info_name}" if context and context.parent else "manip-learn"
-        return _complain(f"{error.format_message().rstrip('.')}: see `{where} --help`")
+        return refuse(f"{error.format_message().rstrip('.')}: see `{where} --help`", as_json, "usage")
     except (typer.Abort, KeyboardInterrupt):
         print("interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
-        return 1
+        return nobody_reads()
+    except SystemExit as end:  # of rich and typer, for a pipe that nobody reads; or of a completion
+        return end.code if COMPLETION in os.environ and isinstance(end.code, int) else nobody_reads()
     except OSError as error:
-        return _complain(refused_by_system(error))
+        return refuse(refused_by_system(error), as_json, "system")
     except Exception as error:  # last resort: a sentence, not a traceback
-        print(f"manip-learn: internal error ({type(error).__name__}: {error}); please report it", file=sys.stderr)
-        return 1
+        sentence = f"internal error ({type(error).__name__}: {error}); please report it"
+        return refuse(sentence, as_json, "internal", exit_code=1)
     return outcome if isinstance(outcome, int) else 0
-
-
-def _complain(sentence: str) -> int:
-    printable = sentence.encode("utf-8", "backslashreplace").decode()  # names in a damaged file may be no text
-    print(f"manip-learn: {' '.join(printable.split())}", file=sys.stderr)
-    return 2
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -73,6 +73,11 @@ class ManipLearnError(Exception):
         super().__init__(message)
         if code is not None:
             self.code = code
+
+    def facts(self) -> dict[str, object]:
+        """What the sentence says, for programs: values of its attributes that JSON can hold, without the code."""
+        kept = {key: value for key, value in vars(self).items() if key != "code" and value is not None}
+        return {key: str(value) if isinstance(value, Path) else value for key, value in kept.items()}
 
 
 class RobotError(ManipLearnError):
@@ -215,11 +220,21 @@ class NotIdentifiableError(ManipLearnError):
 
     Attributes:
         code: Short stable name of the reason, e.g. `"weak-gap"`.
+        gaps: Number of rows -> the gap that supports it, where gaps were found: 10 is clear.
+        advice: What the data show, and what to try next.
     """
 
-    def __init__(self, message: str, *, code: str = "not-identifiable"):
-        super().__init__(message)
-        self.code = code
+    def __init__(
+        self,
+        message: str,
+        *,
+        code: str = "not-identifiable",
+        gaps: Mapping[int, float] | None = None,
+        advice: Iterable[str] = (),
+    ):
+        super().__init__(message, code=code)
+        self.gaps = dict(gaps or {})
+        self.advice = tuple(advice)
 
 
 class TargetError(ManipLearnError):

@@ -277,3 +277,70 @@ def test_module_runs_as_a_program():
     done = subprocess.run([sys.executable, "-m", "manip_learn", "--help"], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0
     assert "reproduce" in done.stdout
+
+
+def test_refusals_are_json_too(run, tmp_path):
+    """Under --json a refusal is one document on standard output, with its code; the sentence goes to standard error."""
+    cases = {
+        "unknown-name": ("inspect", "swayer"),
+        "missing-file": ("learn", "sawyer", "nowhere.csv"),
+        "usage": ("learn",),
+        "frame": ("learn", "two.urdf", "demo.csv"),
+    }
+    joint = (
+        '<joint name="{0}" type="revolute"><parent link="base"/><child link="{0}_tool0"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint><link name="{0}_tool0"/>'
+    )
+    arms = "".join(joint.format(side) for side in ("left", "right"))
+    Path("two.urdf").write_text(f'<robot name="two"><link name="base"/>{arms}</robot>')
+    Path("demo.csv").write_text("time,left,right\n0,0,0\n1,0.1,0.1\n2,0.2,0.1\n")
+    for code, words in cases.items():
+        exit_code, out, err = run(*words, "--json")
+        error = json.loads(out)["error"]
+        assert (exit_code, error["code"]) == (2, code)
+        assert err == f"manip-learn: {error['message']}\n"
+    assert json.loads(run("inspect", "swayer", "--json")[1])["error"]["near"] == ["sawyer"]
+
+
+def test_a_refusal_to_learn_holds_its_evidence(run):
+    """The gaps and the advice are there for a program: free motion shows no constraint."""
+    rng = np.random.default_rng(0)
+    time = np.arange(200) * 0.01
+    for i in range(3):
+        q = np.cumsum(rng.normal(0, 0.004, (200, 3)), axis=0) + [0.3, 0.6, 0.9]
+        rows = "\n".join(",".join(f"{x:.9f}" for x in row) for row in np.column_stack([time, q]))
+        Path(f"free_{i}.csv").write_text(f"time,joint1,joint2,joint3\n{rows}\n")
+    code, out, err = run("learn", "planar3", "free_0.csv", "free_1.csv", "free_2.csv", "--axes", "x y", "--json")
+    error = json.loads(out)["error"]
+    assert code == 2 and error["code"] in ("weak-gap", "no-evidence")
+    assert set(error["gaps"]) == {"1", "2"} and all(gap > 0 for gap in error["gaps"].values())
+    assert error["advice"] and all(text in error["message"] for text in error["advice"])
+
+
+def test_robots_and_version(run):
+    """The names that can be given, with their joints, and the version."""
+    code, out, err = run("robots", "--json")
+    answer = json.loads(out)
+    assert (code, err) == (0, "")
+    listed = {r["name"]: r for r in answer["robots"]}
+    assert listed["planar3"]["joints"] == ["joint1", "joint2", "joint3"]
+    assert [r["name"] for r in answer["robots"][:2]] == ["planar3", "sawyer"]
+    code, out, err = run("robots")
+    assert code == 0 and "sawyer" in out and "7 joints" in out
+    code, out, err = run("--version")
+    assert (code, err) == (0, "") and out.startswith("manip-learn ")
+
+
+@pytest.mark.parametrize("words", ["robots", "inspect sawyer", "inspect sawyer --json", "learn --help", "learn --json"])
+def test_a_reader_that_leaves_is_no_error(words):
+    """`| head -1`: nothing on standard error but what the command has to say, and no failure of its own."""
+    command = [sys.executable, "-u", "-m", "manip_learn", *words.split()]
+    done = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert done.stdout is not None and done.stderr is not None
+    done.stdout.readline()
+    done.stdout.close()
+    said = done.stderr.read()
+    done.stderr.close()
+    usage = "learn --json" in words
+    assert done.wait(60) == (2 if usage else 0)
+    assert ("Traceback" not in said and "Broken" not in said) and (usage or said == "")

@@ -61,14 +61,14 @@ def waiting(quiet: bool, what: str) -> Iterator[None]:
         yield
 
 
-def answer(as_json: bool, content: dict[str, Any], printer: str = "", value: Any = None) -> None:
+def answer(as_json: bool, content: dict[str, Any], printer: str = "", value: Any = None, **options: Any) -> None:
     """Print the answer of a command: one JSON document, or what the printer in `tables` makes of the value."""
     if as_json:
         print(json.dumps(finite(content), indent=2, allow_nan=False))
         return
     from manip_learn.commands import tables
 
-    getattr(tables, printer)(console(), value)
+    getattr(tables, printer)(console(), value, **options)
 
 
 def refused_by_system(error: OSError) -> str:

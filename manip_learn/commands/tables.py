@@ -6,11 +6,13 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markdown import Markdown
 from rich.markup import escape
 from rich.table import Table
+
+from manip_learn.commands.wide_tables import UNDER_WAY, audit_table, rollout_table
+from manip_learn.commands.words import print_words
 
 if TYPE_CHECKING:  # so that printing one command's answer does not load the others
     from manip_learn.commands.audit import Audited
@@ -19,15 +21,17 @@ if TYPE_CHECKING:  # so that printing one command's answer does not load the oth
     from manip_learn.commands.export import Exported
     from manip_learn.commands.learn import Learnt
     from manip_learn.commands.reproduce import Reproduction
+    from manip_learn.commands.robots import KnownRobots
     from manip_learn.learning.mechanisms.mechanism import Mechanism
     from manip_learn.playback import ReplayResult
     from manip_learn.robot.robot_summary import RobotSummary
 
 MOST_ROWS = 20  # of an audit on a terminal
-UNDER_WAY = 0.1  # the nearly singular start is not due to the policy: evaluated from here on [s]
+ROLLOUT_TERMS = ("error", "mu", "peak", "unhindered")
+AUDIT_TERMS = ("score", "sigma", "broken", "mm, deg", "margin", "speed", "jerk", "rest")
 
 
-def print_learnt(console: Console, learnt: Learnt) -> None:
+def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> None:
     """The sentence, the evidence, the warnings."""
     from manip_learn.learning.estimators.estimate import CLEAR_GAP
     from manip_learn.learning.overview import RecordingOverview
@@ -35,20 +39,24 @@ def print_learnt(console: Console, learnt: Learnt) -> None:
     report = learnt.report
     console.print(f"[bold]{escape(report.sentence)}[/bold]", highlight=False)
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    rank = "clear" if report.gap >= CLEAR_GAP else "weak"
+    rank = f"{CLEAR_GAP:g} is clear" if report.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
+    terms = ["row", "gap"]
     table.add_row("estimator", f"{report.estimator} ({report.kind})")
     table.add_row(
-        "constraints", f"{report.n_constraints} of {len(report.row_names)} rows, gap {report.gap:.3g} ({rank})"
+        "constraints", f"{report.n_constraints} of {len(report.row_names)} rows, gap {_readable(report.gap)} ({rank})"
     )
     if report.reference:
         table.add_row("reference", report.reference)
     if report.policy_model:
         table.add_row("policy model", report.policy_model)
     if math.isfinite(report.held_out_residual):
-        table.add_row("left-out trajectories", f"{100 * report.held_out_residual:.2g} % of the motion unexplained")
+        terms.append("left-out")
+        table.add_row("left-out recordings", f"{100 * report.held_out_residual:.2g} % of the motion unexplained")
     if report.uncertainty_deg is not None:
+        terms.append("uncertainty")
         table.add_row("uncertainty", f"{report.uncertainty_deg:.2g} degrees (68 %, bootstrap over trajectories)")
     if report.row_evidence:
+        terms.append("strength")
         held = [row for row in report.row_evidence if row.state == "held"]
         strengths = ", ".join(f"{row.strength:.3g}" for row in held) or "none"
         p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
@@ -59,6 +67,7 @@ def print_learnt(console: Console, learnt: Learnt) -> None:
         "learnt from", f"{report.n_samples} samples of {report.n_trajectories} trajectories in {report.seconds:.2g} s"
     )
     console.print(table)
+    print_words(console, terms, explain)
     for number, other in enumerate(learnt.reports[1:], start=2):
         console.print(f"constraint {number}: {escape(other.sentence)}", highlight=False)
     for sentence in RecordingOverview(report.phases).sentences():
@@ -81,36 +90,27 @@ def _spread(mechanism: Mechanism) -> str:
     return f" (+- {', '.join(parts)})" if parts else ""
 
 
-def rollout_table(rollouts: dict[str, Controlled]) -> Table:
-    """Policies side by side."""
-    table = Table(header_style="bold", box=SIMPLE_HEAD, padding=(0, 1))
-    for name in ("policy", "reached", "error", "min mu", "mean mu", "peak", "unhindered"):
-        table.add_column(name, justify="left" if name == "policy" else "right", no_wrap=True)
-    for name, controlled in rollouts.items():
-        r = controlled.rollout
-        mu = r.manipulability[r.time >= min(UNDER_WAY, r.time[-1])]
-        table.add_row(
-            escape(name),
-            "yes" if controlled.reached else "[red]no[/red]",
-            f"{controlled.final_error:.4f}",
-            f"{mu.min():.4f}",
-            f"{r.manipulability.mean():.3f}",
-            f"{abs(r.u).max():.2f}/s",
-            f"{100 * r.status.count('ok') / len(r):.0f} %",
-        )
-    return table
-
-
-def print_demo(console: Console, demo: Demo) -> None:
+def print_demo(console: Console, demo: Demo, explain: bool = False) -> None:
     """What was learnt, the comparison, and where the replay is."""
-    print_learnt(console, demo.learnt)
+    print_learnt(console, demo.learnt, explain)
     console.print()
     start = next(iter(demo.rollouts.values())).rollout.manipulability[0]
     console.print(f"from a start with mu = {start:.1g} (min mu: after the first {UNDER_WAY:g} s)", highlight=False)
-    console.print(rollout_table(demo.rollouts))
+    console.print(rollout_table(demo.rollouts, console.width))
+    print_words(console, ROLLOUT_TERMS, explain)
     console.print(
         f"replay: {escape(str(demo.page.html))} ({demo.page.bytes / 1e6:.1f} MB)", highlight=False, soft_wrap=True
     )
+
+
+def print_robots(console: Console, listed: KnownRobots) -> None:
+    """Names and numbers of joints, those of the package first."""
+    for robot in listed.robots:
+        joints = f"{len(robot.joints)} joints" if not robot.refused else "refused: see `manip-learn inspect`"
+        origin = "" if robot.origin == "package" else "  (extra robots)"
+        console.print(f"{escape(robot.name):24} {joints}{origin}", highlight=False)
+    if not listed.extra:
+        console.print("more with: pip install 'manip_learn[robots]'", highlight=False, markup=False)
 
 
 def print_robot(console: Console, summary: RobotSummary) -> None:
@@ -152,9 +152,10 @@ def _print_warnings(console: Console, warnings: Sequence[str]) -> None:
         console.print(f"[yellow]warning: {escape(warning)}[/yellow]", highlight=False)
 
 
-def print_controlled(console: Console, controlled: Controlled) -> None:
+def print_controlled(console: Console, controlled: Controlled, explain: bool = False) -> None:
     """One rollout."""
-    console.print(rollout_table({"rollout": controlled}))
+    console.print(rollout_table({"rollout": controlled}, console.width))
+    print_words(console, ROLLOUT_TERMS, explain)
     counts = ", ".join(f"{status} {n}" for status, n in controlled.rollout.status_counts.items())
     console.print(f"steps: {counts}", highlight=False)
     aim = controlled.aim
@@ -182,30 +183,16 @@ def print_controlled(console: Console, controlled: Controlled) -> None:
         console.print(f"written: {escape(str(controlled.out))}", highlight=False, soft_wrap=True)
 
 
-def print_audit(console: Console, audited: Audited) -> None:
+def print_audit(console: Console, audited: Audited, explain: bool = False) -> None:
     """The worst episodes, and what to leave out and why."""
     report = audited.report
-    table = Table(header_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
-    for name in ("episode", "score", "sigma", "broken", "mm", "deg", "margin", "speed", "jerk", "rest", "s"):
-        is_name = name == "episode"
-        table.add_column(name, justify="left" if is_name else "right", no_wrap=True, min_width=12 if is_name else None)
-    for e in report.episodes[:MOST_ROWS]:
-        cells = (
-            _number(e.score, ".1f"),
-            _number(e.sigma_min, ".3f"),
-            _number(100 * e.residual, ".1f", " %"),
-            _number(e.displacement_mm, ".1f"),
-            _number(e.displacement_deg, ".1f"),
-            _number(100 * e.limit_margin, ".0f", " %"),
-            _number(100 * e.peak_speed, ".0f", " %"),
-            _number(e.jerk_rms, ".1f"),
-            _number(100 * e.rest_share, ".0f", " %"),
-            _number(e.duration, ".1f"),
-        )
-        table.add_row(escape(e.episode), *cells, style="red" if e.leave_out else None)
+    table, hidden = audit_table(report.episodes[:MOST_ROWS], console.width)
     console.print(table)
+    if hidden:
+        console.print(f"not shown for want of width: {', '.join(hidden)} (--csv FILE has all)", highlight=False)
     if len(report.episodes) > MOST_ROWS:
         console.print(f"and {len(report.episodes) - MOST_ROWS} better episodes (--csv FILE lists all)", highlight=False)
+    print_words(console, [t for t in AUDIT_TERMS if t.split(",")[0] not in hidden], explain)
     left = report.leave_out
     threshold = f"robust z above {report.threshold:.1f}" if math.isfinite(report.threshold) else "too few to tell"
     console.print(
@@ -228,10 +215,6 @@ def print_replayed(console: Console, page: ReplayResult) -> None:
     console.print(f"replay: {escape(str(page.html))} ({page.bytes / 1e6:.1f} MB)", highlight=False, soft_wrap=True)
 
 
-def _number(value: float, form: str, unit: str = "") -> str:
-    return f"{value:{form}}{unit}" if math.isfinite(value) else "-"
-
-
 def print_reproduction(console: Console, reproduction: Reproduction) -> None:
     """Each part's own page: our numbers next to those of the paper."""
     for part, page in reproduction.pages.items():
@@ -239,6 +222,11 @@ def print_reproduction(console: Console, reproduction: Reproduction) -> None:
         console.print(Markdown(page))
     if reproduction.out is not None:
         console.print(f"written: {escape(str(reproduction.out))}", highlight=False, soft_wrap=True)
+
+
+def _readable(value: float) -> str:
+    """A ratio as a person reads it: 3,940, 12 or 2.7."""
+    return f"{value:,.0f}" if value >= 10 else f"{value:.2g}"
 
 
 def _limit(value: float) -> str:

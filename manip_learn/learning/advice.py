@@ -51,18 +51,20 @@ def advise(
     ]
     if not causes:
         return advise_in_general(refusal)
-    return NotIdentifiableError(f"{refusal}; what the data show: {'; '.join(causes)}", code=refusal.code)
+    said = f"{refusal}; what the data show: {'; '.join(causes)}"
+    return NotIdentifiableError(said, code=refusal.code, gaps=refusal.gaps, advice=(*refusal.advice, *causes))
 
 
 def advise_in_general(refusal: NotIdentifiableError) -> NotIdentifiableError:
     """The refusal with what usually helps, where nothing of the data is known."""
     if refusal.code != "weak-gap":
         return refusal
-    return NotIdentifiableError(
-        f"{refusal}; record more varied motions, try other axes or the other reference, or give the number of rows if "
-        "you know it" + advice(" ({})", "n_constraints=2", "--constraints 2"),
-        code=refusal.code,
+    usual = (
+        "record more varied motions, try other axes or the other reference, or give the number of rows if you know it"
+        + advice(" ({})", "n_constraints=2", "--constraints 2")
     )
+    said = f"{refusal}; {usual}"
+    return NotIdentifiableError(said, code=refusal.code, gaps=refusal.gaps, advice=(*refusal.advice, usual))
 
 
 def _too_few(demonstrations: Demonstrations) -> list[str]:

@@ -172,6 +172,7 @@ def _unsupported(answer: Answer) -> Answer:
             "posture between recordings, or give the number of rows if you "
             f"know it{advice(' ({})', f'n_constraints={s}', f'--constraints {s}')}",
             code="no-evidence",
+            gaps=dict(zip(answer.candidate.estimate.table.counts, answer.candidate.estimate.table.gaps, strict=True)),
         )
     return dataclasses.replace(
         answer,
@@ -241,7 +242,12 @@ def _despite(refusal: NotIdentifiableError, part: Part, settings: LearnerSetting
                 said = f"no gap shows the number of rows, the recombination test does: {evidence.sentence()}"
                 return Answer(part, candidate, data, evidence, mechanism, (said,))
     if mechanism is not None and mechanism.mechanism is None and mechanism.warnings:
-        raise NotIdentifiableError(f"{refusal}; {'; '.join(mechanism.warnings)}", code=refusal.code)
+        raise NotIdentifiableError(
+            f"{refusal}; {'; '.join(mechanism.warnings)}",
+            code=refusal.code,
+            gaps=refusal.gaps,
+            advice=mechanism.warnings,
+        )
     raise refusal
 
 

@@ -217,8 +217,9 @@ def _check_number_of_rows(estimate: Estimate, nv: int, n_constraints: int | None
     if verdict == "none" and n_constraints is None:
         raise NotIdentifiableError(
             f"the demonstrations do not show a constraint: the largest gap, {gap:.2g} for {s} row(s), is below "
-            f"{table.weak_from:g}",
+            f"{table.weak_from:g} (10 is clear)",
             code="weak-gap",
+            gaps=dict(zip(table.counts, table.gaps, strict=True)),
         )
     if s >= nv:
         raise NotIdentifiableError(f"{s} constraints leave no null space for {nv} joints", code="no-freedom")

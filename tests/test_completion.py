@@ -1,0 +1,49 @@
+"""What the shell offers: robots, frames of the robot that was named, constraint files; and how little it may cost."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from manip_learn.commands.completion import constraint_completions, robot_completions
+
+
+def offered(line: str, folder: Path, shell: str = "bash") -> list[str]:
+    """What a shell gets for an unfinished line, from the program itself."""
+    words = line.split(" ")
+    environment = dict(os.environ, _MANIP_LEARN_COMPLETE=f"complete_{shell}", PYTHONPATH=os.pathsep.join(sys.path))
+    if shell == "bash":
+        environment |= {"COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}
+    else:
+        environment |= {"_TYPER_COMPLETE_ARGS": line, "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
+    done = subprocess.run(
+        [sys.executable, "-m", "manip_learn"], env=environment, cwd=folder, capture_output=True, text=True, timeout=60
+    )
+    assert done.stderr == ""
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize("shell", ["bash", "fish"])
+def test_names_and_frames(shell: str, tmp_path: Path) -> None:
+    """A robot by its first letters, a frame of that robot, a flag of the command."""
+    assert "sawyer" in offered("manip-learn inspect saw", tmp_path, shell)
+    assert offered("manip-learn learn sawyer demo.csv --frame right_gr", tmp_path, shell) == ["right_gripper_tip"]
+    assert "--columns" in offered("manip-learn learn sawyer --col", tmp_path, shell)
+
+
+def test_files_at_hand(tmp_path: Path, monkeypatch) -> None:
+    """Descriptions for a robot, constraint files and no other JSON for a constraint, folders for both."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arms").mkdir()
+    (tmp_path / "arm.urdf").write_text("<robot/>")
+    (tmp_path / "a.json").write_text(json.dumps({"format": "manip_learn.constraint"}))
+    (tmp_path / "another.json").write_text("{}")
+    assert [p for p in robot_completions("ar") if "/" in p or "." in p] == ["arm.urdf", "arms/"]
+    assert constraint_completions("a") == ["a.json", "arms/"]
+    assert constraint_completions(f"{tmp_path}/a.") == [f"{tmp_path}/a.json"]
+    assert constraint_completions("nowhere/") == []
