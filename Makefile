@@ -78,7 +78,8 @@ lowest: $(LOWEST)/made
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/python -m pytest -n 2 --dist worksteal --benchmark-disable \
 		-p no:cacheprovider -m 'not slow and not bench and not fuzz and not browser' $(QUICK) $(ARGS)
 
-# wheel and sdist; then the wheel's own demo, in an environment without extras and in a folder that holds nothing
+# wheel and sdist; the wheel's own demo, in an environment without extras and in a folder that holds nothing; then with
+# extras a user's first hour: own arm, foreign recordings, mistakes, a notebook (tests/first_hour)
 package: $(VENV)/dev
 	rm -rf dist
 	$(PIP) install --quiet 'build>=1.2'
@@ -88,7 +89,10 @@ package: $(VENV)/dev
 	"$$folder/venv/bin/python" -m zipfile --list "$$wheel" | grep -q 'licenses/LICENSES/Apache-2.0.txt' && \
 	"$$folder/venv/bin/python" -m pip --disable-pip-version-check install --quiet "$$wheel" && \
 	env -u PYTHONPATH "$$folder/venv/bin/manip-learn" demo --no-browser --json >"$$folder/demo.json" && \
-	test -s demo_out/replay.html && echo "the wheel's own demo works"
+	test -s demo_out/replay.html && echo "the wheel's own demo works" && \
+	"$$folder/venv/bin/python" -m pip --disable-pip-version-check install --quiet "$$wheel[robots,recordings,xacro]" \
+		'nbclient>=0.10' 'ipykernel>=6.29' && \
+	env -u PYTHONPATH "$$folder/venv/bin/python" "$(CURDIR)/tests/first_hour/hour.py" "$$folder/hour"
 
 docs: $(VENV)/dev
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html

@@ -1,0 +1,191 @@
+"""A scripted first hour: someone with an arm, its description and recordings, from installation to a replay.
+
+    python tests/first_hour/hour.py FOLDER          (in an environment in which the wheel and its extras are installed)
+
+Each step is what a user would type. A refusal is no dead end if it names the flags that help: they are taken from its
+text and typed. Everything else that does not lead on is counted, printed, and fails the run.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from own_arm import NAMES, write_package
+from recordings import FREE, motions, write_bags, write_numbered, write_plotjuggler, write_rostopic
+
+import manip_learn as ml
+
+MANIP_LEARN = str(Path(sys.executable).with_name("manip-learn"))
+CLOSE = 1.0  # largest angle between the learnt and the true free direction [deg]
+ADVICE = re.compile(r"(--[a-z][a-z-]+(?: (?!--)'[^']+'| (?!--)[^\s;,)'`]+)?)")
+FRAME = ("--frame", "tool0")
+START, TARGET = "0.3,0.5,1.2,0.2,0.8,0", "0.4,0.3,0.5"
+
+
+@dataclass
+class Hour:
+    """What happened, step by step."""
+
+    folder: Path
+    dead_ends: list[str] = field(default_factory=list)
+
+    def type(self, title: str, *arguments: str, check: Callable[[str], str] = lambda out: "") -> str:
+        """One command, once more with the advice of its refusal; `check` says what is wrong with its output."""
+        done, advised = self._run(arguments), ""
+        if done.returncode == 2:
+            flags = [part for found in ADVICE.findall(done.stderr) for part in found.replace("'", "").split(" ", 1)]
+            advised = f" (refused; its advice: {' '.join(flags)})" if flags else ""
+            done = self._run((*arguments, *flags)) if flags else done
+        said = done.stdout + done.stderr
+        wrong = said.strip()[-600:] if done.returncode else check(done.stdout)
+        if "Traceback" in said:
+            wrong = said[-600:]
+        self.note(title + advised, wrong)
+        return done.stdout
+
+    def refused(self, title: str, *arguments: str, words: str) -> None:
+        """A mistake that a user makes: one short message that says what helps."""
+        done = self._run(arguments)
+        said = done.stderr.strip()
+        wrong = "" if done.returncode == 2 and re.search(words, said) else f"exit {done.returncode}: {said[-600:]}"
+        if "Traceback" in said or len(said) > 1200:
+            wrong = f"too long, or a traceback: {said[-600:]}"
+        self.note(f"{title} (to be refused)", wrong)
+
+    def note(self, title: str, wrong: str) -> None:
+        print(f"{'DEAD END' if wrong else 'ok':9s}{title}", flush=True)
+        if wrong:
+            print("         " + wrong.replace("\n", "\n         "), flush=True)
+            self.dead_ends.append(title)
+
+    def _run(self, arguments: tuple[str, ...]) -> subprocess.CompletedProcess[str]:
+        command = [MANIP_LEARN, *arguments]
+        return subprocess.run(command, cwd=self.folder, capture_output=True, text=True, timeout=300, check=False)
+
+
+def learns_the_line(out: str) -> str:
+    """Empty if the free direction is the true one, within a degree."""
+    free = json.loads(out)["free_directions"]
+    if len(free) != 1:
+        return f"{len(free)} free directions were found, there is 1"
+    angle = np.degrees(np.arccos(min(1.0, abs(float(np.dot(free[0][:3], FREE))))))
+    return "" if angle < CLOSE else f"the free direction is {angle:.2g} degrees off"
+
+
+def six_joints(out: str) -> str:
+    """Empty if the six joints are those of the arm."""
+    names = [joint["name"] for joint in json.loads(out)["joints"]]
+    return "" if names == list(NAMES) else f"the joints are {names}"
+
+
+def look_around(hour: Hour) -> None:
+    hour.type("the version", "--version", check=lambda out: "" if re.match(r"[a-z_-]* ?\d+\.\d+", out) else out)
+    hour.type("the names of robots", "robots", check=lambda out: "" if "sawyer" in out else out)
+    hour.type("the help", "--help")
+    hour.type("the demo", "demo", "--no-browser", "--out", "demo")
+    page = hour.folder / "demo" / "replay.html"
+    hour.note("the demo's replay", "" if page.is_file() and page.stat().st_size > 100_000 else "there is no page")
+
+
+def describe_the_arm(hour: Hour, package: Path) -> None:
+    urdf = str(package / "urdf" / "my_arm.urdf")
+    found = hour.type("own URDF with package meshes", "inspect", urdf, "--json", check=six_joints)
+    warnings = json.loads(found)["warnings"] if found else []
+    hour.note("its meshes are found", "\n".join(warnings))
+    hour.type("the same as xacro", "inspect", str(package / "urdf" / "my_arm.urdf.xacro"), "--json", check=six_joints)
+    slower = ("--xacro", "--xacro-arg", "fastest=1.0")
+    hour.type("xacro with an argument", "inspect", f"{urdf}.xacro", *slower, "--json", check=six_joints)
+    hour.type("the same as MJCF", "inspect", str(package / "mjcf" / "my_arm.xml"), "--json", check=six_joints)
+
+
+def learn_from_files(hour: Hour, package: Path) -> None:
+    urdf = str(package / "urdf" / "my_arm.urdf")
+    demos = motions(ml.load_robot(urdf))
+    writers: dict[str, Callable[[Path, list[ml.Trajectory]], Path]] = {
+        "ROS 2 bags": write_bags,
+        "PlotJuggler's CSV": write_plotjuggler,
+        "rostopic echo -p": write_rostopic,
+        "q[i] and dq[i]": write_numbered,
+    }
+    for title, write in writers.items():
+        folder = write(hour.folder / re.sub(r"\W+", "_", title), demos)
+        hour.type(f"learn from {title}", "learn", urdf, str(folder), *FRAME, "--json", check=learns_the_line)
+    bags = str(hour.folder / "ROS_2_bags")
+    hour.type("bags to LeRobot data", "export", urdf, bags, "--to", "lerobot", "--out", "lerobot")
+    hour.type("learn from LeRobot data", "learn", urdf, "lerobot", *FRAME, "--json", check=learns_the_line)
+    out = ("--out", "line.json", "--html", "recordings.html")
+    words = hour.type("learn in words", "learn", urdf, bags, *FRAME, *out)
+    hour.note(
+        "it says what is free", "" if "moves freely along (0.80, 0.60, 0.00)" in " ".join(words.split()) else words
+    )
+
+
+def control_and_replay(hour: Hour, package: Path) -> None:
+    urdf = str(package / "urdf" / "my_arm.urdf")
+    motion = ("--start", START, "--target", TARGET, "--duration", "3", "--out", "run.npz")
+    hour.type("control", "control", urdf, "line.json", *motion)
+    hour.type("replay", "replay", urdf, "run.npz", "--html", "run.html")
+    hour.type("replay of the bags", "replay", urdf, "ROS_2_bags", "--constraint", "line.json", "--html", "bags.html")
+    for page in ("recordings.html", "run.html", "bags.html"):
+        there = (hour.folder / page).is_file()
+        hour.note(f"{page} is there", "" if there else "it was not written")
+    hour.type("audit", "audit", urdf, "line.json", "ROS_2_bags")
+
+
+def make_mistakes(hour: Hour, package: Path) -> None:
+    urdf = str(package / "urdf" / "my_arm.urdf")
+    hour.refused("a frame with a typing error", "learn", urdf, "ROS_2_bags", "--frame", "tool", words="tool0")
+    hour.refused("a folder that is not there", "learn", urdf, "bgas", *FRAME, words="bgas")
+    hour.refused("another robot's constraint", "control", "sawyer", "line.json", words="my_arm")
+    hour.refused("a target of the wrong size", "control", urdf, "line.json", "--target", "1,2,3,4", words="target")
+    hour.refused("a robot that does not exist", "inspect", "sayer", words="sawyer")
+
+
+def work_in_a_notebook(hour: Hour, package: Path) -> None:
+    import nbformat
+    from nbclient import NotebookClient
+
+    urdf = package / "urdf" / "my_arm.urdf"
+    cells = [
+        f"import manip_learn as ml\nrobot = ml.load_robot({str(urdf)!r})\nrobot",
+        "demos = ml.load_demonstrations('ROS_2_bags', robot)\ndemos",
+        "learner = ml.ConstraintLearner(ml.FrameJacobian(robot, 'tool0', 'xyz'))\n"
+        "learner.fit([(demo.time, demo.q) for demo in demos])\nlearner.report_",
+        f"task = ml.PointAttractor([{TARGET}])\n"
+        "controller = ml.ResolvedRateController(learner.constraint_, task=task)\n"
+        f"rollout = ml.simulate(robot, controller, [{START}], duration=2.0, dt=0.01)\nrollout",
+        "ml.replay(robot, rollout, html='notebook.html', open_browser=False)",
+    ]
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in cells])
+    wrong = ""
+    try:
+        NotebookClient(notebook, timeout=120, resources={"metadata": {"path": hour.folder}}).execute()
+        shown: list[Any] = [out for cell in notebook.cells for out in cell.outputs if "data" in out]
+        wrong = "" if sum("text/html" in out.data for out in shown) == len(cells) else "a cell shows nothing"
+    except RuntimeError as error:  # what a cell raised
+        wrong = str(error)
+    hour.note("a notebook", wrong)
+
+
+def main() -> int:
+    """The hour; 1 if it has dead ends."""
+    hour = Hour(Path(sys.argv[1]).resolve())
+    hour.folder.mkdir(parents=True, exist_ok=True)
+    package = write_package(hour.folder)
+    look_around(hour)
+    for part in (describe_the_arm, learn_from_files, control_and_replay, make_mistakes, work_in_a_notebook):
+        part(hour, package)
+    print(f"{len(hour.dead_ends)} dead ends")
+    return int(bool(hour.dead_ends))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
