@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import final, overload
+from typing import TYPE_CHECKING, final, overload
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import html_card
+
+if TYPE_CHECKING:
+    import pandas
 
 
 @final
@@ -60,6 +63,21 @@ class Demonstrations(Sequence[Trajectory]):
             RecordingError: Another number of columns.
         """
         return Demonstrations([t.with_joint_names(joint_names) for t in self.trajectories], self.notes)
+
+    def to_frame(self) -> pandas.DataFrame:
+        """All samples in one table, which `load_demonstrations` reads again: one row per sample.
+
+        Returns:
+            Columns `trajectory` (its name), `time` [s], one per joint [rad or m], and `<joint>_velocity` if any
+            trajectory has velocities (NaN for those that have none).
+
+        Raises:
+            RecordingError: Postures that are no joint positions (nq differs from nv) have no column names.
+            MissingExtraError: pandas is not installed.
+        """
+        from manip_learn.recordings.data_frame import frame_of
+
+        return frame_of(self.trajectories)
 
     @property
     def n_samples(self) -> int:
