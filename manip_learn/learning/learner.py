@@ -124,9 +124,9 @@ class ConstraintLearner:
 
         Args:
             demonstrations: Trajectories in memory; or arrays `(time, q)` or `(time, q, u)`, one column per joint in the
-                robot's order [s, rad or m], one motion or a list; or an object that yields trajectories anew each
-                time it is iterated over; or a `TrajectorySource`, e.g. `manip_learn.recordings.RecordingSource` for
-                files larger than memory.
+                robot's order [s, rad or m], one motion or a list; or data frames of pandas; or an object that yields
+                trajectories anew each time it is iterated over; or a `TrajectorySource`, e.g.
+                `manip_learn.recordings.RecordingSource` for files larger than memory.
             client: A `dask.distributed.Client` whose workers make the passes over the samples; the answer does not
                 depend on their number.
             progress: Called with what is being done and the share of it that is done.

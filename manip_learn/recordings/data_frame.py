@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+import re
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 
 import numpy as np
 
@@ -15,6 +19,24 @@ if TYPE_CHECKING:
     import pandas
 
 TRAJECTORY, TIME = "trajectory", "time"
+
+
+class DataFrame(Protocol):
+    """What is needed of a table of pandas, which need not be installed."""
+
+    @property
+    def columns(self) -> Any:
+        """Names."""
+        ...
+
+    @property
+    def index(self) -> Any:
+        """Row numbers, names or times."""
+        ...
+
+    def to_csv(self, path_or_buf: Any) -> Any:
+        """Write a text table."""
+        ...
 
 
 def frame_of(trajectories: Sequence[Trajectory]) -> pandas.DataFrame:
@@ -41,3 +63,60 @@ def frame_of(trajectories: Sequence[Trajectory]) -> pandas.DataFrame:
         u = np.concatenate([np.full_like(t.q, np.nan) if t.u is None else t.u for t in trajectories])
         table |= {name + VELOCITY_SUFFIX: u[:, j] for j, name in enumerate(joints)}
     return pd.DataFrame(table)
+
+
+def is_data_frame(given: object) -> TypeGuard[DataFrame]:
+    """True for a table of pandas."""
+    return hasattr(given, "to_csv") and hasattr(given, "columns") and hasattr(given, "index")
+
+
+@contextmanager
+def frames_as_files(given: Any) -> Iterator[Any]:
+    """Data frames as text tables while they are read, so that one reader says what columns mean; else what was given.
+
+    A frame with a column `trajectory` is one table for each of its values. An index of times or durations, or an index
+    called `time`, is a column `time`. Numbers are written so that they come back bit for bit.
+
+    Args:
+        given: A data frame, several of them, or paths.
+
+    Raises:
+        RecordingError: A frame without columns or rows.
+    """
+    frames: list[Any] = [given]
+    if not is_data_frame(given):
+        listed = isinstance(given, Iterable) and not isinstance(given, str)
+        frames = list(given) if listed and isinstance(given, Sequence) else []
+    if not frames or not all(map(is_data_frame, frames)):
+        yield given
+        return
+    with tempfile.TemporaryDirectory(prefix="manip_learn_") as folder:
+        yield [path for number, frame in enumerate(frames, start=1) for path in _written(frame, Path(folder), number)]
+
+
+def _written(frame: Any, folder: Path, number: int) -> Iterator[Path]:
+    if not len(frame) or not len(frame.columns):
+        raise RecordingError(f"data frame {number} has the shape {frame.shape}: there is nothing in it", code="empty")
+    frame = _with_time(frame)
+    if TRAJECTORY in frame.columns:
+        groups = [(str(name), part) for name, part in frame.groupby(TRAJECTORY, sort=False)]
+    else:
+        groups = [(f"data frame {number}", frame)]
+    for i, (name, part) in enumerate(groups):
+        inner = folder / f"{number}_{i}"  # names may be equal once they are fit for a file
+        inner.mkdir()
+        path = inner / (re.sub(r"[^\w. -]", "_", name)[:100] or "data frame")
+        part.drop(columns=TRAJECTORY, errors="ignore").dropna(axis=1, how="all").to_csv(path, index=False, na_rep="nan")
+        yield path
+
+
+def _with_time(frame: Any) -> Any:
+    """The frame with its index as a column, where the index is of time."""
+    index = frame.index
+    if TIME in frame.columns:
+        return frame
+    if index.dtype.kind == "M":  # dates
+        return frame.assign(**{TIME: (index - index[0]).total_seconds()})
+    if index.dtype.kind == "m":  # durations
+        return frame.assign(**{TIME: index.total_seconds()})
+    return frame.assign(**{TIME: index}) if index.name == TIME else frame

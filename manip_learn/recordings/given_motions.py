@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_learn.errors import RecordingError
+from manip_learn.recordings.data_frame import DataFrame, is_data_frame
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.load_demonstrations import load_demonstrations
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
@@ -19,7 +21,7 @@ from manip_learn.robot.robot import Robot
 
 # times (T,) [s], positions (T, n) [rad or m], and velocities (T, nv) where they are known
 Arrays = tuple[ArrayLike, ArrayLike] | tuple[ArrayLike, ArrayLike, ArrayLike]
-Motion = Trajectory | Arrays
+Motion = Trajectory | Arrays | DataFrame
 
 
 def demonstrations_of(given: object, robot: Robot | None = None) -> Demonstrations | None:
@@ -27,7 +29,8 @@ def demonstrations_of(given: object, robot: Robot | None = None) -> Demonstratio
 
     Args:
         given: `Demonstrations`; a `Trajectory`, or arrays `(time, q)` or `(time, q, u)` with shapes (T,), (T, n) and
-            (T, nv) [s, rad or m, and those per second]; or a sequence or iterator of these.
+            (T, nv) [s, rad or m, and those per second]; or a sequence or iterator of these; or data frames of pandas
+            with the columns of a CSV file, if there is a robot.
         robot: Whose joints the columns of arrays are, in its order: the arrays are then checked like a file.
 
     Raises:
@@ -38,6 +41,8 @@ def demonstrations_of(given: object, robot: Robot | None = None) -> Demonstratio
         return given
     if isinstance(given, Trajectory) or _is_motion(given):
         given = [given]
+    if robot is not None and _is_frames(given):
+        return load_demonstrations(given, robot)  # type: ignore[arg-type]
     if isinstance(given, np.ndarray):
         raise RecordingError(
             f"an array of shape {given.shape} alone is no motion, for its times are not known: give (time, q), or "
@@ -61,6 +66,11 @@ def demonstrations_of(given: object, robot: Robot | None = None) -> Demonstratio
         trajectories += checked.trajectories
         notes += [f"{checked[0].name}: {note}" for note in checked.notes]
     return Demonstrations(trajectories, notes)
+
+
+def _is_frames(given: object) -> bool:
+    """True for a data frame, or a list of them."""
+    return is_data_frame(given) or (isinstance(given, list | tuple) and bool(given) and all(map(is_data_frame, given)))
 
 
 def _is_motion(given: object) -> bool:

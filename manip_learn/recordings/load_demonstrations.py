@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Literal, TypedDict, Unpack
 
 from manip_learn.errors import RecordingError, advice, closest_names
+from manip_learn.recordings.data_frame import DataFrame, frames_as_files
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.readers.csv_reader import SURPLUS_SUFFIXES
 from manip_learn.recordings.readers.episode_files import select_episodes
@@ -31,6 +32,7 @@ SUFFIXES = (VELOCITY_SUFFIX, *SURPLUS_SUFFIXES, ".pos", ".vel")
 POSE_SUFFIXES = (".x", ".y", ".z", *ROTATION_VECTOR, *QUATERNION)
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
+Tables = DataFrame | Sequence[DataFrame]
 
 
 class ReadOptions(TypedDict, total=False):
@@ -75,14 +77,15 @@ class ReadOptions(TypedDict, total=False):
     feature: str | None
 
 
-def load_demonstrations(paths: Paths, robot: Robot, **options: Unpack[ReadOptions]) -> Demonstrations:
+def load_demonstrations(paths: Paths | Tables, robot: Robot, **options: Unpack[ReadOptions]) -> Demonstrations:
     """All demonstrations in some files, in the robot's joints, in rad (or m) and s.
 
     The format is recognised by content: CSV, NPZ, ROS 1 and ROS 2 bags, LeRobot, robomimic. Columns are matched to
     joints by name. Nothing is changed silently: `.notes` of the result reports what was left out, split or converted.
 
     Args:
-        paths: A file, a folder of recordings of one format, or several of them.
+        paths: A file, a folder of recordings of one format, or several of them; or a data frame of pandas with the
+            columns of a CSV file, or several (a column `trajectory` divides a frame).
         robot: The robot whose joints are read; joints that the recordings lack must be locked in it.
         **options: See `ReadOptions`.
 
@@ -97,7 +100,7 @@ def load_demonstrations(paths: Paths, robot: Robot, **options: Unpack[ReadOption
 
 
 def iter_demonstrations(
-    paths: Paths, robot: Robot, *, notes: list[str] | None = None, **options: Unpack[ReadOptions]
+    paths: Paths | Tables, robot: Robot, *, notes: list[str] | None = None, **options: Unpack[ReadOptions]
 ) -> Iterator[Trajectory]:
     """One trajectory after the other, for recordings larger than memory.
 
@@ -112,9 +115,10 @@ def iter_demonstrations(
         UnknownNameError: No episode shows the task; lists near matches.
         MissingExtraError: The format needs a library that is not installed.
     """
-    files, request, said = open_recordings(paths, robot, options)
     found: list[str] = []
-    yield from read_recordings(files, request, found)
+    with frames_as_files(paths) as given:
+        files, request, said = open_recordings(given, robot, options)
+        yield from read_recordings(files, request, found)
     found = refuse_unmatched(found)
     if notes is not None:
         notes += said + found
