@@ -31,9 +31,10 @@ class Driver:
         """Joint positions [rad], in the order of `robot.joint_names`: sort by name if your driver has another one."""
         return self._q + 1e-6 * self._rng.standard_normal(self._q.size)
 
-    def send(self, q: np.ndarray) -> None:
-        """Joint positions to go to [rad]; a driver that wants velocities gets `command.velocity`."""
-        self._q = q.copy()
+    def send(self, q: np.ndarray | None) -> None:
+        """Joint positions to go to [rad], None before the first measurement; or give it `command.velocity`."""
+        if q is not None:
+            self._q = q.copy()
 
     @property
     def running(self) -> bool:

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 TRAJECTORY, TIME = "trajectory", "time"
 
 
+@runtime_checkable
 class DataFrame(Protocol):
     """What is needed of a table of pandas, which need not be installed."""
 
@@ -40,7 +41,12 @@ class DataFrame(Protocol):
 
 
 def frame_of(trajectories: Sequence[Trajectory]) -> pandas.DataFrame:
-    """See `Demonstrations.to_frame`."""
+    """See `Demonstrations.to_frame`.
+
+    Raises:
+        RecordingError: Postures that are no joint positions (nq differs from nv) have no column names.
+        MissingExtraError: pandas is not installed.
+    """
     try:
         import pandas as pd
     except ImportError as error:
@@ -67,7 +73,7 @@ def frame_of(trajectories: Sequence[Trajectory]) -> pandas.DataFrame:
 
 def is_data_frame(given: object) -> TypeGuard[DataFrame]:
     """True for a table of pandas."""
-    return hasattr(given, "to_csv") and hasattr(given, "columns") and hasattr(given, "index")
+    return isinstance(given, DataFrame)
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from manip_learn.constraint.features.centre_of_mass import CentreOfMass
@@ -15,7 +14,7 @@ from manip_learn.errors import ConstraintMismatchError
 from manip_learn.robot.robot import Robot
 
 
-def described_features(described: Mapping[str, Any], robot: Robot) -> FeatureMap:
+def described_features(described: dict[str, Any], robot: Robot) -> FeatureMap:
     """The feature map that `describe` wrote down, for the robot that it belongs to.
 
     Raises:
