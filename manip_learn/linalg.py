@@ -96,7 +96,7 @@ def svd(
 
 
 def row_inverse(A: Float[np.ndarray, "s n"]) -> tuple[Float[np.ndarray, "s n"], float, float] | None:
-    """A^{+T} = (A A^T)^-1 A by Cholesky's factors of A A^T, in half the time of a singular value decomposition.
+    """A^{+T} = (A A^T)^-1 A, by Cholesky's factors of A A^T, in half the time of a singular value decomposition.
 
     With it come the volume sqrt(det(A A^T)), which is the product of the singular values, and the smallest of them.
     None if A is too ill-conditioned: errors grow with the square of its condition number here, so that 1e-12 holds up
@@ -106,22 +106,22 @@ def row_inverse(A: Float[np.ndarray, "s n"]) -> tuple[Float[np.ndarray, "s n"], 
     if s > A.shape[1]:
         return None
     G = A.dot(A.T)
+    if s == 2:  # in plain numbers, faster than LAPACK's calls
+        (a, b), (_, c) = G.tolist()
+        square, largest = a * c - b * b, 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
+        # the smallest eigenvalue is the quotient, not the difference, which cancels
+        if not square > LEAST_SINGULAR_RATIO**2 * largest * largest:
+            return None
+        inverse = np.array(((c / square, -b / square), (-b / square, a / square)))
+        return inverse.dot(A), math.sqrt(square), math.sqrt(square / largest)
     L, X, failed = dposv(G, A)
     if failed:
         return None
+    volume = math.prod(L.diagonal().tolist())
     if s == 1:
-        volume = float(L[0, 0])
         return X, volume, volume
-    if s == 2:
-        (a, b), (_, c) = G.tolist()
-        (first, _), (_, second) = L.tolist()
-        volume = first * second
-        largest = 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
-        smallest = volume * volume / largest  # not the difference, which cancels
-    else:
-        volume = math.prod(L.diagonal().tolist())
-        values, _, failed = dsyev(G, compute_v=0)
-        smallest, largest = float(values[0]), float(values[-1])
+    values, _, failed = dsyev(G, compute_v=0)
+    smallest, largest = float(values[0]), float(values[-1])
     if failed or not smallest > LEAST_SINGULAR_RATIO**2 * largest:
         return None
     return X, volume, math.sqrt(smallest)

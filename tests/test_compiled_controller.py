@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from importlib.util import find_spec
@@ -269,6 +270,22 @@ def test_bad_postures_are_refused(robot_of: RobotOf) -> None:
     q = np.linspace(-0.5, 0.7, 7)
     for equal in (list(q), q.astype(">f8"), np.repeat(q, 2)[::2]):
         np.testing.assert_array_equal(compiled(equal).velocity, compiled(q).velocity)
+
+
+@needs_numba
+def test_commands_are_ones_own(robot_of: RobotOf) -> None:
+    """A later call leaves a command alone, as does a copy in another process; whole numbers are times, too."""
+    constraint = Constraint(np.eye(3)[:2], FrameJacobian(robot_of("sawyer"), "right_hand"))
+    compiled = CompiledController(ResolvedRateController(constraint, PointAttractor([0.6, 0.1, 0.3])))
+    q = np.linspace(-0.5, 0.7, 7)
+    command = compiled(q)
+    kept = command.velocity.copy()
+    copy = pickle.loads(pickle.dumps(compiled))
+    np.testing.assert_array_equal(copy(q).velocity, kept)
+    assert not np.shares_memory(command.velocity, compiled(1.1 * q, 0, 1, np.zeros(7), 1).velocity)
+    np.testing.assert_array_equal(command.velocity, kept)
+    expected = compiled.controller(1.1 * q, 0, 1, np.zeros(7), 1)
+    agree(compiled(1.1 * q, 0, 1, np.zeros(7), 1), expected)
 
 
 @pytest.mark.parametrize("numba", [False])

@@ -8,6 +8,7 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.control.limits import Bounds
 from manip_learn.control.polytope_projection import Projection
 from manip_learn.linalg import svd
 
@@ -56,8 +57,7 @@ def bounded_velocity(
     A: Float[np.ndarray, "s nv"],
     desired: Desired,
     null: Float[np.ndarray, "nv k"],
-    low: Float[np.ndarray, " nv"],
-    high: Float[np.ndarray, " nv"],
+    bounds: Bounds,
     fastest: Float[np.ndarray, " nv"],
     barrier: tuple[Float[np.ndarray, " nv"], float] | None,
     project: Projection,
@@ -87,8 +87,7 @@ def bounded_velocity(
         A: Constraint matrix.
         desired: Parts of the command before bounds.
         null: Z with Z Z^T = N, or the projector N itself, which serves as well.
-        low: Lowest velocities allowed.
-        high: Highest velocities allowed.
+        bounds: Lowest and highest velocities allowed.
         fastest: Velocity limits.
         barrier: (g, least) for the constraint g u >= least on the approach to a singularity; None without.
         project: Solver of the quadratic program.
@@ -96,15 +95,19 @@ def bounded_velocity(
         damping: Singular value of A below which sliding is damped.
         decomposition: U, singular values and V^T of A, where they are known.
     """
-    for bound in (barrier, None) if barrier is not None else (None,):
-        found = _bounded(A, desired, null, low, high, fastest, bound, project, slide, damping, decomposition)
+    nv = null.shape[0]
+    for barred in (barrier, None) if barrier is not None else (None,):
+        # rows of the programs: joints, barrier, and the task's scale
+        low = np.array([*bounds.low, 0.0] if barred is None else [*bounds.low, barred[1], 0.0])
+        high = np.array([*bounds.high, 1.0] if barred is None else [*bounds.high, math.inf, 1.0])
+        found = _bounded(A, desired, null, low, high, fastest, barred, project, slide, damping, decomposition)
         if found is not None:
-            within = np.minimum(np.maximum(found.velocity, low), high)
+            within = np.minimum(np.maximum(found.velocity, low[:nv]), high[:nv])
             beyond = within - found.velocity
             if float(beyond.dot(beyond)) <= ROUNDING * ROUNDING:
                 return BoundedVelocity(within, found.task_scale, found.null_part)
     # a box always holds a point; this is for a solver that gave up
-    u = np.clip(desired.task + desired.null, low, high)
+    u = np.clip(desired.task + desired.null, bounds.low, bounds.high)
     return BoundedVelocity(u, 0.0, np.zeros_like(u))
 
 
@@ -129,8 +132,8 @@ def _bounded(
         v = v / too_fast
     rest = w if e is None else w + e
     scale = approach_scale(v, rest, barrier)
-    bounds = (low, high, barrier, project)
-    along = _along(v, scale, w, e, Z, *bounds)
+    along = _along(v, scale, w, e, Z, low, high, barrier, project)
+    bounds = (low[:-1], high[:-1], barrier, project)
     if along is not None:
         u, s = along
     else:
@@ -177,21 +180,22 @@ def _along(
     moves, escapes = length > NEGLIGIBLE, speed > NEGLIGIBLE
     # a slow task comes first beside a fast policy, too
     weight = TASK_WEIGHT * max(length, min(math.sqrt(w.dot(w)), LARGEST_RATIO * length))
-    k, rows = at + moves + escapes, nv + (barrier is not None) + moves
-    # the unknowns are y, weight * s, and the escape's speed; the rows are joints, barrier, and s
-    C, start, lows, highs = np.zeros((rows, k)), np.empty(k), np.empty(rows), np.empty(rows)
+    k, rows = at + moves + escapes, low.shape[0] - (not moves)
+    # the unknowns are y, weight * s, and the escape's speed
+    C, start = np.zeros((rows, k)), np.empty(k)
     basis = C[:nv]
-    basis[:, :at], start[:at], lows[:nv], highs[:nv] = Z, w.dot(Z), low, high
+    # the projector leaves a null-space motion as it is
+    basis[:, :at], start[:at] = Z, w if at == nv else w.dot(Z)
     if moves:
-        basis[:, at], start[at], C[-1, at], lows[-1], highs[-1] = v / weight, weight * scale, 1.0 / weight, 0.0, 1.0
+        basis[:, at], start[at], C[-1, at] = v / weight, weight * scale, 1.0 / weight
     if e is not None and escapes:
         basis[:, -1], start[-1] = e / speed, speed
     if barrier is not None:
-        C[nv], lows[nv], highs[nv] = barrier[0].dot(basis), barrier[1], math.inf
-    y = project(start, C, lows, highs)
+        C[nv] = barrier[0].dot(basis)
+    y = project(start, C, low[:rows], high[:rows])
     if y is None and moves:  # too fast to brake: farther along b is better than beside it
-        highs[-1] = math.inf
-        y = project(start, C, lows, highs)
+        high[-1] = math.inf
+        y = project(start, C, low, high)
     if y is None:
         return None
     return basis.dot(y), float(y[at]) / weight if moves else 1.0
@@ -214,6 +218,5 @@ def _nearest(
     C = np.divide(Vt.T, root, out=rows[:nv])  # u = C x
     if barrier is not None:
         rows[nv] = barrier[0].dot(C)
-        low, high = np.append(low, barrier[1]), np.append(high, np.inf)
     x = project(root * Vt.dot(wish), rows, low, high)
     return None if x is None else C.dot(x)

@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Callable
 from importlib.util import find_spec
+from operator import itemgetter
 from typing import NamedTuple, final
 
 import numpy as np
@@ -29,8 +30,9 @@ _LOGGER = logging.getLogger("manip_learn")
 
 _DOUBLE = np.dtype(np.float64)  # in the byte order of the machine
 # looked up at every step
-_INFINITY, _OK, _MU, _SMALLEST, _ESCAPES = math.inf, table.OK, table.MU, table.SMALLEST, table.HAS_ESCAPE
-_empty, _command = np.empty, Command._make
+_INFINITY = math.inf
+_empty, _contiguous, _command = np.empty, np.ascontiguousarray, Command._make
+_rows = itemgetter(table.VELOCITY, table.TASK_PART, table.NULL_PART, table.TASK_VELOCITY)
 _WORDS = np.array(STATUSES, dtype=object)
 
 
@@ -73,9 +75,9 @@ class CompiledController:
             raise ConstraintError(f"this controller cannot be compiled: {reason}; use it as it is")
         if find_spec("numba") is None:
             raise MissingExtraError("a compiled controller", "fast")
-        from manip_learn.control.compiled.control_step import control_step
+        from manip_learn.control.compiled.control_step import command_of
         from manip_learn.control.compiled.rollout import rollout
-        from manip_learn.robot.batch.kernel_cache import is_on_disk
+        from manip_learn.robot.batch.kernel_cache import entry_point, is_on_disk
 
         self.controller = controller
         self.robot: Robot = controller.robot  # type: ignore[assignment]
@@ -83,13 +85,13 @@ class CompiledController:
         self._dt = controller.dt
         self._shortens = self._s < self.nv
         self._unknown = np.full(self.nv, np.nan)  # the velocity before, where no acceleration is bounded
-        self._step, self._rollout = control_step, rollout
-        self._constants = packed(controller)
+        self._constants, self._rollout = packed(controller), rollout
         self._size, self._shape = (self.nv,), (table.PARTS, self.nv)
-        self._work_shape = table.work_shape(int(self._constants[0, table.N_JOINTS]), self.nv, self._s)
-        if not is_on_disk(control_step):
+        if not is_on_disk(command_of):
             (report or _LOGGER.warning)(FIRST_COMPILE)
-        self(self.robot.neutral())  # compiled, or read from the cache, now and not in the loop
+        # compiled, or read from the cache, now and not in the loop
+        example = (np.zeros(self.nv), self._dt, self._unknown, 0.0, np.empty(self._shape))
+        self._step = entry_point(command_of, self._constants, *example)
 
     def __call__(
         self,
@@ -100,27 +102,28 @@ class CompiledController:
         slide: float = 0.0,
     ) -> Command:
         """The command at posture q; arguments and errors as for `ResolvedRateController`."""
-        if not (type(q) is np.ndarray and q.shape == self._size and q.dtype is _DOUBLE and q.flags.c_contiguous):
-            q = np.ascontiguousarray(self.robot.positions(q), dtype=np.float64)
+        if type(q) is np.ndarray and q.shape == self._size and q.dtype is _DOUBLE:
+            x = _contiguous(q)
+        else:
+            x = _contiguous(self.robot.positions(q), np.float64)
         held, before = self._dt if dt is None else dt, self._unknown
         if previous is not None:
-            before = np.ascontiguousarray(previous, dtype=np.float64)
-        if not 0.0 < held < _INFINITY or before.shape != self._size:
+            before = _contiguous(previous, np.float64)
+            if before.shape != self._size:
+                return self.controller(q, t, dt, previous, slide)
+        parts = _empty(self._shape)
+        if not 0.0 < held < _INFINITY:
             return self.controller(q, t, dt, previous, slide)
-        parts, work = _empty(self._shape), _empty(self._work_shape)
-        code = self._step(self._constants, q, held, before, slide, parts, work)
+        found = self._step(self._constants, x, held, before, slide, parts)
+        code, mu, smallest, scale, null_scale, progress, outside, joint, escapes = found
         if code < 0:
             return self.controller(q, t, dt, previous, slide)
-        u, task, null, b = parts[0], parts[1], parts[2], parts[4]
+        u, task, null, b = _rows(parts)
         if self._shortens:
             b = b[: self._s]
-        mu, smallest = work.item(_MU), work.item(_SMALLEST)
-        if code == _OK and not work.item(_ESCAPES):
-            return _command((u, Status.OK, mu, b, task, null, 1.0, 1.0, smallest, None, 1.0, 0.0, -1, 0.0))
-        _, _, _, scale, null_scale, progress, outside, joint, escapes = work[table.FACTS, : table.N_FACTS].tolist()
-        escape, joint = parts[3] if escapes else None, int(joint)
-        facts = (scale, null_scale, smallest, escape, progress, outside, joint, 0.0)
-        return _command((u, STATUSES[code], mu, b, task, null, *facts))
+        escape = parts[table.ESCAPE_PART] if escapes else None
+        numbers = (scale, null_scale, smallest, escape, progress, outside, joint, 0.0)
+        return _command((u, STATUSES[code], mu, b, task, null, *numbers))
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]."""
@@ -164,6 +167,9 @@ class CompiledController:
                     q[row + 1] = next_posture(None, self.controller, q[row], row * dt, dt, method, command.velocity)
                 row += 1
         return CompiledRollout(q, u, mu, error, tuple(_WORDS[code].tolist()))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return CompiledController, (self.controller,)  # machine code stays in its process
 
     def __repr__(self) -> str:
         return f"CompiledController({self.controller!r})"

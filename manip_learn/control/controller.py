@@ -184,11 +184,10 @@ class ResolvedRateController:
         bounds = limits.bounds(q, dt, previous)
         if slow and bounds.admit(velocity):
             return plain_command(law, velocity, damped, bounds.outside)
-        low, high = np.array(bounds.low), np.array(bounds.high)
         # an explicit step of dt follows sliding that is damped that much
         blur = 0.0 if slide == 0.0 else max(self.damping, math.sqrt(2.0 * dt * math.sqrt(law.b.dot(law.b))))
         found = bounded_velocity(
-            *(law.A, law.desired, law.null_space(), low, high, limits.velocity, barrier, self._project, slide, blur),
+            *(law.A, law.desired, law.null_space(), bounds, limits.velocity, barrier, self._project, slide, blur),
             decomposition=law.decomposition,
         )
         return bounded_command(law, found, bounds, damped)

@@ -149,7 +149,6 @@ class Limits:
             array.setflags(write=False)
         self._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, self.acceleration))
         self.weakest = float(self.acceleration.min())
-        self._unknown: list[None] = [None] * robot.nv
         self._approach = _Approaches(0.0, [], [], [])
 
     def admit(
@@ -163,20 +162,27 @@ class Limits:
         if dt != self._approach.dt:
             self._approach = self._approaches(dt)
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
-        velocities, (_, joints, low, high) = velocity.tolist(), self._approach
-        rows = zip(x.tolist(), velocities, low, high, *self._columns[:3], joints, strict=True)
-        for y, u, bottom, top, lower, upper, v, approach in rows:
-            if bottom <= y <= top:  # far from its limits
-                if -v <= u <= v:
-                    continue
+        positions, velocities, near, (_, _, low, high) = x.tolist(), velocity.tolist(), False, self._approach
+        for y, u, v, bottom, top in zip(positions, velocities, self._columns[2], low, high, strict=True):
+            if not -v <= u <= v:
                 return False
+            if not bottom <= y <= top:
+                near = True
+        if near and not self._admit_approach(positions, velocities):
+            return False
+        return previous is None or self._admit_change(velocities, dt, previous)
+
+    def _admit_approach(self, positions: list[float], velocities: list[float]) -> bool:
+        """Whether all joints are inside their position limits, and approach them no faster than they can brake."""
+        rows = zip(positions, velocities, *self._columns[:2], self._approach.joints, strict=True)
+        for y, u, lower, upper, approach in rows:
             below, above = y - lower, upper - y
-            if not -v <= u <= v or below < 0.0 or above < 0.0:
+            if below < 0.0 or above < 0.0:
                 return False
             distance = above if u > 0.0 else below
             if distance < approach.free and abs(u) > approach.speed(distance):
                 return False
-        return previous is None or self._admit_change(velocities, dt, previous)
+        return True
 
     def _admit_change(self, velocities: list[float], dt: float, previous: Float[np.ndarray, " nv"]) -> bool:
         changes = zip(velocities, previous.tolist(), self._columns[3], strict=True)
@@ -199,32 +205,22 @@ class Limits:
             self._approach = self._approaches(dt)
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
         # loops over Python floats: NumPy calls on vectors as short as an arm's cost more
-        low, high, low_cause, high_cause, outside = [], [], [], [], 0.0
-        before = self._unknown if previous is None else previous.tolist()
-        rows = zip(x.tolist(), *self._columns, before, self._approach.joints, strict=True)
-        for y, lower, upper, v, a, u, approach in rows:
-            bottom, top, bottom_cause, top_cause = -v, v, VELOCITY, VELOCITY
-            below, above, free = y - lower, upper - y, approach.free
-            if above < free and (fastest := approach.speed(above)) < top:
-                top, top_cause = fastest, POSITION
-            if below < free and (fastest := approach.speed(below)) < v:
-                bottom, bottom_cause = -fastest, POSITION
-            if below < outside or above < outside:
-                outside = min(below, above)
-            if u is not None:
-                slowest, fastest = u - a * dt, u + a * dt
-                if slowest > bottom:
-                    bottom, bottom_cause = slowest, ACCELERATION
-                if fastest < top:
-                    top, top_cause = fastest, ACCELERATION
-                if bottom > top:  # too fast, or too far, for what the acceleration limit allows: it has precedence
-                    bottom = top = slowest if top < slowest else fastest
-            low.append(bottom)
-            high.append(top)
-            low_cause.append(bottom_cause)
-            high_cause.append(top_cause)
-        outside = -outside
-        return Bounds(low, high, low_cause, high_cause, outside if outside > OUTSIDE else 0.0)
+        lower, upper, speeds, accelerations = self._columns
+        low, high, outside = [-v for v in speeds], speeds.copy(), 0.0
+        low_cause, high_cause = [VELOCITY] * len(speeds), [VELOCITY] * len(speeds)
+        for j, (y, bottom, top) in enumerate(zip(x.tolist(), self._approach.low, self._approach.high, strict=True)):
+            if bottom <= y <= top:  # far from its limits
+                continue
+            below, above, approach = y - lower[j], upper[j] - y, self._approach.joints[j]
+            if above < approach.free and (fastest := approach.speed(above)) < high[j]:
+                high[j], high_cause[j] = fastest, POSITION
+            if below < approach.free and (fastest := approach.speed(below)) < speeds[j]:
+                low[j], low_cause[j] = -fastest, POSITION
+            outside = max(outside, -below, -above)
+        bounds = Bounds(low, high, low_cause, high_cause, outside if outside > OUTSIDE else 0.0)
+        if previous is not None:
+            _bound_changes(bounds, previous.tolist(), accelerations, dt)
+        return bounds
 
     def towards(
         self, wish: Float[np.ndarray, " nv"], previous: Float[np.ndarray, " nv"], bounds: Bounds, dt: float
@@ -268,6 +264,19 @@ class Limits:
                 up, down = (upper - y) / abs(speed), (y - lower) / abs(speed)
                 ahead, behind = min(ahead, up if speed > 0.0 else down), min(behind, down if speed > 0.0 else up)
         return direction if fastest == 0.0 or ahead >= min(behind, ROOM_TO_LEAVE / fastest) else -direction
+
+
+def _bound_changes(bounds: Bounds, previous: list[float], accelerations: list[float], dt: float) -> None:
+    """Narrow bounds to what the acceleration limits allow after the velocity before."""
+    low, high = bounds.low, bounds.high
+    for j, (u, a) in enumerate(zip(previous, accelerations, strict=True)):
+        slowest, fastest = u - a * dt, u + a * dt
+        if slowest > low[j]:
+            low[j], bounds.low_cause[j] = slowest, ACCELERATION
+        if fastest < high[j]:
+            high[j], bounds.high_cause[j] = fastest, ACCELERATION
+        if low[j] > high[j]:  # too fast, or too far, for what the acceleration limit allows: it has precedence
+            low[j] = high[j] = slowest if high[j] < slowest else fastest
 
 
 def _positive(what: str, values: ArrayLike, names: tuple[str, ...]) -> Float[np.ndarray, " nv"]:

@@ -51,9 +51,10 @@ class Law(NamedTuple):
 
     def null_space(self) -> Float[np.ndarray, "nv k"]:
         """Z with Z Z^T = N, the null basis near singularities and N itself elsewhere."""
-        if self.decomposition is not None:
-            return self.decomposition.Vt[rank_of(self.decomposition.sigma, self.A.shape) :].T
         unit = _unit(self.A.shape[1])
+        if self.decomposition is not None:
+            rank = rank_of(self.decomposition.sigma, self.A.shape)
+            return self.decomposition.Vt[rank:].T if rank else unit
         return unit if self.X is None else unit - self.A.T.dot(self.X)
 
 

@@ -52,9 +52,7 @@ def project_by_daqp(
     By DAQP, a dual active-set solver in C (Arnstrom, Bemporad and Axehill, "A dual active-set solver for embedded
     quadratic programming using recursive LDL^T updates", 2022); where it gives up, by `project_by_active_set`.
     """
-    y, _, exit_flag, _ = daqp.solve(
-        _unit(x.shape[0]), -x, C, high, low, np.zeros(low.shape[0], dtype=np.int32), primal_tol=FINE
-    )
+    y, _, exit_flag, _ = daqp.solve(_unit(x.shape[0]), -x, C, high, low, _inequalities(low.shape[0]), primal_tol=FINE)
     if exit_flag == SOLVED:
         return np.asarray(y)
     # where 0 is the only point, or one of few, DAQP may not see it
@@ -66,6 +64,11 @@ def project_by_daqp(
 @cache
 def _unit(size: int) -> np.ndarray:
     return np.eye(size)  # DAQP takes no array that may not be written to, and does not write
+
+
+@cache
+def _inequalities(size: int) -> np.ndarray:
+    return np.zeros(size, dtype=np.int32)
 
 
 def project_by_active_set(

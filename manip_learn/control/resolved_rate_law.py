@@ -183,7 +183,8 @@ class ResolvedRateLaw:
         if not (self._brakes and law.barred) or limits is None or law.singular or A.shape[0] > A.shape[1]:
             return None
         # |grad sigma| is about as large as A itself: no closer look where that is slow enough
-        size = float(np.vdot(A, A))
+        flat = A.reshape(-1)
+        size = float(flat.dot(flat))
         least_deceleration = BRAKING_SHARE * limits.weakest * math.sqrt(size)
         rate = min(APPROACH_RATE, 0.5 / dt) * smallest
         if float(u.dot(u)) * size < min(2.0 * least_deceleration * smallest, rate * rate):

@@ -44,8 +44,8 @@ class Decomposition(NamedTuple):
 def smallest_gradient(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarray, " nv"]:
     """d sigma_min / dq = u_min^T (dA / dq) v_min, for a singular value that is neither 0 nor double."""
     U, sigma, Vt = decomposition
-    last = sigma.shape[0] - 1
-    return vjp(U[:, last, None] * Vt[last])
+    k = sigma.shape[0]
+    return vjp(U[:, k - 1 : k].dot(Vt[k - 1 : k]))
 
 
 def smallest_gradient_of(A: Float[np.ndarray, "s nv"], smallest: float, vjp: Vjp) -> Float[np.ndarray, " nv"]:
@@ -108,10 +108,14 @@ def escape_velocity(
     shares = [max(0.0, 1.0 - (x / width) ** 2) ** 2 for x in values]
     if ascent is None:
         ascent = vjp((U / sigma).dot(Vt[:s]))
-    d = (np.array(shares) * Vt[:s].dot(ascent)).dot(Vt[:s])
-    length = math.sqrt(d.dot(d))
+    if s == 1 or shares[-2] == 0.0:  # the usual case: one direction, whose sense is all that is asked for
+        shared, d = shares[-1] * float(Vt[s - 1].dot(ascent)), Vt[s - 1]
+        length = math.copysign(1.0, shared) if shared != 0.0 else 0.0
+    else:
+        d = (np.array(shares) * Vt[:s].dot(ascent)).dot(Vt[:s])
+        length = math.sqrt(d.dot(d))
     if length == 0.0:
-        return d
+        return np.zeros(nv)
     if slope is None:
         slope = smallest_gradient(decomposition, vjp)
     ramp = dt * ESCAPE_SPEED * math.sqrt(slope.dot(slope)) / STABLE_SLOPE
@@ -129,12 +133,19 @@ def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarray,
     rank = int(np.count_nonzero(sigma > SINGULAR_RATIO * sigma[0]))
     Z = Vt[rank:]
     M = np.array([vjp(u[:, None] * z) for u in U[:, rank:].T for z in Z])
-    _, all_rates, directions = svd(M)
-    if all_rates[0] == 0.0:
+    flat = M.reshape(-1)
+    square = float(flat.dot(flat))
+    if square == 0.0:
         return np.zeros(M.shape[1])
-    _, rates, Yt = svd(M.dot(Z.T))
-    direction = Yt[0].dot(Z) if rates[0] > 1e-6 * all_rates[0] else directions[0]
-    return -direction if direction[np.abs(direction).argmax()] < 0.0 else direction
+    inside = M.dot(Z.T)
+    squares, vectors, failed = dsyev(inside.T.dot(inside))
+    # the largest rate of all is at most the root of `square`, and seldom less than half of it
+    if not failed and squares[-1] > 1e-12 * square:
+        direction = vectors[:, -1].dot(Z)
+    else:
+        direction = svd(M)[2][0]
+    values = direction.tolist()
+    return -direction if max(values) < -min(values) else direction
 
 
 def approach_bound(
@@ -157,10 +168,9 @@ def approach_bound(
     length = math.sqrt(slope.dot(slope))
     if length == 0.0:
         return math.inf
-    least, usable = 1e-12 * length, math.inf
-    for limit, part in zip(acceleration.tolist(), slope.tolist(), strict=True):
-        usable = min(usable, limit / max(abs(part), least))
-    deceleration = BRAKING_SHARE * length * length * usable
+    shares = [abs(part) / limit for limit, part in zip(acceleration.tolist(), slope.tolist(), strict=True)]
+    largest = max(shares)
+    deceleration = BRAKING_SHARE * length * length / largest if largest > 0.0 else math.inf
     rate = min(APPROACH_RATE, 0.5 / dt)
     return length * CROSSING_SPEED + min(rate * smallest, math.sqrt(2.0 * deceleration * smallest))
 

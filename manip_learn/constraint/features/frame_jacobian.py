@@ -74,6 +74,7 @@ class FrameJacobian(FeatureMap):
         self.frame = robot.frame(frame)
         self._kinematics = robot.frame_kinematics(self.frame)
         self._known_goal: tuple[Any, Any, Any] = (None, None, None)
+        self._finite_goal: np.ndarray | None = None
         self.row_names = parse_axes(axes)
         self.row_units = tuple("rad/s" if n.startswith("r") else "m/s" for n in self.row_names)
         self.reference: Reference = reference
@@ -168,8 +169,12 @@ class FrameJacobian(FeatureMap):
         goal = target if type(target) is np.ndarray else np.asarray(target, dtype=np.float64)
         if self.only_linear and goal.shape == (self.n_rows,):
             # the usual reaching task, many times a second: no orientation is needed
-            displacement = goal - self._kinematics.position(q)[self._rows]
+            displacement = goal - self._kinematics.placement(q)[0][self._rows]
+            if goal is self._finite_goal:
+                return displacement
             if math.isfinite(sum(displacement.tolist())):
+                if not goal.flags.writeable:  # a task's own, checked once
+                    self._finite_goal = goal
                 return displacement
         return self._error(goal, q)[0][self._rows]
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
 from manip_learn.control.compiled.bounded_step import HIGH, LOW, SLOPE
+from manip_learn.control.compiled.constrained_rows import vjp
 from manip_learn.control.compiled.decomposition import decompose
-from manip_learn.control.compiled.near_singularity import approach_bound, smallest_gradient
+from manip_learn.control.compiled.near_singularity import approach_bound, norm, outer_product, smallest_weights
 from manip_learn.control.compiled.step_table import (
     ACCELERATION,
     CHAIN,
@@ -32,12 +31,13 @@ def is_singular(sigma):
 
 
 @compiled_inside
-def barrier(constants, A, Ut, sigma, Vt, dt, u, space, work):
-    """`ResolvedRateController._barrier`: whether the approach is to be bounded; the bound goes into the space."""
+def barrier(constants, A, Ut, sigma, Vt, weights, dt, u, space, work):
+    """`ResolvedRateLaw.approach`: whether the approach is to be bounded; gradient and bound go into the space.
+
+    The gradient that is there already, in row SLOPE, is not computed again; its first entry is NaN where it is unknown.
+    """
     s, nv = A.shape
-    slope, smallest = space[SLOPE], work[FACTS, SMALLEST]
-    for j in range(nv):
-        slope[j] = 0.0
+    gradient, smallest = space[SLOPE, :nv], work[FACTS, SMALLEST]
     if int(constants[0, INVERSE]) != DAMPED or is_singular(sigma):
         return False
     joints = int(constants[0, N_JOINTS])
@@ -52,12 +52,14 @@ def barrier(constants, A, Ut, sigma, Vt, dt, u, space, work):
     rate = min(APPROACH_RATE, 0.5 / dt) * smallest
     if square * size < min(2.0 * BRAKING_SHARE * weakest * math.sqrt(size) * smallest, rate * rate):
         return False
-    if sigma[0] < 0.0:
-        decompose(A, s, Ut, sigma, Vt)
-    weights, gradient = np.empty((s, nv)), np.empty(nv)
-    length = smallest_gradient(constants, dofs + nv, s, joints, Ut, Vt, weights, work, MATRICES + 3 * s, gradient)
-    for j in range(nv):
-        slope[j] = gradient[j]
-    bound = approach_bound(constants, dofs, smallest, gradient, length, dt)
+    if math.isnan(gradient[0]):
+        if sigma[0] < 0.0 and s <= 2:
+            smallest_weights(A, smallest, weights)
+        else:
+            if sigma[0] < 0.0:
+                decompose(A, s, Ut, sigma, Vt)
+            outer_product(Ut[s - 1], Vt[s - 1], weights)
+        vjp(constants, dofs + nv, s, joints, weights, work, MATRICES + 3 * s, gradient)
+    bound = approach_bound(constants, dofs, smallest, gradient, norm(gradient), dt)
     space[LOW, nv], space[HIGH, nv] = -bound, math.inf
     return bound < math.inf

@@ -10,12 +10,18 @@ from manip_learn.control.bounded_velocity import DEVIATION_WEIGHT, LARGEST_RATIO
 from manip_learn.control.compiled.decomposition import decompose
 from manip_learn.control.compiled.joint_limits import within
 from manip_learn.control.compiled.near_singularity import norm
-from manip_learn.control.compiled.polytope import project
+from manip_learn.control.compiled.polytope import SCRATCH, project
 from manip_learn.control.compiled.step_table import NULL_PART, TASK_PART
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
-# Rows of the space that the programs share, each nv + 2 long.
-LOW, HIGH, SLOPE, TASK, WISH, START, FOUND, SLID, PROGRAM = range(9)
+# Rows of the space that the programs share, each nv + 2 long; behind PROGRAM its rows, and what `project` needs.
+LOW, HIGH, SLOPE, TASK, WISH, START, FOUND, SLID, ANSWER, LOW_CAUSE, HIGH_CAUSE, PROGRAM = range(12)
+
+
+@compiled_inside
+def space_rows(nv):
+    """Number of rows of the space."""
+    return PROGRAM + SCRATCH + 3 * (nv + 2)
 
 
 @compiled_inside
@@ -63,15 +69,17 @@ def bounded_step(A, parts, escape, escapes, fastest, sigma, Vt, rank, space, bar
 def _scaled_wish(parts, escape, escapes, too_fast, space, barred):
     """v slowed down into row TASK, the velocity wished for into WISH; returns the scale of v, `approach_scale`."""
     nv = parts.shape[1]
-    approach = room = 0.0
     for j in range(nv):
         space[TASK, j] = parts[TASK_PART, j] / too_fast
         space[WISH, j] = parts[NULL_PART, j] + (escape[j] if escapes else 0.0)
-        approach -= space[SLOPE, j] * space[TASK, j]
-        room += space[SLOPE, j] * space[WISH, j]
     scale = 1.0
-    if barred and approach > 0.0:
-        scale = min(1.0, max(0.0, (room - space[LOW, nv]) / approach))
+    if barred:
+        approach = room = 0.0
+        for j in range(nv):
+            approach -= space[SLOPE, j] * space[TASK, j]
+            room += space[SLOPE, j] * space[WISH, j]
+        if approach > 0.0:
+            scale = min(1.0, max(0.0, (room - space[LOW, nv]) / approach))
     for j in range(nv):
         space[WISH, j] += scale * space[TASK, j]
     return scale
@@ -112,11 +120,11 @@ def _along(nv, scale, parts, escape, escapes, Vt, rank, space, barred):
         C[m, at] = 1.0 / weight
         space[LOW, m], space[HIGH, m] = 0.0, 1.0
         m += 1
-    y = np.empty(k)
-    solved = project(start, C, space[LOW], space[HIGH], m, k, y)
+    y, work = space[ANSWER], space[PROGRAM + nv + 2 :]
+    solved = project(start, C, space[LOW], space[HIGH], m, k, y, work)
     if not solved and moves:  # too fast to brake: farther along b is better than beside it
         space[HIGH, m - 1] = math.inf
-        solved = project(start, C, space[LOW], space[HIGH], m, k, y)
+        solved = project(start, C, space[LOW], space[HIGH], m, k, y, work)
     if not solved:
         return -1.0
     _product(C, y, nv, k, found)
@@ -184,7 +192,7 @@ def _nearest(wish, s, sigma, Vt, damping, space, barred, u):
     the wish: the symmetric root, which needs no basis of what is left.
     """
     nv = space.shape[1] - 2
-    C, start, y = space[PROGRAM:], space[START], np.empty(nv)
+    C, start, y = space[PROGRAM:], space[START], space[ANSWER]
     for i in range(nv):
         start[i] = wish[i]
         for j in range(nv):
@@ -204,7 +212,7 @@ def _nearest(wish, s, sigma, Vt, damping, space, barred, u):
     if barred:
         _barrier_row(C, nv, space)
         m += 1
-    if not project(start, C, space[LOW], space[HIGH], m, nv, y):
+    if not project(start, C, space[LOW], space[HIGH], m, nv, y, space[PROGRAM + nv + 2 :]):
         return False
     _product(C, y, nv, nv, u)
     return True

@@ -12,7 +12,16 @@ import math
 import numpy as np
 
 from manip_learn.control.compiled.barrier import barrier, is_singular
-from manip_learn.control.compiled.bounded_step import FOUND, HIGH, LOW, PROGRAM, SLOPE, bounded_step
+from manip_learn.control.compiled.bounded_step import (
+    FOUND,
+    HIGH,
+    HIGH_CAUSE,
+    LOW,
+    LOW_CAUSE,
+    SLOPE,
+    bounded_step,
+    space_rows,
+)
 from manip_learn.control.compiled.constrained_rows import public_rows
 from manip_learn.control.compiled.decomposition import complete, decompose, row_space
 from manip_learn.control.compiled.free_step import free_step
@@ -28,15 +37,22 @@ from manip_learn.control.compiled.step_table import (
     HAS_ESCAPE,
     ILL_CONDITIONED,
     INVERSE,
+    LEAST_WIDTH,
     LIMIT,
+    LIMITING_JOINT,
     LIMITS,
     MATRICES,
+    MU,
     N_CONSTRAINTS,
     N_JOINTS,
+    NULL_SCALE,
     NV,
+    OUTSIDE,
+    PROGRESS,
     REFUSED,
     SMALLEST,
     TASK_PART,
+    TASK_SCALE,
     TASK_VELOCITY,
     THRESHOLD,
     VELOCITY,
@@ -46,6 +62,21 @@ from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 
 
 @compiled
+def command_of(constants, q, dt, previous, slide, parts):
+    """One command: its parts go into `parts`, and back come its status, or REFUSED, and its numbers.
+
+    Arguments as for `control_step`; one array fewer to hand over.
+    """
+    joints, nv, s = int(constants[0, N_JOINTS]), int(constants[0, NV]), int(constants[0, N_CONSTRAINTS])
+    work = np.empty((MATRICES + 3 * s + joints, max(LEAST_WIDTH, nv, 2 * s)))
+    status, facts = control_step(constants, q, dt, previous, slide, parts, work), work[FACTS]
+    scale, null_scale, progress = facts[TASK_SCALE], facts[NULL_SCALE], facts[PROGRESS]
+    joint = int(facts[LIMITING_JOINT]) if status > REFUSED else -1
+    escapes, outside = facts[HAS_ESCAPE] != 0.0, facts[OUTSIDE]
+    return status, facts[MU], facts[SMALLEST], scale, null_scale, progress, outside, joint, escapes
+
+
+@compiled_inside
 def control_step(constants, q, dt, previous, slide, parts, work):
     """Write one command, u = A^+ b + N pi within the limits; return its status, or REFUSED.
 
@@ -62,12 +93,14 @@ def control_step(constants, q, dt, previous, slide, parts, work):
     if state >= REFUSED:
         return state
     joints, nv, s = int(constants[0, N_JOINTS]), int(constants[0, NV]), int(constants[0, N_CONSTRAINTS])
-    A, Ut, sigma, Vt = np.empty((s, nv)), np.empty((s, s)), np.empty(s), np.empty((nv, nv))
-    space, causes = np.empty((PROGRAM + nv + 2, nv + 2)), np.empty((2, nv), dtype=np.int64)
+    # few arrays: making one takes as long as a product of a matrix and a vector
+    rows, left, space = np.empty((2 * s + nv, nv)), np.empty((s + 1, s)), np.empty((space_rows(nv), nv + 2))
+    A, weights, Vt, Ut, sigma = rows[:s], rows[s : 2 * s], rows[2 * s :], left[:s], left[s]
+    space[SLOPE, 0] = math.nan  # unknown
     public_rows(constants, s, joints, work, MATRICES, A)
     rank, sigma[0] = s, -1.0  # unknown
     if state == ILL_CONDITIONED:
-        rank = singular_parts(constants, q, dt, A, Ut, sigma, Vt, parts, work)
+        rank = singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, space[SLOPE, :nv], parts, work)
         if rank < 0 or not _finite(parts):
             return REFUSED
     else:
@@ -76,8 +109,9 @@ def control_step(constants, q, dt, previous, slide, parts, work):
     damped = int(constants[0, INVERSE]) == DAMPED and work[FACTS, SMALLEST] < constants[0, THRESHOLD]
     if constants[0, LIMITS] == 0.0:
         return plain_outcome(A, singular, damped, 0.0, parts, work[FACTS])
-    barred = barrier(constants, A, Ut, sigma, Vt, dt, parts[VELOCITY], space, work)
+    barred = barrier(constants, A, Ut, sigma, Vt, weights, dt, parts[VELOCITY], space, work)
     dofs = CHAIN + JOINTS + joints
+    causes = space[LOW_CAUSE : HIGH_CAUSE + 1]
     outside = bounds_of(constants, dofs, nv, q, dt, previous, space[LOW], space[HIGH], causes[0], causes[1])
     if within(parts[VELOCITY], space[LOW], space[HIGH], nv, 0.0) and not (barred and _too_fast(parts, space)):
         return plain_outcome(A, singular, damped, outside, parts, work[FACTS])

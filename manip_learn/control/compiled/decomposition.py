@@ -11,6 +11,8 @@ from manip_learn.robot.batch.kernel_cache import compiled_inside
 SWEEPS = 30  # of Jacobi rotations; six are usual
 # cosine between two rows from which on they count as orthogonal: the rounding of their product
 ORTHOGONAL = 2e-15
+SQUARINGS = 40  # of a Gram matrix; eight are usual
+RANK_ONE = 4e-16  # share of the square of a Gram matrix that is not of rank one any more
 
 
 @compiled_inside
@@ -30,7 +32,7 @@ def decompose(A, rows, Ut, sigma, Vt):
     for i in range(rows):
         for k in range(A.shape[1]):
             Vt[i, k] = A[i, k]
-        for k in range(rows):
+        for k in range(Ut.shape[1]):
             Ut[i, k] = 1.0 if i == k else 0.0
     for _ in range(SWEEPS):
         turned = False
@@ -92,19 +94,36 @@ def _sort(rows, Ut, sigma, Vt):
 
 @compiled_inside
 def complete(Vt, known):
-    """Fill the rows of a square Vt from `known` on, so that all of them are orthonormal."""
+    """Fill the rows of a square Vt from `known` on, so that all of them are orthonormal, by Householder reflections."""
     n = Vt.shape[0]
-    for i in range(known, n):
-        best, most = 0, -1.0  # the unit vector that is farthest from the rows so far
-        for j in range(n):
-            rest = 1.0
-            for c in range(i):
-                rest -= Vt[c, j] * Vt[c, j]
-            if rest > most:
-                best, most = j, rest
+    mirrors = Vt[:known].copy()
+    for i in range(known):
+        x, square = mirrors[i], 0.0
+        for k in range(i, n):
+            square += x[k] * x[k]
+        length = math.sqrt(square)
+        # x - alpha e_i with the sign that does not cancel, to the length of the root of 2
+        factor = 1.0 / math.sqrt(length * (length + abs(x[i])))
+        x[i] += math.copysign(length, x[i])
+        for k in range(i, n):
+            x[k] *= factor
+        for j in range(i + 1, known):
+            _reflect(x, mirrors[j], i)
+    for j in range(known, n):
         for k in range(n):
-            Vt[i, k] = 1.0 if k == best else 0.0
-        _orthonormal_row(Vt, i)
+            Vt[j, k] = 1.0 if k == j else 0.0
+        for i in range(known - 1, -1, -1):
+            _reflect(mirrors[i], Vt[j], i)
+
+
+@compiled_inside
+def _reflect(mirror, y, first):
+    """y - m (m^T y), m of the length root of 2, zero before its entry `first`."""
+    along = 0.0
+    for k in range(first, y.shape[0]):
+        along += mirror[k] * y[k]
+    for k in range(first, y.shape[0]):
+        y[k] -= along * mirror[k]
 
 
 @compiled_inside
@@ -138,16 +157,57 @@ def _orthonormal_row(Vt, i):
 def leading(M, direction):
     """Largest singular value of M (rows, columns); its right singular vector goes into `direction`, one sign of it.
 
-    Of two opposite vectors the one whose largest entry is positive.
+    Of two opposite vectors the one whose largest entry is positive. M^T M is squared until it is of rank one, so that
+    its columns are multiples of the vector.
     """
-    rows, n = M.shape
-    Ut, sigma, Vt = np.empty((rows, rows)), np.empty(rows), np.empty((rows, n))
-    decompose(M, rows, Ut, sigma, Vt)
-    largest = 0
+    n = M.shape[1]
+    G, H = np.empty((n, n)), np.empty((n, n))
+    _gram(M, G)
+    for _ in range(SQUARINGS):
+        trace, best = 0.0, 0
+        for i in range(n):
+            trace += G[i, i]
+            best = i if G[i, i] > G[best, best] else best
+        if not trace > 0.0:
+            direction[:] = 0.0
+            return 0.0
+        square, factor = 0.0, 1.0 / trace
+        for i in range(n):
+            for j in range(n):
+                G[i, j] *= factor
+                square += G[i, j] * G[i, j]
+        if square > 1.0 - RANK_ONE:
+            break
+        _gram(G, H)
+        G, H = H, G
+    return _image(M, G[best], direction)
+
+
+@compiled_inside
+def _gram(M, G):
+    """G = M^T M."""
+    n = M.shape[1]
+    G[:] = 0.0
+    for r in range(M.shape[0]):
+        for i in range(n):
+            for j in range(n):
+                G[i, j] += M[r, i] * M[r, j]
+
+
+@compiled_inside
+def _image(M, vector, direction):
+    """|M x| for x = vector / |vector|, which goes into `direction` with its largest entry positive."""
+    n, square, largest = M.shape[1], 0.0, 0
     for k in range(n):
-        if abs(Vt[0, k]) > abs(Vt[0, largest]):
-            largest = k
-    sign = -1.0 if Vt[0, largest] < 0.0 else 1.0
+        square += vector[k] * vector[k]
+        largest = k if abs(vector[k]) > abs(vector[largest]) else largest
+    factor = math.copysign(1.0 / math.sqrt(square), vector[largest])
     for k in range(n):
-        direction[k] = sign * Vt[0, k]
-    return sigma[0]
+        direction[k] = factor * vector[k]
+    square = 0.0
+    for r in range(M.shape[0]):
+        along = 0.0
+        for k in range(n):
+            along += M[r, k] * direction[k]
+        square += along * along
+    return math.sqrt(square)

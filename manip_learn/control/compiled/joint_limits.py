@@ -94,7 +94,7 @@ def within(u, low, high, nv, tolerance):
 @compiled_inside
 def binding(u, parts, low, high, causes, nv):
     """The joint at a bound that task and null part exceed most, and the limit that sets it; (-1, -1) if none."""
-    joint, cause, most = -1, -1, 0.0
+    joint, cause, most = -1, -1.0, 0.0
     for j in range(nv):
         tolerance, wish = AT_BOUND * (1.0 + abs(u[j])), parts[TASK_PART, j] + parts[NULL_PART, j]
         if u[j] >= high[j] - tolerance and wish - high[j] > most:

@@ -60,13 +60,33 @@ def task_part(constants, sigma, along, damping, Vt, task):
 
 
 @compiled_inside
-def smallest_gradient(constants, rows, s, joints, Ut, Vt, weights, work, base, gradient):
-    """d sigma_min / dq = u_min^T (dA / dq) v_min into `gradient`; returns its length."""
-    for i in range(s):
-        for j in range(Vt.shape[1]):
-            weights[i, j] = Ut[s - 1, i] * Vt[s - 1, j]
-    vjp(constants, rows, s, joints, weights, work, base, gradient)
-    return norm(gradient)
+def outer_product(u, v, weights):
+    """weights = u v^T; for u_min and v_min those of the gradient of the smallest singular value."""
+    for i in range(u.shape[0]):
+        for j in range(v.shape[0]):
+            weights[i, j] = u[i] * v[j]
+
+
+@compiled_inside
+def smallest_weights(A, smallest, weights):
+    """u_min v_min^T of one or two well-conditioned rows, from A A^T (`singularity.smallest_gradient_of`)."""
+    nv = A.shape[1]
+    if A.shape[0] == 1:
+        for j in range(nv):
+            weights[0, j] = A[0, j] / smallest
+        return
+    a = b = c = 0.0
+    for j in range(nv):
+        a += A[0, j] * A[0, j]
+        b += A[0, j] * A[1, j]
+        c += A[1, j] * A[1, j]
+    half = 0.5 * (a - c)
+    radius = math.hypot(half, b)
+    first, second, both = (radius - half, radius + half, -b) if radius > 0.0 else (1.0, 0.0, 0.0)
+    scale = 1.0 / ((2.0 * radius if radius > 0.0 else 1.0) * smallest)
+    for j in range(nv):
+        weights[0, j] = scale * (first * A[0, j] + both * A[1, j])
+        weights[1, j] = scale * (both * A[0, j] + second * A[1, j])
 
 
 @compiled_inside
@@ -119,34 +139,38 @@ def seed_speed(smallest, width):
 
 
 @compiled_inside
-def escape_velocity(constants, rows, s, joints, Ut, sigma, Vt, dt, width, weights, work, base, escape):
-    """`singularity.escape_velocity` beside a singularity, into `escape`."""
-    nv, smallest = Vt.shape[1], sigma[s - 1]
+def escape_velocity(sigma, Vt, dt, width, climb, steepness, escape):
+    """`singularity.escape_velocity` beside a singularity, into `escape`.
+
+    Args:
+        sigma: Singular values.
+        Vt: Right singular vectors.
+        dt: Time for which the velocity is held [s].
+        width: Singular value at which it ends.
+        climb: grad log mu.
+        steepness: Norm of the gradient of the smallest singular value, where that is below `width`.
+        escape: Written.
+    """
+    s, nv = sigma.shape[0], Vt.shape[1]
+    smallest, share = sigma[s - 1], 0.0
     for j in range(nv):
         escape[j] = 0.0
     if smallest >= width:
         return
     seed = seed_speed(smallest, width)
-    slope, ascent, inverse = np.empty(nv), np.empty(nv), np.empty(s)
-    length = smallest_gradient(constants, rows, s, joints, Ut, Vt, weights, work, base, slope)
-    for i in range(s):
-        inverse[i] = 1.0 / sigma[i]
-    outer_sum(Ut, inverse, Vt, s, weights)
-    vjp(constants, rows, s, joints, weights, work, base, ascent)
-    share = 0.0
     for i in range(s):
         ratio = sigma[i] / width
         share = max(0.0, 1.0 - ratio * ratio)
         share *= share
         along = 0.0
         for j in range(nv):
-            along += Vt[i, j] * ascent[j]
+            along += Vt[i, j] * climb[j]
         for j in range(nv):
             escape[j] += share * along * Vt[i, j]
     size = norm(escape)
     if size == 0.0:
         return
-    ramp = dt * ESCAPE_SPEED * length / STABLE_SLOPE
+    ramp = dt * ESCAPE_SPEED * steepness / STABLE_SLOPE
     speed = ESCAPE_SPEED * share * smallest / math.hypot(smallest, ramp)
     for j in range(nv):
         escape[j] *= max(speed, seed) / size

@@ -81,8 +81,11 @@ def policy_velocity(constants, dofs, rows, nv, joints, s, q, dt, volume, X, work
 
 
 @compiled_inside
-def ascent_near_singularity(constants, rows, s, joints, Ut, sigma, Vt, dt, weights, work, base, pi):
-    """`ManipulabilityAscent.from_decomposition` into pi; Vt is complete where a direction is lost. False: Python's."""
+def ascent_near_singularity(constants, rows, s, joints, Ut, sigma, Vt, dt, weights, work, base, climb, pi):
+    """`ManipulabilityAscent.from_decomposition` into pi; Vt is complete where a direction is lost. False: Python's.
+
+    grad log mu, or grad mu for the policy that is not logarithmic, goes into `climb`.
+    """
     nv, smallest, edge = Vt.shape[1], sigma[s - 1], SINGULAR_RATIO * sigma[0]
     logarithmic = int(constants[0, POLICY]) == LOG_ASCENT
     if logarithmic and constants[0, LONGEST] < math.inf and smallest <= edge:
@@ -92,29 +95,24 @@ def ascent_near_singularity(constants, rows, s, joints, Ut, sigma, Vt, dt, weigh
         return True
     if smallest <= edge and (logarithmic or (s > 1 and sigma[s - 2] <= edge)):
         return False
-    others = np.empty(s)
-    mu = 1.0
-    for i in range(s):
-        mu *= sigma[i]
-        others[i] = 1.0
+    factors = np.empty(s)
+    for i in range(s):  # grad log mu has 1 / sigma_i, grad mu the product of the others
+        factors[i] = 1.0
         for k in range(s):
-            others[i] *= sigma[k] if k != i else 1.0
+            if k != i and not logarithmic:
+                factors[i] *= sigma[k]
+        if logarithmic:
+            factors[i] /= sigma[i]
     if smallest <= edge:  # steepest ascent of the cone, `manipulability._cone_ascent`
         M = np.empty((nv - s + 1, nv))
         lost_rates(constants, rows, s, joints, Ut, s - 1, Vt, s - 1, weights, work, base, M)
-        rate = others[s - 1] * leading(M, pi)
+        rate = factors[s - 1] * leading(M, climb)
         for j in range(nv):
-            pi[j] *= rate
+            climb[j] *= rate
     else:
-        outer_sum(Ut, others, Vt, s, weights)
-        vjp(constants, rows, s, joints, weights, work, base, pi)
-    scale = constants[0, POLICY_GAIN]
-    if logarithmic:
-        floor = edge * others[s - 1]
-        volume = max(mu, floor, 1e-300)
-        for j in range(nv):
-            pi[j] /= volume
-        scale = bounded_gain(constants, norm(pi), dt)
+        outer_sum(Ut, factors, Vt, s, weights)
+        vjp(constants, rows, s, joints, weights, work, base, climb)
+    scale = bounded_gain(constants, norm(climb), dt) if logarithmic else constants[0, POLICY_GAIN]
     for j in range(nv):
-        pi[j] *= scale
+        pi[j] = scale * climb[j]
     return True

@@ -4,25 +4,32 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from manip_learn.control.polytope_projection import DEPENDENT, REORTHOGONAL, TOLERANCE
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 # rows of the scratch of `project`, each as long as x, before those of the triangle and of the basis
-DIRECTION, ALONG, FALL, MULTIPLIERS, BOUNDS, SIGNS, SCRATCH = range(7)
+DIRECTION, ALONG, FALL, MULTIPLIERS, BOUNDS, SIGNS, ACTIVE, SCRATCH = range(8)
 
 
 @compiled_inside
-def project(x, C, low, high, m, k, y):
+def project(x, C, low, high, m, k, y, work):
     """y = argmin |y - x|^2 subject to low <= C y <= high for the first m rows and k columns; False if there is no y.
 
     The dual active-set method of Goldfarb and Idnani (1983). An orthonormal basis of the active rows' normals is kept
     with its triangle, and mended when a row comes or goes.
+
+    Args:
+        x: The point.
+        C: One row per constraint.
+        low: Lower bounds.
+        high: Upper bounds.
+        m: Number of rows.
+        k: Number of columns.
+        y: The answer.
+        work: Scratch, SCRATCH + 2 k rows of k columns or more.
     """
-    work, active = np.empty((SCRATCH + 2 * k, k)), np.empty(k, dtype=np.int64)
-    multipliers = work[MULTIPLIERS]
-    n = active.shape[0] - k  # none; no literal 0, for which numba would compile everything below a second time
+    multipliers, active = work[MULTIPLIERS], work[ACTIVE]
+    n = k - k  # none; no literal 0, for which numba would compile everything below a second time
     for c in range(k):
         y[c] = x[c]
     for _ in range(8 * m):
@@ -131,7 +138,7 @@ def _leave(C, work, active, leaving, n, k):
         active[a] = active[a + 1]
         for i in range(MULTIPLIERS, SIGNS + 1):
             work[i, a] = work[i, a + 1]
-        slope = _across(C, active[a], work[SIGNS, a], math.inf, work, a, k)
+        slope = _across(C, int(active[a]), work[SIGNS, a], math.inf, work, a, k)
         _enter(work, a, k, slope)
     return n - 1
 

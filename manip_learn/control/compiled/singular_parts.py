@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
+from manip_learn.control.compiled.constrained_rows import vjp
 from manip_learn.control.compiled.decomposition import complete, decompose
 from manip_learn.control.compiled.joint_limits import turn_to_freer_sense
 from manip_learn.control.compiled.near_singularity import (
     escape_velocity,
+    norm,
+    outer_product,
     pressed_damping,
     rank_of,
     seed_speed,
-    smallest_gradient,
     stable_damping,
     task_part,
     truncation,
@@ -51,13 +53,16 @@ from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 
 @compiled_inside
-def singular_parts(constants, q, dt, A, Ut, sigma, Vt, parts, work):
-    """Write the law near a singularity, `ResolvedRateController._near_singularity`; return the rank, -1 if refused."""
+def singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, slope, parts, work):
+    """Write the law near a singularity, `ResolvedRateLaw._near_singularity`; return the rank, -1 if refused.
+
+    The gradient of the smallest singular value goes into `slope` where it is needed; `weights` is scratch.
+    """
     s, nv = A.shape
     joints = int(constants[0, N_JOINTS])
     dofs = CHAIN + JOINTS + joints
     rows, base = dofs + nv, MATRICES + 3 * s
-    weights, along, facts, pi = np.empty((s, nv)), np.empty(s), work[FACTS], work[PI, :nv]
+    along, climb, facts, pi = np.empty(s), np.empty(nv), work[FACTS], work[PI, :nv]
     decompose(A, s, Ut, sigma, Vt)
     singular = sigma[s - 1] <= SINGULAR_RATIO * sigma[0]
     rank = rank_of(sigma, truncation(sigma, nv))
@@ -73,11 +78,18 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, parts, work):
             along[i] += Ut[i, k] * parts[TASK_VELOCITY, k]
     policy = int(constants[0, POLICY])
     if policy == ASCENT or policy == LOG_ASCENT:
-        if not ascent_near_singularity(constants, rows, s, joints, Ut, sigma, Vt, dt, weights, work, base, pi):
+        if not ascent_near_singularity(constants, rows, s, joints, Ut, sigma, Vt, dt, weights, work, base, climb, pi):
             return -1
     else:
         rest_velocity(constants, dofs, nv, q, pi)
-    _damped_task(constants, rows, s, joints, Ut, sigma, Vt, dt, along, weights, work, base, parts[TASK_PART])
+    pressed = _damped_task(constants, sigma, along, dt, Vt, parts[TASK_PART])
+    near = not singular and constants[1, ESCAPES] != 0.0 and sigma[s - 1] < constants[1, ESCAPE_WIDTH]
+    if pressed > 0.0 or near:
+        outer_product(Ut[s - 1], Vt[s - 1], weights)
+        vjp(constants, rows, s, joints, weights, work, base, slope)
+    if pressed > 0.0:
+        damping = pressed_damping(constants[1, DAMPING], pressed, slope, norm(slope), parts[TASK_PART])
+        task_part(constants, sigma, along, damping, Vt, parts[TASK_PART])
     _null_part(Vt, rank, pi, parts[NULL_PART])
     for j in range(nv):
         parts[VELOCITY, j] = parts[TASK_PART, j] + parts[NULL_PART, j]
@@ -89,7 +101,7 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, parts, work):
             for j in range(nv):
                 escape[j] = seed * pi[j]
         else:
-            escape_velocity(constants, rows, s, joints, Ut, sigma, Vt, dt, width, weights, work, base, escape)
+            escape_velocity(sigma, Vt, dt, width, climb, norm(slope), escape)
         if singular and constants[0, LIMITS] != 0.0:
             # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
             turn_to_freer_sense(constants, dofs, nv, q, escape)
@@ -99,18 +111,14 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, parts, work):
 
 
 @compiled_inside
-def _damped_task(constants, rows, s, joints, Ut, sigma, Vt, dt, along, weights, work, base, task):
-    """A^+ b, with the damping that a task needs which presses into the singularity."""
-    damping = constants[1, DAMPING]
-    task_part(constants, sigma, along, damping, Vt, task)
+def _damped_task(constants, sigma, along, dt, Vt, task):
+    """A^+ b; the damping that a task needs which presses into the singularity comes back, 0 where none does."""
+    task_part(constants, sigma, along, constants[1, DAMPING], Vt, task)
     if int(constants[0, INVERSE]) != DAMPED or constants[0, LIMITS] == 0.0:
-        return
+        return 0.0
     stable = stable_damping(sigma, along, constants[0, THRESHOLD], dt)
-    if stable > damping and sigma[s - 1] > SINGULAR_RATIO * sigma[0]:
-        slope = np.empty(Vt.shape[1])
-        length = smallest_gradient(constants, rows, s, joints, Ut, Vt, weights, work, base, slope)
-        damping = pressed_damping(damping, stable, slope, length, task)
-        task_part(constants, sigma, along, damping, Vt, task)
+    presses = stable > constants[1, DAMPING] and sigma[sigma.shape[0] - 1] > SINGULAR_RATIO * sigma[0]
+    return stable if presses else 0.0
 
 
 @compiled_inside

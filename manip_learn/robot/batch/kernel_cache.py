@@ -11,6 +11,7 @@ import hashlib
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 try:
@@ -107,6 +108,19 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any
             return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
         finally:
             _SETTINGS.CACHE_DIR = before
+
+
+def entry_point(function: Callable[..., Any], *arguments: object) -> Callable[..., Any]:
+    """The machine code of a compiled function for arguments of the types of these, with which it is called once.
+
+    Types of later arguments are not looked at, which takes longer than a short function: whoever calls it must be sure
+    of them. Without numba it is the function itself.
+    """
+    function(*arguments)
+    if numba is None or isinstance(function, FunctionType):
+        return function
+    compiler: Any = function
+    return compiler.get_overload(tuple(numba.typeof(argument) for argument in arguments))
 
 
 def is_on_disk(function: Callable[..., Any]) -> bool:
