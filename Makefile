@@ -21,12 +21,12 @@ QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli compiled_control
 	npz_reader robomimic_reader rosbag_reader))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types check lowest package docs bench fuzz proofs mutants vulnerabilities format clean \
+.PHONY: help demo test lint types check lowest package docs links bench fuzz proofs mutants vulnerabilities format clean \
 	distclean
 
 help:
 	@sed -n '1,4s/^# \{0,1\}//p' Makefile
-	@echo "Also: make lint, types, format, docs, lowest, package, bench, fuzz, proofs, mutants, vulnerabilities, clean, distclean"
+	@echo "Also: make lint, types, format, docs, links, lowest, package, bench, fuzz, proofs, mutants, vulnerabilities, clean, distclean"
 
 # ---- installing -------------------------------------------------------------------------------------------------
 
@@ -96,7 +96,12 @@ package: $(VENV)/dev
 
 docs: $(VENV)/dev
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
+	$(BIN)/python docs/check_pages.py docs/_build/html
 	@echo "docs/_build/html/index.html"
+
+# links to other sites, which `make docs` does not follow: needs the network
+links: $(VENV)/dev
+	$(BIN)/sphinx-build -W --keep-going -b linkcheck docs docs/_build/links
 
 bench: $(VENV)/dev
 	CHECK_SHAPES=0 $(PYTEST) benchmarks -m bench $(ARGS)

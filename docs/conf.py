@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import re
+from pathlib import Path
 
 project = "manip_learn"
 author = "manip_learn developers"
@@ -9,7 +10,14 @@ project_copyright = "2026, manip_learn developers"
 release = importlib.metadata.version("manip-learn")
 version = release
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx.ext.viewcode"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.viewcode",
+    "sphinx_design",
+]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["_build"]
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
@@ -24,6 +32,16 @@ napoleon_use_ivar = True
 napoleon_use_rtype = False
 # docstrings use single backticks for code, as Markdown does
 default_role = "code"
+
+
+def mathjax() -> Path:
+    """One file that draws formulas as SVG: pages load neither fonts nor anything from the network."""
+    package = importlib.metadata.distribution("sphinx-mathjax-offline")
+    return Path(str(package.locate_file("sphinx-mathjax-offline/static/mathjax/tex-svg.js")))
+
+
+html_static_path = [str(mathjax())]
+mathjax_path = mathjax().name
 
 html_theme = "furo"
 html_title = f"manip_learn {release}"
