@@ -1,8 +1,8 @@
 """Check the built documentation: nothing is loaded from the network, and every link has a target.
 
-`python docs/check_pages.py docs/_build/html` after the build; `make docs` does both. Links within the pages are followed to
-the file and the anchor; links of the Markdown files beside the pages (README, CONTRIBUTING) to the file or the heading.
-Links to other sites are checked by `make links`, which needs the network.
+`make docs` runs this after the build. Links within the pages are followed to the file and the anchor, those of the
+Markdown files beside the pages (README, CONTRIBUTING) to the file or the heading. Links to other sites are checked by
+`make links`, which needs the network.
 """
 
 from __future__ import annotations
@@ -56,7 +56,8 @@ def main() -> None:
         raise SystemExit("usage: python docs/check_pages.py FOLDER_OF_BUILT_PAGES")
     built = Path(sys.argv[1])
     faults = [*faults_of_pages(built), *faults_of_markdown(ROOT)]
-    print("\n".join(faults))
+    for fault in faults:
+        print(fault)
     if faults:
         raise SystemExit(f"{len(faults)} fault(s) in the documentation")
     print(f"{len(list(built.rglob('*.html')))} pages: links have their targets, and nothing is loaded from the network")

@@ -1,0 +1,86 @@
+"""What the snippets of the documentation find: names in Python, and files in the folder in which they run."""
+
+from __future__ import annotations
+
+import shutil
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+import manip_learn as ml
+from manip_learn.cli import main
+from manip_learn.learning import ConstraintLearner
+
+ROOT = Path(__file__).resolve().parents[1]
+DRAWER = ROOT / "examples" / "data" / "sawyer_drawer"
+TIP = "right_gripper_tip"
+
+
+class Countdown:
+    """True a few times: a loop's condition."""
+
+    def __init__(self, cycles: int = 5) -> None:
+        self._left = cycles
+
+    def __bool__(self) -> bool:
+        self._left -= 1
+        return self._left >= 0
+
+
+@cache
+def learnt() -> tuple[ml.Robot, ml.Demonstrations, ConstraintLearner]:
+    """The shipped drawer, of six recordings."""
+    robot = ml.load_robot("sawyer")
+    demos = ml.load_demonstrations(sorted(DRAWER.glob("*.csv"))[:6], robot)
+    return robot, demos, ConstraintLearner(ml.FrameJacobian(robot, TIP)).fit(demos)
+
+
+def names() -> dict[str, Any]:
+    """What the pages take for granted: the library, the drawer that was learnt, an arm's driver."""
+    robot, demos, learner = learnt()
+    constraint = learner.constraint_
+    q0, target = np.array([1.2, -1.2, 0.0, 0.4, 0.0, 0.8, 0.0]), [0.6, 0.27, 0.35]
+    task = ml.PointAttractor(target)
+    policy = ml.ManipulabilityAscent(constraint)
+    controller = ml.ResolvedRateController(constraint, task, policy)
+    loop = ml.ServoLoop(controller, 0.01, compiled=False)
+    rollout = ml.simulate(robot, controller, q0, duration=0.2, dt=0.01)
+    sent: list[Any] = []
+    arm = SimpleNamespace(send=sent.append, measured=lambda: (q0, 0.01 * len(sent)))
+    return {
+        "ml": ml, "np": np, "Path": Path, "RECORDINGS": DRAWER.parent, "robot": robot, "demos": demos,
+        "recordings": demos, "features": learner.features,
+        "learner": learner, "report": learner.report_, "constraint": constraint, "task": task, "policy": policy,
+        "controller": controller, "loop": loop, "rollout": rollout, "other": rollout, "grasp": demos[0].q[0],
+        "q0": q0, "q": q0, "t": 0.0, "target": target, "arm": arm, "running": Countdown(), "physics": arm,
+        "stream": [demos[:2], demos[2:4]],
+    }  # fmt: skip
+
+
+def furnish(folder: Path, page: str) -> None:
+    """An arm and recordings of one's own, and the shipped examples; more formats for the page that shows them."""
+    (folder / "examples").symlink_to(ROOT / "examples", target_is_directory=True)
+    urdf = (ROOT / "robots" / "sawyer.urdf").read_text(encoding="utf-8")
+    (folder / "my_arm.urdf").write_text(urdf.replace(TIP, "tool0"), encoding="utf-8")
+    (folder / "recordings").mkdir()
+    for path in sorted(DRAWER.glob("*.csv"))[:6]:
+        shutil.copy(path, folder / "recordings" / path.name)
+    if page == "your_own_arm":
+        write_other_formats(folder)
+
+
+def write_other_formats(folder: Path) -> None:
+    """A bag, a LeRobot data set, and a table with headers and units of its own."""
+    recordings = sorted(str(path) for path in (folder / "recordings").glob("*.csv"))
+    for files, out in ((recordings[:1], "bag.mcap"), (recordings, "data_set")):
+        assert main(["export", str(folder / "my_arm.urdf"), *files, "--out", str(folder / out)]) == 0
+    header, *rows = Path(recordings[0]).read_text(encoding="utf-8").splitlines()
+    names = header.replace("time", "stamp").replace("right_j0", "shoulder_pan")
+    lines = [f"{names},battery"]
+    for line in rows:
+        time, *q = map(float, line.split(","))
+        lines.append(",".join([f"{1e3 * time:.3f}", *(f"{np.degrees(x):.6f}" for x in q), "24.1"]))
+    (folder / "foreign.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,0 +1,98 @@
+"""Every snippet of the documentation runs, and what is shown as its output is what came out."""
+
+from __future__ import annotations
+
+import glob
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from documentation_blocks import Block, blocks, differences
+from documentation_scene import furnish, names
+
+from manip_learn.cli import main
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [p for p in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))] if "_build" not in p.parts]
+# what a shell block may hold beside commands of this program
+OTHER_PROGRAMS = re.compile(r"(\$ )?(pip|python|make|cd|dask|export|ssh|source|ros2|jupyter)\b|#")
+
+
+def is_runnable(block: Block) -> bool:
+    """Python, or command lines of this program."""
+    return block.language == "python" or bool(block.commands)
+
+
+WITH_SNIPPETS = [page for page in PAGES if any(map(is_runnable, blocks(page)))]
+
+
+@pytest.mark.parametrize("page", WITH_SNIPPETS, ids=lambda p: p.stem)
+@pytest.mark.timeout(300)
+def test_snippets_run(page, tmp_path, monkeypatch, capsys):
+    """The blocks of a page run in their order, share their names and files, and print what the page shows."""
+    furnish(tmp_path, page.stem)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "160")
+    found = names()
+    printed = ""
+    for block in blocks(page):
+        if block.skipped:
+            printed = ""
+        elif is_runnable(block):
+            capsys.readouterr()
+            run(block, found)
+            printed = capsys.readouterr().out
+        elif block.language == "text" and printed:
+            missing = differences(block.text, printed)
+            assert not missing, f"{page.name}:{block.line} shows what is not printed:\n{missing}\nprinted:\n{printed}"
+
+
+def run(block: Block, found: dict[str, object]) -> None:
+    """Python in the page's names; command lines in this process."""
+    where = f"{block.page.name}:{block.line}"
+    if block.language == "python":
+        exec(compile(block.text, where, "exec"), found)
+        return
+    for line in block.commands:
+        code = main(expanded(line))
+        assert code == 0, f"{where}: {line}"
+
+
+def expanded(line: str) -> list[str]:
+    """Arguments as a shell hands them over: without comments, with file patterns replaced by the files."""
+    words = shlex.split(line, comments=True)[1:]
+    return [f for word in words for f in (sorted(glob.glob(word)) if "*" in word else [word])]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
+def test_each_block_says_what_it_is(page):
+    """A block that is not run says why; Python and shell blocks are fenced as such, and no reason stands elsewhere."""
+    text = page.read_text(encoding="utf-8")
+    all_blocks = list(blocks(page))
+    assert text.count("<!-- not run: ") == sum(bool(b.skipped) for b in all_blocks), "a reason before no block"
+    for block in all_blocks:
+        if block.language == "bash":
+            other = [
+                line
+                for line in re.sub(r"\\\n\s*", " ", block.text).splitlines()
+                if line.strip() and line not in block.commands and not OTHER_PROGRAMS.match(line.strip())
+            ]
+            assert not other, f"{page.name}:{block.line}: {other}"
+
+
+@pytest.mark.parametrize(
+    "shown, same",
+    [
+        ("gap 308 (clear)\nlearnt from 16361 samples in 2.6 s", True),
+        ("gap 300 (clear) learnt from\n16361 samples in 90 s", True),
+        ("...\nlearnt from 16361 samples\n...", True),
+        ("gap 30 (clear)", False),
+        ("gap 308 (weak)", False),
+        ("learnt from 16361 samples\n...\ngap 308", False),
+    ],
+)
+def test_an_output_is_compared_in_words_and_numbers(shown, same):
+    """Line breaks, times and last digits do not count; words, numbers and their order do."""
+    printed = "constraints 2 of 3 rows, gap 308 (clear)\n ─────── \nlearnt from 16361 samples in 3.1 s\n"
+    assert (not differences(shown, printed)) is same
