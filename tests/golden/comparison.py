@@ -11,20 +11,30 @@ Cases = dict[str, dict[str, Any]]
 TOLERANCE = 1e-12  # of the largest number in the array
 SMALLEST_SCALE = 1e-3  # arrays of smaller numbers are compared as if they were of this size
 NATURAL_SCALE = {"velocity": 1.0}  # [rad/s]; many commands are zero but for rounding
-# (start of case name, key ending, tolerance) for another machine, whose sums are rounded otherwise: five times or more
-# the differences between the machine that wrote the numbers and OPENBLAS_CORETYPE=Prescott on it
+# (start of case name, key ending, tolerance) for another machine, whose sums are rounded otherwise: four times or more
+# the differences between OpenBLAS's kernels SkylakeX, Haswell and Prescott
 LOOSER: tuple[tuple[str, str, float], ...] = (
     # ratios of small eigenvalues, and angles over a bootstrap of them
     ("learn", "", 1e-8),
     ("manip-learn learn", "", 1e-8),
     ("manip-learn demo", "", 1e-8),
+    # bootstraps over recordings whose contact ends at a threshold: rounding decides whether one more sample belongs to it
+    # (2.4 % between SkylakeX and Haswell)
+    ("learn drawer", "uncertainty_deg", 0.1),
+    ("learn drawer", "mechanism.uncertainty.axis", 0.1),
+    ("manip-learn learn drawer", "uncertainty_deg", 0.1),
+    ("manip-learn learn drawer", "mechanism.uncertainty.axis", 0.1),
+    ("manip-learn demo", "uncertainty_deg", 0.1),
+    ("manip-learn demo", "mechanism.uncertainty.axis", 0.1),
     # noise-free motions: the gap's denominator is the rounding of the recordings' seventh decimal
     ("learn planar", "", 1e-6),
     # iterations that stop at a tolerance of their own
     ("learn planar 20 recordings, planar, world, rows 2, separate", "", 1e-3),
     ("learn planar 20 recordings, planar, world, rows None, separate", "", 1e-3),
     # a thousandth of a radian from a singularity: velocities grow with the inverse of the distance
-    ("command", "velocity", 1e-9),
+    ("command", "velocity", 1e-8),
+    # the share of a command that limits leave, of which some is a billionth of what it is taken from
+    ("command", "scales", 2e-8),
 )
 
 
