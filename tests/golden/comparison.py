@@ -18,7 +18,7 @@ LOOSER: tuple[tuple[str, str, float], ...] = (
     ("learn", "", 1e-8),
     ("manip-learn learn", "", 1e-8),
     ("manip-learn demo", "", 1e-8),
-    # bootstraps over recordings whose contact ends at a threshold: rounding decides whether one more sample belongs to it
+    # bootstraps over recordings whose contact ends at a threshold: rounding decides whether one more sample is in it
     # (2.4 % between SkylakeX and Haswell)
     ("learn drawer", "uncertainty_deg", 0.1),
     ("learn drawer", "mechanism.uncertainty.axis", 0.1),
