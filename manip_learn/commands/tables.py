@@ -51,7 +51,7 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> Non
         table.add_row("policy model", report.policy_model)
     if math.isfinite(report.held_out_residual):
         terms.append("left-out")
-        table.add_row("left-out recordings", f"{100 * report.held_out_residual:.2g} % of the motion unexplained")
+        table.add_row("left-out trajectories", f"{100 * report.held_out_residual:.2g} % of the motion unexplained")
     if report.uncertainty_deg is not None:
         terms.append("uncertainty")
         table.add_row("uncertainty", f"{report.uncertainty_deg:.2g} degrees (68 %, bootstrap over trajectories)")
