@@ -16,6 +16,7 @@ from manip_learn.commands.read_options import ReadOptions
 from manip_learn.commands.refusal import nobody_reads, refuse
 from manip_learn.commands.robot_options import RobotOptions
 from manip_learn.commands.shared_options import flags_of, takes_shared_options
+from manip_learn.commands.typed_command import typed
 from manip_learn.commands.vectors import joined_vectors, vector
 from manip_learn.errors import ManipLearnError, advice_for_command
 
@@ -257,7 +258,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             "no command given: try `manip-learn demo`, or `manip-learn --help` for all commands", False, "usage"
         )
     command = get_command(app)
-    with advice_for_command(flags_of(command, arguments)):
+    with advice_for_command(flags_of(command, arguments)), typed(arguments):
         code = _run(
             lambda: command.main(arguments, prog_name="manip-learn", standalone_mode=False), "--json" in arguments
         )

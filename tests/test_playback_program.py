@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-FILES = ("phases.js", "chart.js", "player.js")
+from manip_learn.recordings.readers.episode_selection import EpisodeSelection
+
+FILES = ("fit.js", "phases.js", "chart.js", "tracks.js", "constraint_marks.js", "recording_choice.js", "player.js")
 # what the browser brings; the functions under test draw nothing
 BROWSER = "const MeshCat = { THREE: {} }, document = { getElementById: () => null }, requestAnimationFrame = () => {};"
 TIMES = [0.0, 0.5, 2.0, 2.25]
@@ -231,3 +233,60 @@ def test_a_crowd_of_bands_keeps_the_solid_one(run):
     assert run("shortName('x'.repeat(22))", "shortName('abcdefghijklmnopqrstuvwxyz')") == [
         *("x" * 22, "abcdefghi…opqrstuvwxyz"),
     ]
+
+
+def test_a_track_is_read_between_its_samples_and_not_beyond(run):
+    """At a sample its value, between two the line; no number in a gap, before the first and after the last sample."""
+    given = "const curve = { times: [0, 1, 2, 3, 4], values: [1, 3, NaN, 5, 4] };"
+    shown = run(*(f"valueAt(curve, {t})" for t in (-0.1, 0, 0.25, 1, 1.5, 3, 3.5, 4, 4.1)), given=given)
+    assert shown == [None, 1, 1.5, 3, None, 5, 4.5, 4, None]  # NaN is null in JSON
+    assert run("valueAt({ times: [], values: [] }, 0)") == [None]
+
+
+def test_eigenvectors_are_those_of_numpy(run, rng):
+    """Eigenvalues in falling order and unit eigenvectors, of full rank, of projectors and of zero."""
+    A = rng.standard_normal((3, 3))
+    d = np.array([0.6, 0.0, 0.8])
+    for matrix in (A @ A.T, np.outer(d, d), np.eye(3) - np.outer(d, d), np.zeros((3, 3)), np.diag([1.0, 1e-9, 1.0])):
+        (found,) = run(f"eigen({matrix.tolist()})")
+        values = np.array([e["value"] for e in found])
+        V = np.array([e["vector"] for e in found])
+        np.testing.assert_allclose(values, np.linalg.eigvalsh(matrix)[::-1], atol=1e-12)
+        np.testing.assert_allclose(V @ V.T, np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(V.T @ np.diag(values) @ V, matrix, atol=1e-12)
+
+
+def test_tables_are_read_between_their_rows(run):
+    """A table of one row holds always; otherwise a row is on the line between its neighbours in time."""
+    given = "const table = Float32Array.from([0, 1, 2, 3, 4, 7]);"
+    rows = run(*(f"Array.from(rowAt([0, 1, 3], table, 2, {t}))" for t in (-1, 0, 0.5, 2, 3, 9)), given=given)
+    assert rows == [[0, 1], [0, 1], [1, 2], [3, 5], [4, 7], [4, 7]]
+    assert run("Array.from(rowAt([0, 1], Float32Array.from([5, 6]), 2, 0.7))") == [[5, 6]]
+
+
+def test_numbers_become_ranges_as_episodes_are_counted(run):
+    """Neighbours become half-open ranges, others stand alone; the order does not matter."""
+    cases = {"[0, 1, 2, 5]": "0:3,5", "[7, 3, 4]": "3:5,7", "[9]": "9", "[]": "", "[0, 2, 4]": "0,2,4"}
+    assert run(*(f"asRanges({numbers})" for numbers in cases)) == list(cases.values())
+    for text in ("0:3,5", "3:5,7", "9"):
+        known = EpisodeSelection.of(text).of_known(range(10), "here")
+        assert run(f"asRanges({sorted(known)})") == [text]
+
+
+def test_the_colours_of_the_fit_follow_their_scale(run):
+    """At the steps of the scale its colours, between them mixtures, and grey where nothing is known."""
+    steps = run("FIT_SCALE")[0]
+    assert run(*(f"fitColour({share})" for share, _ in steps)) == [colour for _, colour in steps]
+    assert run("fitColour(NaN)", "fitColour(7)", "fitColour(-1)") == [run("AT_REST")[0], steps[-1][1], steps[0][1]]
+    (low, a), (high, b) = steps[1:3]
+    (mixed,) = run(f"fitColour({(low + high) / 2})")
+    assert mixed not in (a, b)
+
+
+def test_no_misfit_is_lost_in_a_row_of_colours(run):
+    """Each span shows its largest share; one without samples that of the line, one at rest nothing."""
+    given = "const fit = { times: [0, 0.1, 0.2, 0.9, 1.0, 3.0, 4.0], values: [0, 0.5, 0, 0.1, NaN, NaN, 0.2] };"
+    (worst,) = run("fitBins(fit, 4, 4)", given=given)
+    assert worst == [0.5, None, None, 0.2]
+    (line,) = run("fitBins({ times: [0, 4], values: [0, 0.8] }, 4, 4)")
+    np.testing.assert_allclose(line, [0.0, 0.3, 0.5, 0.8])

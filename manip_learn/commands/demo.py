@@ -132,6 +132,7 @@ def demo(robot_name: str, out: Path, open_browser: bool, progress: Progress | No
         out / "replay.html",
         tip=scene.frame,
         title=scene.title,
+        report=learnt.report,
         open_browser=open_browser,
     )
     said("done", 1.0)

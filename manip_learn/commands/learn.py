@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final, get_args
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any, final, get_args
 from manip_learn.commands.cluster import cluster_client
 from manip_learn.commands.recording_loading import load_for_recordings, source_for_recordings
 from manip_learn.commands.robot_options import RobotOptions
+from manip_learn.commands.typed_command import typed_command
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeFrameJacobian
 from manip_learn.errors import FeatureError, RecordingError
@@ -17,6 +19,7 @@ from manip_learn.learning.candidate import EstimatorName
 from manip_learn.learning.learner import ESTIMATORS, Switch
 from manip_learn.learning.overview import distinct_names
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.episode_numbers import numbers_read
 from manip_learn.recordings.load_demonstrations import ReadOptions
 from manip_learn.recordings.preprocessing import subsample
 from manip_learn.recordings.trajectory_source import Progress
@@ -142,12 +145,20 @@ def learn(
     written = learner.constraint_.save(out) if out is not None else None
     page = None
     if html is not None and isinstance(recorded, Demonstrations):
-        page = replay_of_recordings(robot, recorded, learner.report_, html, chosen)
+        numbers = numbers_read(recordings, robot, **(options or {}))
+        constraints = learner.constraints_
+        page = replay_of_recordings(robot, recorded, learner.report_, html, chosen, constraints, numbers)
     return Learnt(learner.constraints_, learner.reports_, chosen, written, tuple(notes), page)
 
 
 def replay_of_recordings(
-    robot: Robot, recordings: Demonstrations, report: LearningReport, html: Path, frame: str
+    robot: Robot,
+    recordings: Demonstrations,
+    report: LearningReport,
+    html: Path,
+    frame: str,
+    constraints: Sequence[Constraint] = (),
+    numbers: Sequence[int] = (),
 ) -> ReplayResult:
     """Write a page that plays the recordings, with what was learnt about them.
 
@@ -157,23 +168,29 @@ def replay_of_recordings(
         report: Phases, mechanism and odd trajectories.
         html: File to write.
         frame: Frame that was guided.
+        constraints: What was learnt, best supported first.
+        numbers: Of the recordings, as `--episodes` counts them.
 
     Raises:
         RecordingError: A recording that cannot be played.
         OutputError: The file cannot be written.
     """
-    from manip_learn.playback import replay
+    from manip_learn.playback import RecordingChoice, replay
 
     odd = [f"{name} does not agree with the others: {reason}" for name, reason in report.odd_trajectories]
+    named = dict(zip(distinct_names(recordings), recordings, strict=True))
     return replay(
         robot,
-        dict(zip(distinct_names(recordings), recordings, strict=True)),
+        named,
         html,
         tip=frame,
         open_browser=False,
         phases=report.phases,
         mechanism=report.mechanism,
         notes=odd,
+        constraint=constraints or None,
+        report=report,
+        choice=RecordingChoice.of(typed_command(), tuple(named), numbers),
     )
 
 

@@ -8,17 +8,21 @@ from typing import Any
 
 from manip_learn.commands.robot_loading import load_for_files, robot_of_constraint
 from manip_learn.commands.robot_options import RobotOptions
+from manip_learn.commands.typed_command import learning_command
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConstraintMismatchError, RecordingError
-from manip_learn.playback import ReplayResult
+from manip_learn.playback import RecordingChoice, ReplayResult
 from manip_learn.playback import replay as write_replay
 from manip_learn.playback.phase_bands import phases_from_json
 from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.episode_numbers import numbers_read
 from manip_learn.recordings.load_demonstrations import ReadOptions
 from manip_learn.recordings.readers.option_uses import flag_of
 from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.robot import Robot
 
 
 def replay(
@@ -47,6 +51,7 @@ def replay(
     if not files:
         raise RecordingError("name at least one rollout file; `manip-learn control ... --out rollout.npz` writes one")
     learnt: dict[str, Any] = {}
+    constraint = None
     if constraint_file is not None:
         robot = robot_of_constraint(robot_name, str(constraint_file), loading)
         constraint = Constraint.load(constraint_file, robot)
@@ -81,7 +86,25 @@ def replay(
         phases=phases_from_json(learnt.get("phases") or []),
         mechanism=learnt.get("mechanism") or None,
         notes=notes,
+        constraint=constraint,
+        report=learnt or None,
+        choice=_choice(robot, constraint, recordings, named, options or {}) if recordings and not rollouts else None,
     )
+
+
+def _choice(
+    robot: Robot,
+    constraint: Constraint | None,
+    recordings: list[str],
+    named: Mapping[str, Rollout | Trajectory],
+    options: ReadOptions,
+) -> RecordingChoice | None:
+    """The command line that learns from these recordings again; None without a constraint that says how."""
+    features = None if constraint is None else constraint.features
+    if not isinstance(features, FrameJacobian):
+        return None
+    command = learning_command(features.frame.name, features.row_names, features.reference)
+    return RecordingChoice.of(command, tuple(named), numbers_read(recordings, robot, **options))
 
 
 def _is_rollout(path: Path) -> bool:

@@ -25,7 +25,7 @@ MOST_NOTES = 20
 _PHASE_COLUMNS = ("recording", "from [s]", "until [s]", "constraint")
 PROVENANCE = (
     *("estimator", "kind", "gap", "uncertainty_deg", "n_samples", "n_trajectories", "sentence", "warnings"),
-    *("phases", "odd_trajectories", "mechanism"),
+    *("phases", "odd_trajectories", "mechanism", "evidence", "row_evidence", "held_out_residual", "n_constraints"),
 )
 
 

@@ -7,12 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from manip_learn.playback.live_viewer import LiveViewer
+    from manip_learn.playback.recording_choice import RecordingChoice
     from manip_learn.playback.replay_page import ReplayResult, replay
 
-__all__ = ["LiveViewer", "ReplayResult", "replay"]
+__all__ = ["LiveViewer", "RecordingChoice", "ReplayResult", "replay"]
 
 # the file is not called replay.py: importing it would put the module where the function belongs
-_HOMES = {"LiveViewer": "live_viewer", "ReplayResult": "replay_page", "replay": "replay_page"}
+_HOMES = {
+    "LiveViewer": "live_viewer",
+    "RecordingChoice": "recording_choice",
+    "ReplayResult": "replay_page",
+    "replay": "replay_page",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -15,8 +15,11 @@ from typing import Any, Literal
 
 from manip_learn.errors import OutputError
 
+STYLE = ("style.css", "tracks.css")
 PROGRAM = (
-    *("theme.js", "scene.js", "stage.js", "phases.js", "chart.js", "keys.js", "player.js", "live.js", "main.js"),
+    *("theme.js", "scene.js", "stage.js", "fit.js", "phases.js", "chart.js", "sheets.js", "tracks.js"),
+    *("constraint_marks.js", "shown.js", "evidence.js", "recording_choice.js", "keys.js", "legend.js"),
+    *("player.js", "live.js", "main.js"),
 )
 
 
@@ -38,7 +41,7 @@ def page(data: dict[str, Any], *, robot: str, subtitle: str, mode: Literal["repl
     parts = {
         "policy": _policy((viewer, program), live=mode == "live"),
         "title": html.escape(f"{robot}: {subtitle}" if subtitle else robot),
-        "style": _resource("style.css"),
+        "style": "".join(_resource(name) for name in STYLE),
         "mode": mode,
         "robot": html.escape(robot),
         "subtitle": html.escape(subtitle),

@@ -10,8 +10,12 @@ from jaxtyping import Float
 
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
+from manip_learn.playback.extremes import extremes
+from manip_learn.playback.guidance import Guidance
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks
+from manip_learn.playback.motion_samples import MotionSamples, finite, motion_samples
 from manip_learn.playback.phase_bands import PhaseBand
+from manip_learn.playback.tracks import Track, broken_share, tracks_of
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
@@ -20,6 +24,7 @@ KEY_FRAMES_PER_SECOND = 60.0
 MAX_KEY_FRAMES = 6000
 MAX_CURVE_POINTS = 2000
 MAX_PATH_POINTS = 1500
+UNGUIDED = Guidance()
 
 
 @final
@@ -40,6 +45,10 @@ class RecordedMotion:
         duration: [s].
         first_time: Of the first sample, on the recording's own clock [s].
         phases: Bands within the recording, their times counted from its first sample.
+        measures: What else is shown over time.
+        samples: All samples; None for a motion that is not recorded.
+        guidance: Constraint and target.
+        fit_share: Share of a recording's motion that breaks its constraint, see `broken_share`; None if not known.
     """
 
     name: str
@@ -54,6 +63,10 @@ class RecordedMotion:
     duration: float
     first_time: float = 0.0
     phases: tuple[PhaseBand, ...] = ()
+    measures: tuple[Track, ...] = ()
+    samples: MotionSamples | None = None
+    guidance: Guidance = UNGUIDED
+    fit_share: float | None = None
 
 
 def recorded_motion(
@@ -63,6 +76,7 @@ def recorded_motion(
     name: str,
     recording: Rollout | Trajectory,
     phases: tuple[PhaseBand, ...] = (),
+    guidance: Guidance = UNGUIDED,
 ) -> RecordedMotion:
     """Check a recording and subsample it for playback.
 
@@ -73,33 +87,24 @@ def recorded_motion(
         name: Name in the legend.
         recording: What is played.
         phases: Bands on the recording's own clock.
+        guidance: Its constraint and its target.
 
     Raises:
         RecordingError: No samples, shapes that do not fit, time that does not increase, NaN, another robot, or other
             joints locked.
         ConfigurationError: A posture of the wrong size.
     """
-    if isinstance(recording, Rollout) and recording.robot is not None:
-        recording.robot.refuse_another(robot, f"rollout {name!r}")
-    time = _finite(name, "time", recording.time, 1)
-    if time.size == 0:
-        raise RecordingError(f"rollout {name!r} has no samples: there is nothing to replay", code="empty")
-    if np.any(np.diff(time) <= 0.0):
-        i = int(np.argmax(np.diff(time) <= 0.0))
-        raise RecordingError(
-            f"rollout {name!r}: time must increase, sample {i + 1} is at {time[i + 1]} s after {time[i]} s",
-            code="time-order",
-        )
-    q = _columns_of(robot, name, recording, time.size)
-    first_time = float(time[0])
-    time = time - first_time
+    samples = motion_samples(robot, name, recording)
+    time, q, first_time = samples.time, samples.q, samples.first_time
     keys = key_frames(time)
     path_keys = keys[np.unique(np.linspace(0, keys.size - 1, min(keys.size, MAX_PATH_POINTS)).round().astype(int))]
     curve_times, curve = _curve(name, time, getattr(recording, "manipulability", None))
+    bands = _within(phases, first_time, float(time[-1]))
+    tracks = joint_tracks(robot, tree, q[keys])
     return RecordedMotion(
         name=name,
         key_times=time[keys],
-        tracks=_finite(name, "joint motion", joint_tracks(robot, tree, q[keys]), 2),
+        tracks=finite(name, "joint motion", tracks, 2),
         postures=q[keys],
         path_times=time[path_keys],
         path=np.array([robot.pose(x, tip)[:3, 3] for x in q[path_keys]]),
@@ -108,7 +113,11 @@ def recorded_motion(
         status=_status_changes(name, time, getattr(recording, "status", ())),
         duration=float(time[-1]),
         first_time=first_time,
-        phases=_within(phases, first_time, float(time[-1])),
+        phases=bands,
+        measures=tracks_of(robot, recording, samples, guidance, bands),
+        samples=samples,
+        guidance=guidance,
+        fit_share=broken_share(samples, guidance, bands) if isinstance(recording, Trajectory) else None,
     )
 
 
@@ -116,47 +125,6 @@ def _within(phases: tuple[PhaseBand, ...], first_time: float, duration: float) -
     """Bands with times from the first sample on; what lies outside the recording is cut off."""
     spans = [(max(b.start - first_time, 0.0), min(b.end - first_time, duration), b.constraint) for b in phases]
     return tuple(PhaseBand(start, end, constraint) for start, end, constraint in spans if start < end)
-
-
-def _finite(name: str, what: str, values: object, ndim: int) -> np.ndarray:
-    try:
-        array = np.ascontiguousarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise RecordingError(f"rollout {name!r}: {what} must be numbers: {error}", code="not-a-number") from error
-    if array.ndim != ndim:
-        raise RecordingError(
-            f"rollout {name!r}: {what} must have {ndim} dimension(s), got shape {array.shape}", code="shape"
-        )
-    if not np.all(np.isfinite(array)):
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise RecordingError(
-            f"rollout {name!r}: {what} of sample {where[0]} is {array[where]}, a finite number is needed: "
-            "cut the recording before it",
-            code="not-finite",
-        )
-    return array
-
-
-def _columns_of(robot: Robot, name: str, recording: Rollout | Trajectory, T: int) -> np.ndarray:
-    """Postures with their columns in the robot's order."""
-    q = _finite(name, "q", recording.q, 2)
-    if q.shape[0] != T:
-        raise RecordingError(f"rollout {name!r} has {T} times and {q.shape[0]} postures", code="shape")
-    names = tuple(recording.joint_names)
-    if set(names) != set(robot.joint_names) or len(names) != robot.nv:
-        missing = [n for n in robot.joint_names if n not in names]
-        extra = [n for n in names if n not in robot.joint_names]
-        what = "; ".join(
-            f"{label} {', '.join(some[:6])}" for label, some in (("missing", missing), ("not its own", extra)) if some
-        )
-        raise RecordingError(
-            f"rollout {name!r} was not made with robot {robot.name!r}: joints {what or 'given twice'}; "
-            "load the robot that it was made with",
-            code="joint-names",
-        )
-    if names != robot.joint_names and q.shape[1] == robot.nv:
-        q = q[:, [names.index(n) for n in robot.joint_names]]
-    return q
 
 
 def key_frames(time: Float[np.ndarray, " T"]) -> np.ndarray:
@@ -172,18 +140,12 @@ def _curve(name: str, time: np.ndarray, values: object) -> tuple[np.ndarray, np.
     """The manipulability, subsampled so that every minimum and maximum is kept."""
     if values is None:
         return np.zeros(0), np.zeros(0)
-    curve = _finite(name, "manipulability", values, 1)
+    curve = finite(name, "manipulability", values, 1)
     if curve.size != time.size:
         raise RecordingError(
             f"rollout {name!r} has {time.size} times and {curve.size} values of manipulability", code="shape"
         )
-    if curve.size <= MAX_CURVE_POINTS:
-        return time, curve
-    edges = np.linspace(0, curve.size, MAX_CURVE_POINTS // 2).astype(int)
-    keep = {0, curve.size - 1}
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
-        keep |= {a + int(np.argmin(curve[a:b])), a + int(np.argmax(curve[a:b]))}
-    chosen = np.array(sorted(keep))
+    chosen = extremes(curve, MAX_CURVE_POINTS)
     return time[chosen], curve[chosen]
 
 

@@ -14,19 +14,25 @@ from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
+from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError
 from manip_learn.playback.appearance import appearance
+from manip_learn.playback.evidence import DescribedReport, evidence_of
+from manip_learn.playback.guidance import Guidance, guidance_of
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.mechanism_drawing import DescribedMechanism, mechanism_drawing
 from manip_learn.playback.page_writer import page
 from manip_learn.playback.palette import rollout_colours
-from manip_learn.playback.phase_bands import Phase, phase_bands, phase_kinds
+from manip_learn.playback.phase_bands import Phase, phase_bands, phase_kinds, phases_from_json
 from manip_learn.playback.recorded_motion import RecordedMotion, recorded_motion
+from manip_learn.playback.recording_choice import RecordingChoice
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
@@ -68,6 +74,10 @@ def replay(
     phases: Sequence[Phase] = (),
     mechanism: DescribedMechanism | Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
+    constraint: Constraint | Sequence[Constraint] | None = None,
+    report: DescribedReport | Mapping[str, Any] | None = None,
+    target: ArrayLike | None = None,
+    choice: RecordingChoice | None = None,
 ) -> ReplayResult:
     """Write one HTML file that plays rollouts of a robot, without a server and without a network.
 
@@ -87,9 +97,17 @@ def replay(
         phases: (recording, start [s], end [s], constraint or None for free motion), as in `report_.phases`, on the
             recordings' own clocks: drawn as bands in time and along the path of the tip.
         mechanism: `report_.mechanism`, that of the first constraint, or its dictionary; drawn in the scene.
-        notes: Sentences that the page shows beside its own, e.g. which recordings are odd.
+        notes: Sentences that the page shows beside its own.
+        constraint: What is shown at the tip and measured over time; with phases, `constraints_`: one for each of their
+            numbers. Rollouts that `simulate` made keep their own; one that is given here is shown for all.
+        report: `report_` of the learner, or what a constraint keeps of it (`constraint.provenance`): the evidence in
+            words; phases and mechanism are taken from it where they are not given.
+        target: Where the task was to arrive, as `PointAttractor` takes it; rollouts that `simulate` made keep theirs.
+        choice: The command line that reads the recordings, so that the page can say how some are left out.
 
     Raises:
+        ConstraintMismatchError: A constraint of another robot.
+        TargetError: A target that is not finite numbers.
         RecordingError: Nothing to replay, a rollout with NaN, with joints of another robot or with bad times, phases of
             none of the recordings or with bad times, or a mechanism with numbers that are not finite.
         ConfigurationError: A posture of the wrong size.
@@ -97,16 +115,26 @@ def replay(
         OutputError: The file cannot be written.
     """
     named = _named(rollouts)
-    tip_name = _tip(robot, tip, named)
+    guided = {name: guidance_of(robot, name, r, constraint, target) for name, r in named.items()}
+    learnt = _learnt(report, guided)
+    phases = phases or _own_phases(learnt, named)
+    mechanism = mechanism if mechanism is not None else learnt.get("mechanism")
+    tip_name = _tip(robot, tip, named, guided)
     bands = phase_bands(phases, list(named))
     chosen_colours = rollout_colours(list(named), colours or {}, neutral=bool(phases))
     tree, frame = kinematic_tree(robot), robot.frame(tip_name)
-    motions = [recorded_motion(robot, tree, frame, name, r, bands[name]) for name, r in named.items()]
+    motions = [recorded_motion(robot, tree, frame, name, r, bands[name], guided[name]) for name, r in named.items()]
     drawing = None if mechanism is None else mechanism_drawing(mechanism, _held_by_first(motions))
     kinds = phase_kinds(phases, drawing.type if drawing else "") if phases else ()
     looks = appearance(robot, tree)
     all_notes = (*notes, *looks.notes) + (() if phases else _crowd_note(len(motions)))
     data = scene_data(robot, tree, looks, tip_name, motions, chosen_colours, all_notes, kinds, drawing)
+    evidence = evidence_of(learnt) if learnt else None
+    data["evidence"] = evidence
+    recorded = all(isinstance(r, Trajectory) for r in named.values())
+    data["choice"] = (
+        (choice or RecordingChoice()).to_dict(list(named), evidence["odd"] if evidence else ()) if recorded else None
+    )
     content = page(data, robot=robot.name or "robot", subtitle=title).encode("utf-8")
     path = write_atomically(_temporary_file(robot.name) if html is None else html, content)
     if open_browser or (open_browser is None and html is None):
@@ -126,12 +154,28 @@ def _held_by_first(motions: Sequence[RecordedMotion]) -> Float[np.ndarray, "n 3"
     return points if len(points) else np.concatenate([motion.path for motion in motions])
 
 
-def _tip(robot: Robot, tip: str | None, named: Mapping[str, Recording]) -> str:
-    """The frame whose path is drawn: the given one, else that of the first rollout that has one, else the default."""
+def _learnt(report: DescribedReport | Mapping[str, Any] | None, guided: Mapping[str, Guidance]) -> Mapping[str, Any]:
+    """The report as a dictionary; that of the first constraint shown if none was given, empty if there is none."""
+    if report is not None:
+        return report if isinstance(report, Mapping) else report.to_dict()
+    kept = (g.constraint.provenance for g in guided.values() if g.constraint is not None)
+    return next((provenance for provenance in kept if provenance), {})
+
+
+def _own_phases(learnt: Mapping[str, Any], named: Mapping[str, Recording]) -> tuple[Phase, ...]:
+    """The report's phases of the recordings that are shown."""
+    phases = phases_from_json(learnt.get("phases") or ())
+    return tuple(p for p in phases if isinstance(named.get(p[0]), Trajectory))
+
+
+def _tip(robot: Robot, tip: str | None, named: Mapping[str, Recording], guided: Mapping[str, Guidance]) -> str:
+    """The frame whose path is drawn: the given one, else that of a rollout or of a constraint, else the default."""
     if tip is not None:
         return robot.frame(tip).name
-    guided = (r.frame for r in named.values() if isinstance(r, Rollout))
-    return next((name for name in guided if name in robot.frame_names), None) or default_tip(robot)
+    frames = [r.frame for r in named.values() if isinstance(r, Rollout)]
+    features = (g.constraint.features for g in guided.values() if g.constraint is not None)
+    frames += [frame.name for f in features if isinstance(frame := getattr(f, "frame", None), Frame)]
+    return next((name for name in frames if name in robot.frame_names), None) or default_tip(robot)
 
 
 def _named(rollouts: Mapping[str, Recording] | Recording) -> dict[str, Recording]:

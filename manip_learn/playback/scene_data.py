@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,15 +9,19 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from manip_learn.playback.constraint_marks import constraint_marks, ellipsoid_scale, places_per_motion
 from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.playback.mechanism_drawing import MechanismDrawing
+from manip_learn.playback.packing import packed
 from manip_learn.playback.phase_bands import PhaseKind
 from manip_learn.playback.recorded_motion import RecordedMotion
 from manip_learn.playback.shapes import Appearance, TriangleMesh
+from manip_learn.playback.track_data import points_per_curve, track_data
 from manip_learn.robot.robot import Robot
 
 MAX_POSTURES_FOR_BOUNDS = 120
 OUTLINE_DIRECTIONS = 240
+ELLIPSOID = 0.12  # longest semi-axis relative to the scene
 
 
 def scene_data(
@@ -35,6 +38,8 @@ def scene_data(
     """The data of a page; arrays are little-endian and in base64."""
     cloud = np.concatenate([_drawn_points(robot, looks, motions), *(mechanism.lines if mechanism else ())])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
+    most, places = points_per_curve([m.measures for m in motions]), places_per_motion(len(motions))
+    marks = [None if m.samples is None else constraint_marks(robot, m.samples, m.guidance, places) for m in motions]
     return {
         "robot": _robot(robot, tree, looks, tip),
         "bounds": [low.tolist(), high.tolist()],
@@ -42,7 +47,11 @@ def scene_data(
         "azimuth": _azimuth(motions),
         "floor": float(min(low[2], 0.0)),
         "view": "top" if _is_seen_from_above(tree) else "iso",
-        "rollouts": [_rollout(m, c) for m, c in zip(motions, colours, strict=True)],
+        "rollouts": [
+            _rollout(m, c) | {"measures": track_data(m.measures, most), "marks": mark}
+            for m, c, mark in zip(motions, colours, marks, strict=True)
+        ],
+        "ellipsoidScale": ellipsoid_scale(marks, ELLIPSOID * float(np.linalg.norm(high - low))),
         "notes": list(notes),
         "phaseKinds": [{"label": k.label, "mark": k.mark, "colour": k.colour, "ink": k.ink} for k in kinds],
         "mechanism": None if mechanism is None else _mechanism(mechanism),
@@ -53,13 +62,9 @@ def _mechanism(mechanism: MechanismDrawing) -> dict[str, Any]:
     return {
         "type": mechanism.type,
         "sentence": mechanism.sentence,
-        "lines": [_packed(line, "<f4") for line in mechanism.lines],
-        "patches": [_packed(patch, "<f4") for patch in mechanism.patches],
+        "lines": [packed(line, "<f4") for line in mechanism.lines],
+        "patches": [packed(patch, "<f4") for patch in mechanism.patches],
     }
-
-
-def _packed(array: np.ndarray, dtype: str) -> str:
-    return base64.b64encode(np.ascontiguousarray(array, dtype=dtype).tobytes()).decode("ascii")
 
 
 def _rows(pose: Float[np.ndarray, "4 4"]) -> list[float]:
@@ -110,8 +115,8 @@ def _mesh(mesh: TriangleMesh) -> dict[str, Any]:
     return {
         "origin": origin.tolist(),
         "step": step.tolist(),
-        "positions": _packed(np.rint((mesh.vertices - origin) / step), "<u2"),
-        "triangles": _packed(mesh.triangles, "<u4" if wide else "<u2"),
+        "positions": packed(np.rint((mesh.vertices - origin) / step), "<u2"),
+        "triangles": packed(mesh.triangles, "<u4" if wide else "<u2"),
         "wide": wide,
     }
 
@@ -123,14 +128,15 @@ def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
         "colour": colour[1],
         "duration": motion.duration,
         # float64: an angle of many turns must still be right to a nanoradian
-        "keyTimes": _packed(motion.key_times, "<f8"),
-        "tracks": _packed(motion.tracks, "<f8"),
-        "pathTimes": _packed(motion.path_times, "<f4"),
-        "path": _packed(motion.path, "<f4"),
-        "curveTimes": _packed(motion.curve_times, "<f8"),
-        "curve": _packed(motion.curve, "<f8"),
+        "keyTimes": packed(motion.key_times, "<f8"),
+        "tracks": packed(motion.tracks, "<f8"),
+        "pathTimes": packed(motion.path_times, "<f4"),
+        "path": packed(motion.path, "<f4"),
+        "curveTimes": packed(motion.curve_times, "<f8"),
+        "curve": packed(motion.curve, "<f8"),
         "status": [list(change) for change in motion.status],
         "firstTime": motion.first_time,
+        "fitShare": motion.fit_share,
         # start, end, number of the kind; -1 for free motion
         "phases": [[b.start, b.end, -1 if b.constraint is None else b.constraint] for b in motion.phases],
     }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, final
 
 import numpy as np
@@ -167,7 +167,7 @@ class MechanismRows(FeatureMap):
         }
 
     @staticmethod
-    def from_description(robot: Robot, described: dict[str, Any]) -> MechanismRows:
+    def from_description(robot: Robot, described: Mapping[str, Any]) -> MechanismRows:
         """The feature map that `describe` wrote down."""
         return MechanismRows(
             robot,

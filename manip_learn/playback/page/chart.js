@@ -124,6 +124,13 @@ class Chart {
     this.dots = curves.map((r) => [r, svg("circle", { r: 5, fill: r.colour, stroke: "var(--page)", "stroke-width": 2 }, root)]);
     this.element.replaceChildren(root);
     if (this.time !== undefined) this.setTime(this.time);
+    if (this.onDrawn) this.onDrawn();
+  }
+
+  // Where time begins and ends, for what is drawn below; without curves of its own, as wide as that is.
+  edges(width) {
+    if (this.left === undefined || this.element.hidden) Object.assign(this, { left: 58, right: width - 14 });
+    return this;
   }
 
   // Room for the numbers of the curve, or for the names of the bands.
@@ -193,6 +200,7 @@ class Chart {
     const used = new Set(this.rollouts.flatMap((r) => r.bands.map((b) => b.kind)));
     const phases = [...new Set(this.rollouts.flatMap((r) => r.kinds))].filter((kind) => used.has(kind));
     if (this.rollouts.some(hasGaps)) phases.push(NO_PHASE);
+    if (colouring.mode === "fit") phases.splice(0, Infinity, ...fitKey());
     return [...[...known, ...words].map((word) => this.statusStyle(word)), ...phases.map(({ colour, label, mark, ink }) => ({ colour, say: label, mark, ink }))];
   }
 }

@@ -2,7 +2,7 @@
 
 // What a control does with a key by itself is left to it.
 function isOwnKey(target, key) {
-  if (target.tagName === "SELECT" || target.tagName === "SUMMARY") return true;
+  if (target.tagName === "SELECT" || target.tagName === "SUMMARY" || target.closest?.(".sheet")) return true;
   return key === " " && target.tagName === "BUTTON" && target.id !== "play";
 }
 

@@ -11,10 +11,19 @@ function fillNotes(notes) {
   }
 }
 
+// The cards beside the tracks, from the most to the least needed.
+function fillCards(show, data, player) {
+  show.shown = new Shown(data, show);
+  fillEvidence(data.evidence);
+  if (data.choice && show.rollouts.length > 1) new RecordingChoice(data.choice, show, (rollout, visible) => player.showRollout(rollout, visible));
+  player.arrangePanel();
+}
+
 function start() {
   const data = JSON.parse(get("data").textContent), show = new Show(data);
   fillNotes(data.notes);
   const player = document.body.dataset.mode === "live" ? new Live(show, data) : new Player(show);
+  if (player instanceof Player) fillCards(show, data, player);
   window.manipLearn = {
     seek: (t) => player.seek(t),
     play: () => player.play(),
@@ -24,6 +33,13 @@ function start() {
       const rollout = show.rollouts.find((r) => r.name === name);
       if (!rollout) throw new Error(`no rollout ${name}`);
       return rollout.instance.linkMatrix(link).transpose().toArray();
+    },
+    // Every value under the cursor at time t: track -> rollout -> curve.
+    trackValues: (t) => player.tracks.valuesAt(t),
+    // Semi-axes of a rollout's ellipsoid at time t [m/s], longest first, and what it holds and leaves free now, and where.
+    marks: (name, t) => {
+      const { drawn } = show.rollouts.find((r) => r.name === name);
+      return { ...Object.fromEntries(Object.entries(drawn.drawn).map(([k, v]) => [k, v.map((d) => d.toArray())])), ellipsoid: drawn.ellipsoidAt(t), pose: drawn.poseNow() };
     },
     get time() { return show.time; },
     get duration() { return show.duration; },

@@ -28,7 +28,7 @@ function shortName(name, most = MAX_NAME) {
 
 // As many rows as there is room for; the solid recording is always among them.
 function bandRows(rollouts, room) {
-  const rows = rollouts.filter((r) => r.visible && r.bands.length), fit = Math.max(1, Math.floor(room / BAND.lowest));
+  const rows = rollouts.filter((r) => r.visible && (r.bands.length || (colouring.mode === "fit" && r.fit))), fit = Math.max(1, Math.floor(room / BAND.lowest));
   if (rows.length <= fit) return rows;
   return rows.filter((r, i) => r.solid || i < fit - 1).slice(0, fit);
 }
@@ -41,6 +41,7 @@ function drawBands(root, chart, rollout, y, row) {
     name.textContent = shortName(rollout.name, Math.min(MAX_NAME, Math.floor((chart.left - 14) / 8)));
     svg("title", {}, name).textContent = rollout.name;
   }
+  if (colouring.mode === "fit" && rollout.fit) return drawFitRow(group, chart, rollout, y, height);
   for (const { start, end, kind } of rollout.bands) {
     const x = chart.x(start), width = Math.max(chart.x(end) - x, 1.2);
     const bar = svg("rect", { x, y, width, height, rx: Math.min(2, width / 2), fill: kind.colour }, group);
@@ -65,7 +66,7 @@ function drawSliderBands(element, rollout, duration) {
 function pathColours(rollout, times, sides) {
   const n = times.length, colours = new Float32Array(3 * n * sides), known = new Map();
   for (let i = 0; i < n; i++) {
-    const hex = (phaseAt(rollout, times[i]) || NO_PHASE).colour;
+    const hex = colourOfPath(rollout, times[i]);
     if (!known.has(hex)) known.set(hex, linear(hex));
     for (let k = 0; k < sides; k++) known.get(hex).toArray(colours, 3 * (i * sides + k));
   }

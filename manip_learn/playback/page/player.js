@@ -1,4 +1,4 @@
-// Time: play, pause, scrub; and the legend.
+// Time: play, pause, scrub; and what all of it is shown in.
 
 const ICONS = {
   play: "M7 4.5v15l12-7.5z", pause: "M6 4.5h4v15H6zM14 4.5h4v15h-4z", back: "M18 5v14l-9-7zM6 5h2.4v14H6z",
@@ -25,12 +25,17 @@ function prepare(rollout, index, kinds) {
     keyTimes: decode(rollout.keyTimes, Float64Array), tracks: decode(rollout.tracks, Float64Array),
     path: decode(rollout.path, Float32Array), pathTimes: decode(rollout.pathTimes, Float32Array),
     curve: decode(rollout.curve, Float64Array), curveTimes: decode(rollout.curveTimes, Float64Array),
+    byKind: tracksByKind(rollout.measures),
   };
 }
 
 class Show {
   constructor(data) {
     this.rollouts = data.rollouts.map((r, i) => prepare(r, i, data.phaseKinds));
+    for (const rollout of this.rollouts) {
+      rollout.fit = fitOf(rollout);
+      rollout.odd = data.choice && data.choice.odd[rollout.name];
+    }
     this.duration = Math.max(...this.rollouts.map((r) => r.duration));
     this.time = 0;
     this.makeScene(data);
@@ -54,7 +59,13 @@ class Show {
     }
     this.mechanism = data.mechanism;
     const colour = (data.phaseKinds[0] || NO_PHASE).colour;
-    if (this.mechanism && this.stage) world.add(mechanismGroup(this.mechanism, colour, 0.0012 * this.stage.size));
+    if (this.mechanism && this.stage) world.add((this.mechanismGroup = mechanismGroup(this.mechanism, colour, 0.0012 * this.stage.size)));
+  }
+
+  recolour() {
+    for (const { trail } of this.rollouts) if (trail) trail.recolour();
+    if (this.onRecolour) this.onRecolour();
+    this.setTime(this.time);
   }
 
   // Numbers of all joints at time t; after the end, the last ones.
@@ -72,6 +83,7 @@ class Show {
       rollout.instance.setValues(this.valuesAt(rollout, this.time));
       if (rollout.trail) rollout.trail.setTime(this.time, rollout.instance.tipPosition());
     }
+    if (this.shown) this.shown.setTime(this.time);
     if (this.stage) {
       this.stage.sortGhosts(this.rollouts.filter((r) => !r.solid && r.visible).map((r) => r.instance));
       this.stage.dirty();
@@ -92,52 +104,11 @@ class Show {
       if (rollout.solid) rollout.instance.setOrder(0);
     }
     this.show(chosen, true);
+    if (this.shown) this.shown.apply();
     this.setTime(this.time);
   }
 
   get solid() { return this.rollouts.find((r) => r.solid); }
-}
-
-class Legend {
-  constructor(element, rollouts, { onShow, onSolid, mechanism = null }) {
-    this.rows = rollouts.map((rollout) => {
-      const row = document.createElement("div"), eye = document.createElement("button"), pick = document.createElement("button");
-      const mark = document.createElement("i"), name = document.createElement("span"), state = document.createElement("span"), mu = document.createElement("div");
-      row.style.setProperty("--colour", rollout.colour);
-      Object.assign(eye, { type: "button", className: "eye", title: "Show or hide" });
-      eye.setAttribute("aria-label", `Show ${rollout.name}`);
-      Object.assign(pick, { type: "button", className: "pick", title: `${rollout.name} (${rollout.colourName}): draw this one solid` });
-      name.className = "name"; state.className = "state"; mu.className = "mu";
-      name.textContent = rollout.name;
-      eye.append(mark); pick.append(name, state); row.append(eye, pick, mu); element.append(row);
-      eye.addEventListener("click", () => onShow(rollout, !rollout.visible));
-      pick.addEventListener("click", () => onSolid(rollout));
-      return { rollout, row, eye, pick, state, mu };
-    });
-    if (mechanism) {
-      const words = document.createElement("p");
-      words.id = "mechanism";
-      words.textContent = `Mechanism: ${mechanism.sentence}`;
-      element.prepend(words);
-    }
-    this.setTime(0);
-  }
-
-  setTime(t, sayStatus = (word) => word) {
-    for (const { rollout, row, eye, pick, state, mu } of this.rows) {
-      row.className = `rollout${rollout.solid ? " solid" : ""}${rollout.visible ? "" : " off"}`;
-      eye.setAttribute("aria-pressed", String(rollout.visible));
-      pick.setAttribute("aria-pressed", String(rollout.solid));
-      const ended = t > rollout.duration + 1e-9, word = statusAt(rollout, t), phase = phaseAt(rollout, t);
-      if (rollout.hasPhases) row.style.setProperty("--colour", (phase || NO_PHASE).colour);
-      state.textContent = [rollout.hasPhases ? phase && phase.label : rollout.colourName, word && sayStatus(word), ended && `ended at ${rollout.duration.toFixed(2)} s`].filter(Boolean).join(" · ");
-      if (rollout.curve.length) {
-        const value = document.createElement("small");
-        value.textContent = "μ";
-        mu.replaceChildren(readable(curveValue(rollout, t)), value);
-      }
-    }
-  }
 }
 
 class Player {
@@ -148,10 +119,13 @@ class Player {
     this.loop = false;
     this.chart = new Chart(get("chart"), show.rollouts, show.duration, (t) => this.seek(t));
     this.legend = new Legend(get("legend"), show.rollouts, {
-      onShow: (rollout, visible) => { show.show(rollout, visible); this.chart.draw(); this.update(); },
+      onShow: (rollout, visible) => this.showRollout(rollout, visible),
       onSolid: (rollout) => { show.makeSolid(rollout); this.chart.draw(); this.drawSlider(); this.update(); },
       mechanism: show.mechanism,
     });
+    this.tracks = new Tracks(show, this.chart, (t) => this.seek(t));
+    this.chart.onDrawn = () => this.tracks.draw();
+    show.onRecolour = () => { this.fillColourKey(); this.arrangePanel(); this.drawSlider(); };
     this.wireTransport();
     this.setLoop(!matchMedia("(prefers-reduced-motion: reduce)").matches); // where motion is unwelcome, once is enough
     wireKeys(this.keyActions());
@@ -162,17 +136,26 @@ class Player {
     requestAnimationFrame((now) => this.frame(now));
   }
 
+  showRollout(rollout, visible) {
+    this.show.show(rollout, visible);
+    this.chart.draw();
+    this.update();
+  }
+
   // Curves, bands, both or neither.
   arrangePanel() {
-    const { rollouts } = this.show, curves = rollouts.some((r) => r.curve.length), bands = rollouts.filter((r) => r.bands.length).length;
-    get("panel").hidden = !curves && !bands && rollouts.every((r) => !r.status.length);
+    const { rollouts } = this.show, fit = colouring.mode === "fit", curves = rollouts.some((r) => r.curve.length);
+    const bands = rollouts.filter((r) => r.bands.length || (fit && r.fit)).length, below = fit ? "fit" : "phases", title = get("panel-title");
+    get("chart").hidden = this.tracks.withoutFirst || (!curves && !bands && rollouts.every((r) => !r.status.length));
+    get("panel").hidden = get("chart").hidden && !this.tracks.chosen.size;
     get("chart").setAttribute("aria-label", inWords(rollouts));
-    get("phase").hidden = !bands;
-    if (!bands) return;
-    get("panel").setAttribute("aria-label", curves ? "Manipulability and phases" : "Phases");
-    if (curves) get("panel-title").append(", phases");
-    else get("panel-title").textContent = "Phases";
+    get("phase").hidden = !rollouts.some((r) => r.bands.length);
     get("log").hidden = !curves;
+    this.title ??= [...title.childNodes];
+    if (curves) title.replaceChildren(...this.title, bands ? `, ${below}` : "");
+    else title.textContent = bands ? (fit ? "Motion that breaks the constraint" : "Phases") : "Tracks";
+    get("panel").setAttribute("aria-label", curves ? `Manipulability${bands ? ` and ${below}` : ""}` : title.textContent);
+    if (!bands) return this.chart.draw();
     get("chart").style.height = curves ? "clamp(180px, 34vh, 360px)" : `min(38vh, ${44 + BAND.tallest * bands}px)`;
     this.chart.draw();
   }
@@ -180,6 +163,7 @@ class Player {
   drawSlider() { drawSliderBands(get("scrub-bands"), this.show.solid, this.show.duration); }
 
   fillColourKey() {
+    get("status-key").replaceChildren();
     for (const { colour, say, mark = "", ink } of this.chart.colourKey()) {
       const item = document.createElement("span"), image = svg("svg", { width: 16, height: mark ? 14 : 9 });
       svg("rect", { width: 16, height: mark ? 14 : 9, rx: 2, fill: colour }, image);
@@ -255,6 +239,7 @@ class Player {
   update() {
     const t = this.show.time;
     this.chart.setTime(t);
+    this.tracks.setTime(t);
     this.legend.setTime(t, (word) => this.chart.statusStyle(word).say);
     const phase = phaseAt(this.show.solid, t);
     get("phase").textContent = phase ? `${this.show.solid.name}: ${phase.label}` : "";

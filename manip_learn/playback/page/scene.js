@@ -196,8 +196,13 @@ class RobotInstance {
   linkMatrix(name) {
     const index = this.linkIndex.get(name);
     if (index === undefined) throw new Error(`no link ${name}`);
-    const pose = this.linkPlacements[index].clone();
-    for (let i = this.robot.links[index].joint; i > 0; i = this.robot.joints[i].parent) pose.premultiply(this.groups[i].matrix);
+    return this.jointMatrix(this.robot.links[index].joint).multiply(this.linkPlacements[index]);
+  }
+
+  // Pose of a joint in the robot's base, now.
+  jointMatrix(joint) {
+    const pose = new THREE.Matrix4();
+    for (let i = joint; i > 0; i = this.robot.joints[i].parent) pose.premultiply(this.groups[i].matrix);
     return pose;
   }
 
@@ -226,18 +231,29 @@ class TipPath {
     const faint = new THREE.MeshBasicMaterial({ color: colour, toneMapped: false, transparent: true, opacity: DARK.matches ? 0.45 : 0.28, depthWrite: false, ...behind(rollout.index) });
     const strong = new THREE.MeshStandardMaterial({ color: colour, roughness: 0.6, emissive: colour, emissiveIntensity: 0.25, ...behind(rollout.index) });
     this.rollout = rollout;
-    this.past = new THREE.Mesh(past, rollout.hasPhases ? this.colouredByPhase(rollout, geometry, past, faint) : strong);
-    this.ball = new THREE.Mesh(new THREE.SphereGeometry(2.6 * radius, 24, 16), strong);
-    this.group.add(new THREE.Mesh(geometry, faint), this.past, this.ball);
+    this.plain = { whole: faint, past: strong };
+    this.whole = new THREE.Mesh(geometry, faint);
+    this.past = new THREE.Mesh(past, strong);
+    this.ball = new THREE.Mesh(new THREE.SphereGeometry(2.6 * radius, 24, 16), strong.clone());
+    this.group.add(this.whole, this.past, this.ball);
+    this.recolour();
     parent.add(this.group);
   }
 
-  // Unlit, so that the colours are those of the legend.
-  colouredByPhase(rollout, geometry, past, faint) {
-    const colours = pathColours(rollout, this.times, this.sides);
-    for (const tube of [geometry, past]) tube.setAttribute("color", colours);
-    Object.assign(faint, { vertexColors: true, color: new THREE.Color(1, 1, 1), opacity: 0.5 });
-    return new THREE.MeshBasicMaterial({ vertexColors: true, toneMapped: false, ...behind(rollout.index) });
+  // Unlit where colours change along the path, so that they are those of the legend.
+  recolour() {
+    const varied = this.rollout.hasPhases || (colouring.mode === "fit" && this.rollout.fit);
+    if (varied) {
+      const colours = pathColours(this.rollout, this.times, this.sides);
+      for (const mesh of [this.whole, this.past]) mesh.geometry.setAttribute("color", colours);
+      this.varied ??= {
+        whole: new THREE.MeshBasicMaterial({ vertexColors: true, toneMapped: false, transparent: true, opacity: 0.5, depthWrite: false, ...behind(this.rollout.index) }),
+        past: new THREE.MeshBasicMaterial({ vertexColors: true, toneMapped: false, ...behind(this.rollout.index) }),
+      };
+    }
+    const materials = varied ? this.varied : this.plain;
+    this.whole.material = materials.whole;
+    this.past.material = materials.past;
   }
 
   setTime(t, tip) {
@@ -245,8 +261,7 @@ class TipPath {
     while (high - low > 1) { const middle = (low + high) >> 1; if (this.times[middle] <= t) low = middle; else high = middle; }
     this.past.geometry.setDrawRange(0, low * this.sides * 6);
     this.ball.position.copy(tip);
-    if (!this.rollout.hasPhases) return;
-    const colour = linear((phaseAt(this.rollout, t) || NO_PHASE).colour);
+    const colour = linear(colourOfPath(this.rollout, t));
     this.ball.material.color.copy(colour);
     this.ball.material.emissive.copy(colour);
   }

@@ -1,0 +1,146 @@
+"""What is drawn of a constraint at the tip: directions held and free, the task's ellipsoid, the target."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
+from manip_learn.constraint.features.frame_jacobian import AXES
+from manip_learn.playback.guidance import Guidance
+from manip_learn.playback.held_directions import HeldDirections, held_directions
+from manip_learn.playback.motion_samples import MotionSamples
+from manip_learn.playback.packing import packed, unpacked
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.frame import Frame
+from manip_learn.robot.robot import Robot
+
+MOST_PLACES, LEAST_PLACES = 12_000, 60  # of all ellipsoids of a page, and of one motion
+SIX = np.triu_indices(3)  # xx xy xz yy yz zz of a symmetric matrix
+ROUND = (1.0, 2.0, 5.0)
+
+
+def places_per_motion(n: int) -> int:
+    """At how many times the ellipsoid of each of n motions is known."""
+    return max(LEAST_PLACES, MOST_PLACES // max(n, 1))
+
+
+def constraint_marks(robot: Robot, samples: MotionSamples, guidance: Guidance, most: int) -> dict[str, Any] | None:
+    """The marks of one motion; None if its constraint is not known or is not one of a single frame.
+
+    Args:
+        robot: Whose tip it is.
+        samples: The motion.
+        guidance: Its constraint and its target.
+        most: See `places_per_motion`.
+    """
+    constraint = guidance.constraint
+    if constraint is None:
+        return None
+    kept = np.unique(np.linspace(0, samples.time.size - 1, min(samples.time.size, most)).round().astype(int))
+    frame = getattr(constraint.features, "frame", None)
+    if not isinstance(frame, Frame):
+        return None
+    kinematics = batch_kinematics(robot, frame)
+    q = samples.q[kept]
+    poses = kinematics.pose(q)
+    directions = held_directions(constraint, poses[:, :3, 3])
+    if directions is None:
+        return None
+    names = "held", "free", "held_turns", "free_turns"
+    return {
+        "tip": _place(robot, frame),
+        "axes": None if directions.axes is None else _place(robot, directions.axes),
+        "times": packed(samples.time[kept], "<f8"),
+        **{_key(n): packed(getattr(directions, n)[..., *SIX], "<f4") for n in names},
+        "ellipsoid": packed(_ellipsoids(robot, directions, q)[:, *SIX], "<f4"),
+        "target": _target(robot, constraint, guidance.target, samples.q[0]),
+    }
+
+
+def ellipsoid_scale(marks: Sequence[dict[str, Any] | None], size: float) -> float:
+    """Length drawn for a speed of 1 m/s: 1, 2 or 5 times a power of ten, the largest ellipsoid fits into the scene.
+
+    Args:
+        marks: Those of each motion.
+        size: What the longest semi-axis may take [m].
+    """
+    longest = 0.0
+    for mark in marks:
+        if mark is not None:
+            numbers = unpacked(mark["ellipsoid"], "<f4").reshape(-1, 6).astype(np.float64)
+            full = np.zeros((len(numbers), 3, 3))
+            full[:, *SIX] = numbers
+            full[:, SIX[1], SIX[0]] = numbers
+            longest = max(longest, float(np.sqrt(np.maximum(np.linalg.eigvalsh(full), 0.0).max(initial=0.0))))
+    if longest <= 0.0:
+        return 1.0
+    wanted = size / longest
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(power * max(m for m in ROUND if m * power <= wanted * (1.0 + 1e-9)))
+
+
+def _ellipsoids(robot: Robot, directions: HeldDirections, q: Float[np.ndarray, "P n"]) -> Float[np.ndarray, "P 3 3"]:
+    """H J_v J_v^T H in the axes of the directions: semi-axes are the tip's speeds along what is held, at |u| = 1.
+
+    Of rows that only move this is Lambda^T A A^T Lambda: its semi-axes are the singular values of A.
+    """
+    J = batch_kinematics(robot, directions.frame).jacobian(q, "world")[:, :3]
+    if directions.axes is not None:
+        rotation = batch_kinematics(robot, directions.axes).pose(q)[:, :3, :3]
+        J = rotation.transpose(0, 2, 1) @ J
+    held = directions.held @ J
+    return held @ held.transpose(0, 2, 1)
+
+
+def _target(
+    robot: Robot, constraint: Constraint, target: np.ndarray | None, q: Float[np.ndarray, " n"]
+) -> dict[str, Any] | None:
+    """Place of the target in the frame of a joint; coordinates that the target lacks are those of the start."""
+    features = constraint.features
+    if target is None or not isinstance(features, FrameJacobian | RelativeFrameJacobian | MechanismRows):
+        return None
+    carrier = features.relative_to if isinstance(features, RelativeFrameJacobian) else None
+    pose = robot.pose(q, features.frame)
+    here = pose[:3, 3] if carrier is None else (np.linalg.inv(robot.pose(q, carrier)) @ pose)[:3, 3]
+    if target.shape == (4, 4):
+        point = target[:3, 3]
+    elif isinstance(features, MechanismRows):
+        return None  # distances from an axis are no place
+    else:
+        point = _completed(constraint, target, here, features.coordinates(q))
+    if point is None:
+        return None
+    return {"carrier": None if carrier is None else _place(robot, carrier), "point": [float(x) for x in point]}
+
+
+def _completed(
+    constraint: Constraint, target: np.ndarray, here: Float[np.ndarray, " 3"], r: Float[np.ndarray, " p"]
+) -> Float[np.ndarray, " 3"] | None:
+    names = constraint.features.row_names
+    if target.shape == r.shape:
+        goal = target
+    elif target.shape == (constraint.n_constraints,):  # along the constrained rows: the nearest place from the start
+        goal = r + constraint.selection.T @ (target - constraint.selection @ r)
+    else:
+        return None
+    point = here.copy()
+    for name, value in zip(names, goal, strict=True):
+        if name in AXES[:3]:
+            point[AXES.index(name)] = value
+    return point if any(name in AXES[:3] for name in names) else None
+
+
+def _place(robot: Robot, frame: Frame) -> dict[str, Any]:
+    """Joint that carries a frame, and the frame's pose in the joint's, row by row."""
+    placement = robot.pinocchio_model.frames[frame.index].placement.homogeneous
+    return {"joint": frame.parent_joint, "placement": [float(x) for x in placement.ravel()]}
+
+
+def _key(name: str) -> str:
+    head, *rest = name.split("_")
+    return head + "".join(word.capitalize() for word in rest)

@@ -1,0 +1,124 @@
+"""The samples of a rollout or a recording, checked and with their columns in the robot's order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.control.rollout import Rollout
+from manip_learn.errors import RecordingError
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.velocities import derive_velocities
+from manip_learn.robot.robot import Robot
+
+LEAST_SAMPLES = 5  # that velocities are derived from
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class MotionSamples:
+    """Samples of a motion; times count from the first one [s].
+
+    Attributes:
+        time: shape (T,).
+        q: shape (T, n).
+        first_time: Of the first sample, on the motion's own clock [s].
+        velocity_time: shape (U,), of the velocities: those of all samples, or fewer where they had to be derived.
+        velocity_q: shape (U, n), the postures that the velocities belong to.
+        u: shape (U, nv) [rad/s or m/s]; empty if they are not known.
+    """
+
+    time: Float[np.ndarray, " T"]
+    q: Float[np.ndarray, "T n"]
+    first_time: float
+    velocity_time: Float[np.ndarray, " U"]
+    velocity_q: Float[np.ndarray, "U n"]
+    u: Float[np.ndarray, "U nv"]
+
+
+def motion_samples(robot: Robot, name: str, recording: Rollout | Trajectory) -> MotionSamples:
+    """Check a motion, and derive its velocities if it has none.
+
+    Raises:
+        RecordingError: No samples, shapes that do not fit, time that does not increase, NaN, another robot, or other
+            joints locked.
+    """
+    if isinstance(recording, Rollout) and recording.robot is not None:
+        recording.robot.refuse_another(robot, f"rollout {name!r}")
+    time = finite(name, "time", recording.time, 1)
+    if time.size == 0:
+        raise RecordingError(f"rollout {name!r} has no samples: there is nothing to replay", code="empty")
+    if np.any(np.diff(time) <= 0.0):
+        i = int(np.argmax(np.diff(time) <= 0.0))
+        raise RecordingError(
+            f"rollout {name!r}: time must increase, sample {i + 1} is at {time[i + 1]} s after {time[i]} s",
+            code="time-order",
+        )
+    q, order = _columns_of(robot, name, recording, time.size)
+    first = float(time[0])
+    u = getattr(recording, "u", None)
+    if u is not None:
+        u = np.asarray(u, dtype=np.float64)
+        if u.shape != (time.size, robot.nv):
+            raise RecordingError(
+                f"rollout {name!r}: u has shape {u.shape}, {(time.size, robot.nv)} is needed: one row per time",
+                code="shape",
+            )
+        return MotionSamples(time - first, q, first, time - first, q, u[:, order])
+    if time.size >= LEAST_SAMPLES:
+        derived = derive_velocities(Trajectory(time, q, None, robot.joint_names, name), robot)
+        if derived.u is not None:
+            return MotionSamples(time - first, q, first, derived.time - first, derived.q, derived.u)
+    return MotionSamples(time - first, q, first, time[:0], q[:0], np.zeros((0, robot.nv)))
+
+
+def finite(name: str, what: str, values: object, ndim: int) -> np.ndarray:
+    """Values as finite float64 numbers.
+
+    Raises:
+        RecordingError: Something else; says which sample.
+    """
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"rollout {name!r}: {what} must be numbers: {error}", code="not-a-number") from error
+    if array.ndim != ndim:
+        raise RecordingError(
+            f"rollout {name!r}: {what} must have {ndim} dimension(s), got shape {array.shape}", code="shape"
+        )
+    if not np.all(np.isfinite(array)):
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise RecordingError(
+            f"rollout {name!r}: {what} of sample {where[0]} is {array[where]}, a finite number is needed: "
+            "cut the recording before it",
+            code="not-finite",
+        )
+    return array
+
+
+def _columns_of(
+    robot: Robot, name: str, recording: Rollout | Trajectory, T: int
+) -> tuple[Float[np.ndarray, "T n"], list[int]]:
+    """Postures with their columns in the robot's order, and where the robot's joints are among the recording's."""
+    q = finite(name, "q", recording.q, 2)
+    if q.shape[0] != T:
+        raise RecordingError(f"rollout {name!r} has {T} times and {q.shape[0]} postures", code="shape")
+    names = tuple(recording.joint_names) or robot.joint_names
+    if set(names) != set(robot.joint_names) or len(names) != robot.nv:
+        missing = [n for n in robot.joint_names if n not in names]
+        extra = [n for n in names if n not in robot.joint_names]
+        what = "; ".join(
+            f"{label} {', '.join(some[:6])}" for label, some in (("missing", missing), ("not its own", extra)) if some
+        )
+        raise RecordingError(
+            f"rollout {name!r} was not made with robot {robot.name!r}: joints {what or 'given twice'}; "
+            "load the robot that it was made with",
+            code="joint-names",
+        )
+    order = [names.index(n) for n in robot.joint_names]
+    if names != robot.joint_names and q.shape[1] == robot.nv:
+        q = q[:, order]
+    return q, order

@@ -1,0 +1,205 @@
+// The constraint at the tip: arrows along what is free, a disc across what is held, the ellipsoid of the task, the target.
+
+const ARROW = 0.085, THIN = 0.0022; // half length of an arrow and radius of a line, relative to the scene
+const FADED = 0.25;
+const SYMMETRIC = [[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]];
+
+function symmetric(numbers, i) {
+  const m = [[0, 0, 0], [0, 0, 0], [0, 0, 0]];
+  SYMMETRIC.forEach(([r, c], k) => (m[r][c] = m[c][r] = numbers[6 * i + k]));
+  return m;
+}
+
+// Eigenvalues, largest first, and unit eigenvectors of a symmetric 3 x 3 matrix, by Jacobi's rotations.
+function eigen(matrix) {
+  const a = matrix.map((row) => [...row]), v = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+  for (let sweep = 0; sweep < 30; sweep++) {
+    const off = Math.abs(a[0][1]) + Math.abs(a[0][2]) + Math.abs(a[1][2]);
+    if (off < 1e-15 * (Math.abs(a[0][0]) + Math.abs(a[1][1]) + Math.abs(a[2][2]) + 1e-300)) break;
+    for (const [p, q] of [[0, 1], [0, 2], [1, 2]]) {
+      if (a[p][q] === 0) continue;
+      const theta = (a[q][q] - a[p][p]) / (2 * a[p][q]), t = (theta >= 0 ? 1 : -1) / (Math.abs(theta) + Math.hypot(theta, 1));
+      const c = 1 / Math.hypot(t, 1), s = t * c;
+      for (let k = 0; k < 3; k++) { const x = a[k][p], y = a[k][q]; a[k][p] = c * x - s * y; a[k][q] = s * x + c * y; }
+      for (let k = 0; k < 3; k++) { const x = a[p][k], y = a[q][k]; a[p][k] = c * x - s * y; a[q][k] = s * x + c * y; }
+      for (let k = 0; k < 3; k++) { const x = v[k][p], y = v[k][q]; v[k][p] = c * x - s * y; v[k][q] = s * x + c * y; }
+    }
+  }
+  const found = [0, 1, 2].map((k) => ({ value: a[k][k], vector: v.map((row) => row[k]) }));
+  return found.sort((x, y) => y.value - x.value);
+}
+
+// Orthonormal directions that a projector keeps; those of a plane stay with the axes, so that they do not spin.
+function directionsOf(projector) {
+  const kept = eigen(projector).filter((e) => e.value > 0.5).map((e) => new THREE.Vector3(...e.vector));
+  if (kept.length !== 2) return kept;
+  const normal = kept[0].clone().cross(kept[1]).normalize();
+  const axis = [new THREE.Vector3(1, 0, 0), new THREE.Vector3(0, 1, 0), new THREE.Vector3(0, 0, 1)].sort((x, y) => Math.abs(x.dot(normal)) - Math.abs(y.dot(normal)))[0];
+  const first = axis.addScaledVector(normal, -axis.dot(normal)).normalize();
+  return [first, normal.clone().cross(first)];
+}
+
+// Numbers of a table with one row a time, between rows on the line; a table of one row holds always.
+function rowAt(times, table, width, t) {
+  if (table.length === width) return table;
+  const i = indexAt(times, t), from = table.subarray(i * width, (i + 1) * width);
+  if (i + 1 >= times.length || t <= times[i]) return from;
+  const share = (t - times[i]) / (times[i + 1] - times[i]), to = table.subarray((i + 1) * width, (i + 2) * width);
+  return from.map((x, k) => x + share * (to[k] - x));
+}
+
+class ConstraintMarks {
+  constructor(marks, instance, size, scale) {
+    Object.assign(this, { instance, size, scale, target: marks.target });
+    this.tip = this.place(marks.tip);
+    this.axes = marks.axes && this.place(marks.axes);
+    this.times = decode(marks.times, Float64Array);
+    for (const name of ["held", "free", "heldTurns", "freeTurns", "ellipsoid"]) this[name] = decode(marks[name], Float32Array);
+    this.group = new THREE.Group();
+    this.parts = { constraint: new THREE.Group(), ellipsoid: new THREE.Group(), target: new THREE.Group() };
+    this.group.add(...Object.values(this.parts));
+    this.inks = { free: this.ink("--free"), held: this.ink("--held"), veil: this.ink("--held", 0.25), egg: this.ink("--ellipsoid", 0.3), rim: this.ink("--ellipsoid"), goal: this.ink("--goal"), haze: this.ink("--goal", 0.35) };
+    this.addEllipsoid();
+    this.addTarget(marks.target);
+    this.drawn = null;
+  }
+
+  place({ joint, placement }) { return { joint, placement: matrixFromRows(placement) }; }
+
+  // Seen through the hand, which would hide them.
+  ink(name, opacity = 1) {
+    const material = new THREE.MeshBasicMaterial({ toneMapped: false, transparent: true, opacity, depthTest: false, depthWrite: false, side: THREE.DoubleSide });
+    material.userData.opacity = opacity;
+    onTheme(() => material.color.copy(linear(pageColour(name))));
+    return material;
+  }
+
+  mesh(geometry, ink) { return Object.assign(new THREE.Mesh(geometry, ink), { renderOrder: 60 }); }
+
+  line(from, to, ink, radius = THIN) { return this.mesh(tubeGeometry([...from.toArray(), ...to.toArray()], radius * this.size), ink); }
+
+  head(at, direction, ink, size = 1) {
+    const r = 3.2 * THIN * this.size * size, cone = this.mesh(new THREE.ConeGeometry(r, 3.2 * r, 20), ink);
+    cone.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), direction);
+    cone.position.copy(at);
+    return cone;
+  }
+
+  poseOf({ joint, placement }) { return this.instance.jointMatrix(joint).multiply(placement); }
+
+  // Faint where the constraint does not hold.
+  fade(share) {
+    for (const ink of Object.values(this.inks)) ink.opacity = share * ink.userData.opacity;
+  }
+
+  setTime(t, isHeld) {
+    const tip = this.poseOf(this.tip), centre = new THREE.Vector3().setFromMatrixPosition(tip);
+    const turn = this.axes ? new THREE.Quaternion().setFromRotationMatrix(new THREE.Matrix4().extractRotation(this.poseOf(this.axes))) : new THREE.Quaternion();
+    for (const part of [this.parts.constraint, this.parts.ellipsoid]) {
+      part.position.copy(centre);
+      part.quaternion.copy(turn);
+    }
+    if (this.drawn === null || this.held.length > 6) this.drawDirections(t);
+    this.placeEllipsoid(t);
+    this.fade(isHeld ? 1 : FADED);
+    if (this.target && this.target.carrier) this.poseOf(this.carrier).decompose(this.parts.target.position, this.parts.target.quaternion, new THREE.Vector3());
+  }
+
+  // Row-major pose of what is drawn at the tip.
+  poseNow() {
+    const { position, quaternion } = this.parts.constraint;
+    return new THREE.Matrix4().compose(position, quaternion, new THREE.Vector3(1, 1, 1)).transpose().toArray();
+  }
+
+  drawDirections(t) {
+    const at = (name) => directionsOf(symmetric(rowAt(this.times, this[name], 6, t), 0));
+    this.drawn = { held: at("held"), free: at("free"), heldTurns: at("heldTurns"), freeTurns: at("freeTurns") };
+    for (const old of this.parts.constraint.children) old.geometry.dispose();
+    this.parts.constraint.clear();
+    const { held, free, heldTurns, freeTurns } = this.drawn, add = (...meshes) => this.parts.constraint.add(...meshes);
+    if (held.length && free.length < 3) for (const d of free) add(...this.arrow(d));
+    if (held.length === 1) add(...this.bar(held[0]));
+    if (held.length === 2) add(...this.disc(held[0].clone().cross(held[1]).normalize()));
+    if (held.length === 3) add(this.mesh(new THREE.SphereGeometry(0.3 * ARROW * this.size, 24, 16), this.inks.veil));
+    if (heldTurns.length) for (const d of freeTurns) add(...this.arc(d));
+    for (const d of heldTurns) add(this.ring(d, 0.62, this.inks.held, THIN));
+  }
+
+  arrow(d) {
+    const end = d.clone().multiplyScalar(ARROW * this.size), back = end.clone().negate();
+    return [this.line(back, end, this.inks.free), this.head(end, d, this.inks.free), this.head(back, d.clone().negate(), this.inks.free)];
+  }
+
+  // Blocked on both sides.
+  bar(d) {
+    const end = d.clone().multiplyScalar(0.5 * ARROW * this.size), back = end.clone().negate();
+    return [this.line(back, end, this.inks.held), this.plate(end, d), this.plate(back, d)];
+  }
+
+  plate(at, d) {
+    const mesh = this.mesh(new THREE.CircleGeometry(0.2 * ARROW * this.size, 32), this.inks.held);
+    mesh.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), d);
+    mesh.position.copy(at);
+    return mesh;
+  }
+
+  disc(normal) {
+    const mesh = this.mesh(new THREE.CircleGeometry(0.5 * ARROW * this.size, 48), this.inks.veil);
+    mesh.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), normal);
+    return [mesh, this.ring(normal, 0.5, this.inks.held, THIN)];
+  }
+
+  ring(normal, radius, ink, thickness) {
+    const mesh = this.mesh(new THREE.TorusGeometry(radius * ARROW * this.size, thickness * this.size, 8, 64), ink);
+    mesh.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), normal);
+    return mesh;
+  }
+
+  // Three quarters of a turn about d, with a head.
+  arc(d) {
+    const r = 0.75 * ARROW * this.size, mesh = this.mesh(new THREE.TorusGeometry(r, THIN * this.size, 8, 64, 1.5 * Math.PI), this.inks.free);
+    mesh.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), d);
+    const end = new THREE.Vector3(0, -r, 0).applyQuaternion(mesh.quaternion), along = new THREE.Vector3(1, 0, 0).applyQuaternion(mesh.quaternion);
+    return [mesh, this.head(end, along, this.inks.free)];
+  }
+
+  addEllipsoid() {
+    this.egg = this.mesh(new THREE.SphereGeometry(1, 40, 28), this.inks.egg);
+    this.egg.matrixAutoUpdate = false;
+    this.semiaxes = [0, 1, 2].map(() => Object.assign(this.mesh(new THREE.CylinderGeometry(1, 1, 2, 10), this.inks.rim), { matrixAutoUpdate: false }));
+    this.parts.ellipsoid.add(this.egg, ...this.semiaxes);
+  }
+
+  // Lengths of the semi-axes [m/s] and their directions, longest first, at time t.
+  ellipsoidAt(t) {
+    return eigen(symmetric(rowAt(this.times, this.ellipsoid, 6, t), 0)).map(({ value, vector }) => ({ length: Math.sqrt(Math.max(value, 0)), vector }));
+  }
+
+  placeEllipsoid(t) {
+    const axes = this.ellipsoidAt(t), thin = THIN * this.size, v = axes.map((a) => new THREE.Vector3(...a.vector)), long = axes.map((a) => Math.max(a.length * this.scale, 0.4 * thin));
+    this.egg.matrix.makeBasis(...v.map((x, k) => x.clone().multiplyScalar(long[k])));
+    this.semiaxes.forEach((mesh, k) => {
+      const side = v[(k + 1) % 3].clone().multiplyScalar(0.5 * thin), up = v[(k + 2) % 3].clone().multiplyScalar(0.5 * thin);
+      mesh.matrix.makeBasis(side, v[k].clone().multiplyScalar(long[k]), up);
+      mesh.visible = long[k] > thin;
+    });
+  }
+
+  addTarget(target) {
+    if (!target) return;
+    if (target.carrier) this.carrier = this.place(target.carrier);
+    const at = new THREE.Vector3(...target.point), r = 0.009 * this.size;
+    const ball = this.mesh(new THREE.SphereGeometry(r, 24, 16), this.inks.goal);
+    ball.position.copy(at);
+    this.parts.target.add(ball);
+    for (const [x, y, z] of [[1, 0, 0], [0, 1, 0], [0, 0, 1]]) {
+      const d = new THREE.Vector3(x, y, z).multiplyScalar(3 * r);
+      this.parts.target.add(this.line(at.clone().sub(d), at.clone().add(d), this.inks.goal, 0.7 * THIN));
+    }
+    // along what is free every place counts as reached
+    const free = this.free.length === 6 && !this.axes ? directionsOf(symmetric(this.free, 0)) : [];
+    if (free.length !== 1) return;
+    const d = free[0].multiplyScalar(3 * ARROW * this.size);
+    this.parts.target.add(this.line(at.clone().sub(d), at.clone().add(d), this.inks.haze, 0.8 * THIN));
+  }
+}

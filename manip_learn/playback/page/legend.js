@@ -1,0 +1,44 @@
+// Names, colours and values now of everything that is played.
+
+class Legend {
+  constructor(element, rollouts, { onShow, onSolid, mechanism = null }) {
+    this.rows = rollouts.map((rollout) => {
+      const row = document.createElement("div"), eye = document.createElement("button"), pick = document.createElement("button");
+      const mark = document.createElement("i"), name = document.createElement("span"), state = document.createElement("span"), mu = document.createElement("div");
+      row.style.setProperty("--colour", rollout.colour);
+      Object.assign(eye, { type: "button", className: "eye", title: "Show or hide" });
+      eye.setAttribute("aria-label", `Show ${rollout.name}`);
+      Object.assign(pick, { type: "button", className: "pick", title: `${rollout.name} (${rollout.colourName}): draw this one solid` });
+      name.className = "name"; state.className = "state"; mu.className = "mu";
+      name.textContent = rollout.name;
+      if (rollout.odd) name.append(Object.assign(document.createElement("span"), { className: "odd", textContent: " odd", title: rollout.odd }));
+      eye.append(mark); pick.append(name, state); row.append(eye, pick, mu); element.append(row);
+      eye.addEventListener("click", () => onShow(rollout, !rollout.visible));
+      pick.addEventListener("click", () => onSolid(rollout));
+      return { rollout, row, eye, pick, state, mu };
+    });
+    if (mechanism) {
+      const words = document.createElement("p");
+      words.id = "mechanism";
+      words.textContent = `Mechanism: ${mechanism.sentence}`;
+      element.prepend(words);
+    }
+    this.setTime(0);
+  }
+
+  setTime(t, sayStatus = (word) => word) {
+    for (const { rollout, row, eye, pick, state, mu } of this.rows) {
+      row.className = `rollout${rollout.solid ? " solid" : ""}${rollout.visible ? "" : " off"}`;
+      eye.setAttribute("aria-pressed", String(rollout.visible));
+      pick.setAttribute("aria-pressed", String(rollout.solid));
+      const ended = t > rollout.duration + 1e-9, word = statusAt(rollout, t), phase = phaseAt(rollout, t);
+      if (rollout.hasPhases) row.style.setProperty("--colour", (phase || NO_PHASE).colour);
+      state.textContent = [rollout.hasPhases ? phase && phase.label : rollout.colourName, word && sayStatus(word), ended && `ended at ${rollout.duration.toFixed(2)} s`].filter(Boolean).join(" · ");
+      if (rollout.curve.length) {
+        const value = document.createElement("small");
+        value.textContent = "μ";
+        mu.replaceChildren(readable(curveValue(rollout, t)), value);
+      }
+    }
+  }
+}

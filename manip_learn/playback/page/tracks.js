@@ -1,0 +1,220 @@
+// Further curves below the manipulability, one track below the other, under the same cursor.
+
+const TRACKS = {
+  singular: { title: "Singular values of A", of: "one", log: true },
+  velocity: { title: "Joint velocities over their limits", of: "one", low: -1, high: 1, percent: true, limits: [-1, 1] },
+  position: { title: "Joint positions between their limits", of: "one", low: 0, high: 1, percent: true, limits: [0, 1] },
+  "task-error": { title: "Distance to the target, constrained rows", of: "all", low: 0, log: true },
+  "following-error": { title: "Following error", of: "all", low: 0, log: true },
+  fit: { title: "Motion that breaks the constraint", of: "all", low: 0, percent: true, least: 0.1 },
+};
+const TRACK_HEIGHT = 104, MOST_TOGETHER = 8, SERIES = 8;
+
+// The tracks of a rollout, by their kinds.
+function tracksByKind(measures) {
+  const clocks = measures.clocks.map((clock) => decode(clock, Float64Array)), found = new Map();
+  for (const { kind, unit, without, curves } of measures.tracks) {
+    const times = (c) => (c.times === undefined ? clocks[c.clock] : decode(c.times, Float32Array));
+    found.set(kind, { unit, without, curves: curves.map((c) => ({ name: c.name, times: times(c), values: decode(c.values, Float32Array) })) });
+  }
+  return found;
+}
+
+// Value of a curve at time t: on the line that is drawn; NaN before its first and after its last sample, and in gaps.
+function valueAt({ times, values }, t) {
+  const last = times.length - 1;
+  if (last < 0 || t < times[0] - 1e-6 || t > times[last] + 1e-6) return NaN;
+  const i = indexAt(times, t);
+  if (i >= last || t <= times[i]) return values[i];
+  const share = (t - times[i]) / (times[i + 1] - times[i]);
+  return share === 0 ? values[i] : values[i] + share * (values[i + 1] - values[i]);
+}
+
+function trackText(kind, unit, value) {
+  if (Number.isNaN(value)) return "–";
+  if (TRACKS[kind].percent) return `${(100 * value).toFixed(Math.abs(value) < 0.0995 ? 1 : 0)} %`;
+  return `${readable(value)}${unit ? ` ${unit}` : ""}`;
+}
+
+class Tracks {
+  constructor(show, chart, onSeek) {
+    Object.assign(this, { show, chart, rows: [], time: 0 });
+    this.kinds = Object.keys(TRACKS).filter((kind) => show.rollouts.some((r) => r.byKind.has(kind)));
+    this.chosen = new Set(this.kinds.filter((kind) => kind === "fit" && !show.rollouts.some((r) => r.curve.length || r.bands.length)));
+    this.element = Object.assign(document.createElement("div"), { id: "tracks" });
+    get("chart").after(this.element);
+    let width = 0;
+    new ResizeObserver(() => { if (this.element.clientWidth !== width) { width = this.element.clientWidth; this.draw(); } }).observe(this.element);
+    this.wireSeek(onSeek);
+    if (this.kinds.length) this.offerChoice();
+  }
+
+  offerChoice() {
+    const box = addSheet("track-choice", "Tracks", "What is drawn over time"), { rollouts } = this.show;
+    const first = [rollouts.some((r) => r.curve.length) && "Manipulability", rollouts.some((r) => r.status.length) && "status", rollouts.some((r) => r.bands.length) && "phases"].filter(Boolean).join(", ");
+    if (first) box.append(checkbox(first[0].toUpperCase() + first.slice(1), true, (on) => this.showFirst(on), { track: "first" }));
+    for (const kind of this.kinds)
+      box.append(checkbox(TRACKS[kind].title, this.chosen.has(kind), (on) => {
+        if (on) this.chosen.add(kind); else this.chosen.delete(kind);
+        this.arrange();
+      }, { track: kind }));
+  }
+
+  showFirst(on) {
+    this.withoutFirst = !on;
+    get("chart").hidden = !on;
+    this.arrange();
+  }
+
+  arrange() {
+    get("panel").hidden = get("chart").hidden && !this.chosen.size;
+    this.draw();
+  }
+
+  wireSeek(onSeek) {
+    let from = null;
+    const seek = (event) => {
+      const { left, right, start, duration } = this.chart.edges(this.element.clientWidth), at = event.clientX - this.element.getBoundingClientRect().left;
+      onSeek(start + Math.min(Math.max((at - left) / Math.max(right - left, 1), 0), 1) * duration);
+    };
+    const sideways = (event) => Math.abs(event.clientX - from.clientX) > Math.abs(event.clientY - from.clientY);
+    this.element.addEventListener("pointerdown", (event) => { from = event; if (event.pointerType !== "touch") seek(event); });
+    this.element.addEventListener("pointermove", (event) => {
+      if (event.buttons & 1 && from && (event.pointerType !== "touch" || sideways(event))) seek(event);
+    });
+    this.element.addEventListener("click", seek);
+  }
+
+  // Of one motion where each has several curves, else of all visible ones as long as they can be told apart.
+  rolloutsOf(kind) {
+    const having = this.show.rollouts.filter((r) => r.visible && r.byKind.has(kind)), solid = having.filter((r) => r.solid);
+    const single = TRACKS[kind].of === "one" || having.length > MOST_TOGETHER;
+    return single ? (solid.length ? solid : having.slice(0, 1)) : having;
+  }
+
+  draw() {
+    this.rows = this.kinds.filter((kind) => this.chosen.has(kind)).map((kind) => new TrackRow(kind, this.rolloutsOf(kind), this.chart, this.show.rollouts.length > 1));
+    this.element.replaceChildren(...this.rows.map((row) => row.figure));
+    for (const row of this.rows) row.draw();
+    this.setTime(this.time);
+  }
+
+  setTime(t) {
+    this.time = t;
+    for (const row of this.rows) row.setTime(t);
+  }
+
+  // Every value under the cursor, as numbers: track -> rollout -> curve.
+  valuesAt(t) {
+    return Object.fromEntries(this.kinds.map((kind) => [kind, Object.fromEntries(this.show.rollouts.filter((r) => r.byKind.has(kind)).map((r) =>
+      [r.name, Object.fromEntries(r.byKind.get(kind).curves.map((c) => [c.name, valueAt(c, Math.min(t, r.duration))]))]))]));
+  }
+}
+
+class TrackRow {
+  constructor(kind, rollouts, chart, named) {
+    Object.assign(this, { kind, rollouts, chart, form: TRACKS[kind] });
+    this.curves = rollouts.flatMap((r) => r.byKind.get(kind).curves.map((curve, k) => ({ curve, rollout: r, k, own: this.form.of === "all" })));
+    this.unit = rollouts.length ? rollouts[0].byKind.get(kind).unit.replace("limit", "") : "";
+    this.figure = Object.assign(document.createElement("figure"), { className: "track" });
+    const caption = document.createElement("figcaption"), title = document.createElement("b");
+    title.textContent = this.form.title;
+    caption.append(title);
+    if (named && this.form.of === "one" && rollouts.length) caption.append(this.whose(rollouts[0]));
+    this.values = this.curves.map(({ curve, rollout, k, own }) => {
+      const item = document.createElement("span"), mark = svg("svg", { width: 18, height: 4, "aria-hidden": "true" }), text = document.createElement("span");
+      svg("line", { x1: 0, x2: 18, y1: 2, y2: 2, ...this.stroke(rollout, k, own) }, mark);
+      item.className = "value";
+      item.append(mark, `${own ? rollout.name : curve.name} `, text);
+      caption.append(item);
+      return text;
+    });
+    const without = [...new Set(rollouts.flatMap((r) => r.byKind.get(kind).without))];
+    if (without.length) caption.append(Object.assign(document.createElement("span"), { className: "without", textContent: `no limits: ${without.join(", ")}` }));
+    this.box = Object.assign(document.createElement("div"), { className: "curves" });
+    this.figure.append(caption, this.box);
+  }
+
+  whose(rollout) {
+    const name = Object.assign(document.createElement("span"), { className: "of", textContent: rollout.name });
+    name.style.setProperty("--colour", rollout.colour);
+    return name;
+  }
+
+  stroke(rollout, k, own) {
+    const colour = own ? rollout.colour : `var(--series-${k % SERIES})`;
+    const dash = own ? DASHES[rollout.index % DASHES.length] : DASHES[Math.floor(k / SERIES) % DASHES.length];
+    return { style: `stroke: ${colour}`, "stroke-width": own && rollout.solid && this.rollouts.length > 1 ? 3 : 2, "stroke-dasharray": dash };
+  }
+
+  get logarithmic() { return this.chart.logarithmic && Boolean(this.form.log); }
+
+  findRange() {
+    let low = this.form.low === undefined ? Infinity : this.form.low, high = this.form.high === undefined ? -Infinity : this.form.high, least = Infinity;
+    for (const { curve } of this.curves)
+      for (const v of curve.values) {
+        if (v < low) low = v;
+        if (v > high) high = v;
+        if (v > 0 && v < least) least = v;
+      }
+    if (!(high > -Infinity)) return [0, 1];
+    if (this.logarithmic && high > 0) {
+      least = Math.max(least, 1e-12 * high);
+      return [Math.pow(10, Math.floor(Math.log10(least))), Math.pow(10, Math.ceil(Math.log10(high) + 1e-9))];
+    }
+    if (low > 0 && this.form.low === undefined) low = 0;
+    high = Math.max(high, this.form.least || 0);
+    const room = 0.06 * (high - low || Math.abs(high) || 1);
+    return [low < (this.form.low ?? 0) || this.form.limits ? low - room : low, high + room];
+  }
+
+  y(value) {
+    const [low, high] = this.range, of = (v) => (this.logarithmic ? Math.log10(Math.max(v, low)) : v);
+    return this.bottom - ((of(value) - of(low)) / (of(high) - of(low))) * (this.bottom - this.top);
+  }
+
+  ticks() {
+    if (this.form.limits) return this.form.limits[0] < 0 ? [-1, 0, 1] : [0, 0.5, 1];
+    const [low, high] = this.range;
+    if (!this.logarithmic) return niceTicks(low, high, 3);
+    const from = Math.round(Math.log10(low)), to = Math.round(Math.log10(high)), every = Math.max(1, Math.ceil((to - from) / 3)), found = [];
+    for (let k = from; k <= to; k += every) found.push(Math.pow(10, k));
+    return found;
+  }
+
+  draw() {
+    const w = this.box.clientWidth;
+    if (w < 50) return;
+    const { left, right } = this.chart.edges(w);
+    Object.assign(this, { top: 6, bottom: TRACK_HEIGHT - 8, range: this.findRange() });
+    const root = svg("svg", { width: w, height: TRACK_HEIGHT, "aria-hidden": "true" });
+    for (const v of this.ticks()) {
+      const y = this.y(v), limit = (this.form.limits || []).includes(v);
+      svg("line", { x1: left, x2: right, y1: y, y2: y, class: limit ? "limit" : "grid" }, root);
+      svg("text", { x: left - 8, y: y + 4, "text-anchor": "end" }, root).textContent = this.form.percent ? `${Math.round(100 * v)} %` : short(v);
+    }
+    for (const { curve, rollout, k, own } of this.curves)
+      svg("path", { d: this.path(curve), fill: "none", "stroke-linejoin": "round", ...this.stroke(rollout, k, own) }, root);
+    this.cursor = svg("line", { y1: 0, y2: TRACK_HEIGHT, class: "cursor" }, root);
+    this.box.replaceChildren(root);
+  }
+
+  path({ times, values }) {
+    const parts = [];
+    let pen = false;
+    for (let i = 0; i < times.length; i++) {
+      if (Number.isNaN(values[i])) { pen = false; continue; }
+      parts.push(`${pen ? "L" : "M"}${this.chart.x(times[i]).toFixed(1)} ${this.y(values[i]).toFixed(1)}`);
+      pen = true;
+    }
+    return parts.join("");
+  }
+
+  setTime(t) {
+    this.curves.forEach(({ curve, rollout }, i) => (this.values[i].textContent = trackText(this.kind, this.unit, valueAt(curve, Math.min(t, rollout.duration)))));
+    if (!this.cursor) return;
+    const x = this.chart.x(t);
+    this.cursor.setAttribute("x1", x);
+    this.cursor.setAttribute("x2", x);
+  }
+}

@@ -1,0 +1,213 @@
+"""Tracks, marks, evidence and choice in headless Chromium: what is shown at the cursor is what the library computes."""
+
+# ruff: noqa: F811  fixtures of another file are arguments here
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_playback_browser import chromium, opened, wait_until  # noqa: F401
+from test_replay_tracks import START, TARGET, drawer, rollout  # noqa: F401
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.playback import RecordingChoice, replay
+from manip_learn.recordings.trajectory import Trajectory
+
+pytestmark = pytest.mark.browser
+BETWEEN = [0.0, 0.1, 0.105, 0.4637, 0.73, 0.999, 1.0]  # at key frames, at other samples, between samples
+
+
+def library_values(robot, constraint, rollout, t) -> dict[str, dict[str, float]]:
+    """Track -> curve -> value at time t, straight between the samples."""
+    at = lambda values: float(np.interp(t, rollout.time, values))  # noqa: E731
+    sigma = np.array([np.linalg.svd(constraint(q), compute_uv=False) for q in rollout.q])
+    span = robot.position_upper - robot.position_lower
+    names = robot.joint_names
+    return {
+        "singular": {f"σ{k + 1}": at(sigma[:, k]) for k in range(sigma.shape[1])},
+        "velocity": {n: at(rollout.u[:, i] / robot.velocity_limit[i]) for i, n in enumerate(names)},
+        "position": {n: at((rollout.q[:, i] - robot.position_lower[i]) / span[i]) for i, n in enumerate(names)},
+        "task-error": {"": at(rollout.task_error)},
+        "following-error": {"": at(rollout.following_error)},
+    }
+
+
+def test_values_at_the_cursor_are_the_librarys(robot_of, drawer, rollout, tmp_path, opened):
+    """At key frames, at samples and between them, for every curve of every track."""
+    robot = robot_of("sawyer")
+    slipping = replace(rollout, following_error=np.linspace(0.0, 0.02, len(rollout)) ** 2)
+    page = opened(replay(robot, {"a": slipping}, tmp_path / "a.html").html.as_uri())
+    for t in BETWEEN:
+        shown = page.evaluate("t => manipLearn.trackValues(t)", t)
+        expected = library_values(robot, drawer, slipping, t)
+        assert shown.keys() == expected.keys()
+        for kind, curves in expected.items():
+            assert shown[kind]["a"] == pytest.approx(curves, rel=1e-5, abs=1e-6), f"{kind} at {t} s"
+
+
+def test_marks_are_the_librarys(robot_of, drawer, rollout, tmp_path, opened):
+    """Directions held and free, and the ellipsoid: its semi-axes are the singular values of A, between samples too."""
+    robot = robot_of("sawyer")
+    page = opened(replay(robot, {"a": rollout}, tmp_path / "a.html").html.as_uri())
+    for t in BETWEEN:
+        page.evaluate("t => manipLearn.seek(t)", t)
+        marks = page.evaluate("t => manipLearn.marks('a', t)", t)
+        i = int(np.searchsorted(rollout.time, t + 1e-9) - 1)
+        j = min(i + 1, len(rollout) - 1)
+        share = 0.0 if i == j else (t - rollout.time[i]) / (rollout.time[j] - rollout.time[i])
+        M = sum(
+            w * drawer.selection.T @ drawer(rollout.q[k]) @ drawer(rollout.q[k]).T @ drawer.selection
+            for k, w in ((i, 1.0 - share), (j, share))
+        )
+        lengths = [axis["length"] for axis in marks["ellipsoid"]]
+        np.testing.assert_allclose(lengths, np.sqrt(np.maximum(np.linalg.eigvalsh(M)[::-1], 0.0)), atol=2e-4)
+        if share < 1e-9:
+            sigma = np.linalg.svd(drawer(rollout.q[i]), compute_uv=False)
+            np.testing.assert_allclose(lengths[:2], sigma, atol=1e-5)
+        held = np.array(marks["held"])
+        np.testing.assert_allclose(held @ held.T, np.eye(2), atol=1e-6)
+        np.testing.assert_allclose(held.T @ held, drawer.selection.T @ drawer.selection, atol=1e-6)
+        (free,) = np.array(marks["free"])
+        np.testing.assert_allclose(drawer.selection @ free, 0.0, atol=1e-6)
+
+
+def test_marks_of_the_hands_own_axes_turn_with_it(robot_of, drawer, rollout, tmp_path, opened):
+    """Rows along the hand's axes are drawn in them, at the tip, where kinematics puts both."""
+    robot = robot_of("sawyer")
+    local = Constraint(drawer.selection, FrameJacobian(robot, "right_gripper_tip", "xyz", "local"))
+    page = opened(replay(robot, {"a": rollout}, tmp_path / "a.html", constraint=local).html.as_uri())
+    for i in (0, 60, 100):
+        page.evaluate("t => manipLearn.seek(t)", float(rollout.time[i]))
+        pose = np.array(page.evaluate("manipLearn.marks('a', manipLearn.time).pose")).reshape(4, 4)
+        np.testing.assert_allclose(pose, robot.pose(rollout.q[i], local.features.frame), atol=1e-6)
+
+
+def test_tracks_are_switched_and_share_the_cursor(robot_of, rollout, tmp_path, opened):
+    """At first none is drawn; each box adds one, with its values; a click in it moves time; all cursors agree."""
+    page = opened(replay(robot_of("sawyer"), {"a": rollout}, tmp_path / "a.html").html.as_uri())
+    assert page.locator("#tracks .track").count() == 0
+    page.locator("#track-choice summary").click()
+    for kind in ("singular", "velocity"):
+        page.locator(f"[data-track={kind}]").check()
+    page.locator("#track-choice summary").click()
+    assert page.locator("#tracks figcaption b").all_inner_texts() == [
+        "Singular values of A",
+        "Joint velocities over their limits",
+    ]
+    box = page.locator("#tracks .curves").first.bounding_box()
+    left, right = box["x"] + 58, box["x"] + box["width"] - 14
+    page.mouse.click(left + 0.6 * (right - left), box["y"] + 30)
+    t = page.evaluate("manipLearn.time")
+    assert t == pytest.approx(0.6, abs=0.01)
+    cursors = page.locator("#tracks .cursor, #chart line[stroke-width='1.5']").evaluate_all(
+        "lines => lines.map((line) => Number(line.getAttribute('x1')))"
+    )
+    assert len(cursors) == 3 and max(cursors) - min(cursors) < 1e-6
+    sigma = page.evaluate("manipLearn.trackValues(manipLearn.time).singular.a")["σ1"]
+    assert float(page.locator("#tracks .value span").first.inner_text()) == pytest.approx(sigma, rel=1e-2)
+    page.locator("#track-choice summary").click()
+    page.locator("[data-track=first]").uncheck()
+    assert not page.locator("#chart").is_visible() and page.locator("#tracks .track").count() == 2
+    page.keyboard.press("Escape")
+    assert not page.locator("#track-choice section").is_visible()
+
+
+def recordings_page(robot, constraint, rollout, path, command=()):
+    """Three recordings, the last of which breaks the constraint and is odd."""
+    wrong = rollout.u + 0.5 * np.linalg.pinv(constraint(rollout.q[0]))[:, 0]
+    demos = {"a": rollout.u, "b": rollout.u, "c": wrong}
+    named = {n: Trajectory(rollout.time, rollout.q, u, robot.joint_names, n) for n, u in demos.items()}
+    choice = RecordingChoice(command, {"a": 0, "b": 1, "c": 2}) if command else None
+    report = {"sentence": "moves freely along x", "gap": 12.0, "odd_trajectories": [["c", "moves 3 mm"]]}
+    phases = [(n, 0.2, 0.8, 0) for n in named]
+    return replay(robot, named, path, constraint=constraint, report=report, phases=phases, choice=choice).html.as_uri()
+
+
+def test_recordings_are_left_out_with_their_command(robot_of, drawer, rollout, tmp_path, opened):
+    """The box hides a recording and changes the command line; odd ones are marked and left out by one button."""
+    robot = robot_of("sawyer")
+    page = opened(recordings_page(robot, drawer, rollout, tmp_path / "a.html", ("manip-learn", "learn", "a b")))
+    assert page.locator("#legend .name").all_inner_texts() == ["a", "b", "c odd"]
+    page.locator("#choice summary").click()
+    command = page.locator("#choice code")
+    assert command.inner_text() == "manip-learn learn 'a b' --episodes 0:3"
+    page.locator("[data-recording=b]").uncheck()
+    assert command.inner_text() == "manip-learn learn 'a b' --episodes 0,2"
+    assert page.locator("#legend .eye").nth(1).get_attribute("aria-pressed") == "false"
+    page.get_by_role("button", name="Without the odd ones").click()
+    assert command.inner_text() == "manip-learn learn 'a b' --episodes 0:2"
+    page.get_by_role("button", name="None").click()
+    assert "at least one" in command.inner_text() and page.locator("#choice .command button").is_disabled()
+    page.get_by_role("button", name="All").click()
+    page.locator("#choice .command button").click()
+    wait_until(page, "document.querySelector('#choice .said').textContent.includes('cop')")
+    assert "moves 3 mm" in page.locator("#choice .odd").inner_text()
+
+
+def test_without_a_command_line_the_choice_is_python(robot_of, drawer, rollout, tmp_path, opened):
+    """A page written from Python says how to leave recordings out there."""
+    page = opened(recordings_page(robot_of("sawyer"), drawer, rollout, tmp_path / "a.html"))
+    page.locator("#choice summary").click()
+    page.locator("[data-recording=b]").uncheck()
+    expected = 'ml.Demonstrations([d for d in demos if d.name not in {"b"}])'
+    assert page.locator("#choice code").inner_text() == expected
+
+
+def test_colours_of_the_fit(robot_of, drawer, rollout, tmp_path, opened):
+    """Bands and key change to the fit and back; what breaks the constraint has another colour than what fits."""
+    page = opened(recordings_page(robot_of("sawyer"), drawer, rollout, tmp_path / "a.html"))
+    rows = page.locator("#chart .bands")
+    before, key = rows.nth(2).inner_html(), page.locator("#status-key").inner_text()
+    page.locator("#shown summary").click()
+    page.locator("[name=colours][value=fit]").check()
+    assert "100 %" in page.locator("#status-key").inner_text()
+    middle = "bands => { const bars = [...bands.querySelectorAll('rect')]; return bars[bars.length >> 1]; }"
+    titles = [rows.nth(k).evaluate(f"bands => ({middle})(bands).textContent") for k in range(3)]
+    shares = page.evaluate("manipLearn.trackValues(0.5).fit")
+    for name, title in zip("abc", titles, strict=True):
+        assert float(title.split(": ")[1].split(" %")[0]) == pytest.approx(100.0 * shares[name]["share"], abs=1.0)
+    page.locator("[name=colours][value=phase]").check()
+    assert rows.nth(2).inner_html() == before and page.locator("#status-key").inner_text() == key
+
+
+def test_marks_and_evidence_are_switched(robot_of, drawer, rollout, tmp_path, opened):
+    """Each element of the scene has a box that changes the picture; the evidence is told in words; one card is open."""
+    robot = robot_of("sawyer")
+    kept = Constraint(drawer.selection, drawer.features, {"sentence": "moves freely along x", "gap": 12.0})
+    page = opened(replay(robot, {"a": rollout}, tmp_path / "a.html", constraint=kept).html.as_uri())
+    page.evaluate("manipLearn.seek(0.5)")
+
+    def picture():
+        page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        return page.locator("#scene canvas").screenshot(style="#legend, #notes, .sheet { visibility: hidden }")
+
+    page.locator("#shown summary").click()
+    names = page.locator("[data-shown]").evaluate_all("boxes => boxes.map((box) => [box.dataset.shown, box.checked])")
+    assert names == [["constraint", True], ["target", True], ["ellipsoid", False], ["paths", True]]
+    for name, _ in names:
+        before = picture()
+        page.locator(f"[data-shown={name}]").click()
+        assert picture() != before, name
+    assert "drawn for 1 m/s" in page.locator("#shown .key").inner_text()
+    page.locator("#evidence summary").click()
+    assert not page.locator("#shown section").is_visible()
+    told = page.locator("#evidence section").inner_text()
+    assert "moves freely along x" in told and "12" in told and "10 and above is clear" in told
+
+
+@pytest.mark.parametrize("width", [320, 390, 1000])
+def test_cards_and_tracks_stay_within_the_window(robot_of, drawer, rollout, tmp_path, opened, width):
+    """No card and no track is wider than the window, at the width of a phone either."""
+    page = opened(recordings_page(robot_of("sawyer"), drawer, rollout, tmp_path / "a.html"), width, 700)
+    for name in ("track-choice", "shown", "evidence", "choice"):
+        page.locator(f"#{name} summary").click()
+        box = page.locator(f"#{name} section").bounding_box()
+        assert box["x"] >= 0.0 and box["x"] + box["width"] <= width, name
+        if name == "track-choice":
+            for track in page.locator("[data-track]").all():
+                track.check()
+        page.locator(f"#{name} summary").click()
+    assert page.locator("#tracks").bounding_box()["width"] <= width

@@ -1,0 +1,403 @@
+"""Tracks, marks, evidence and choice of a replay: the page's numbers are the library's own."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manip_learn.cli import main
+from manip_learn.commands.demo import shipped_recordings
+from manip_learn.commands.typed_command import learning_command, typed, typed_command
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.policies import ManipulabilityAscent
+from manip_learn.control.rollout import Rollout
+from manip_learn.control.simulation import simulate
+from manip_learn.control.tasks import PointAttractor
+from manip_learn.errors import ConstraintMismatchError, TargetError
+from manip_learn.learning import ConstraintLearner
+from manip_learn.playback import RecordingChoice, replay
+from manip_learn.playback.constraint_marks import SIX
+from manip_learn.playback.evidence import evidence_of
+from manip_learn.playback.extremes import extremes
+from manip_learn.playback.held_directions import held_directions
+from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.episode_numbers import numbers_read
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.velocities import derive_velocities
+
+START = np.array([0.3, -0.9, 0.2, 1.6, 0.1, 0.7, 0.4])
+TARGET = (0.6, 0.27, 0.35)
+
+
+def data_in(path: Path) -> dict:
+    """What the page's program reads."""
+    text = path.read_text(encoding="utf-8")
+    return json.loads(re.search(r'id="data">(.*?)</script>', text, re.DOTALL)[1])
+
+
+def numbers(text: str, dtype: str = "<f4") -> np.ndarray:
+    """Unpacked."""
+    return np.frombuffer(base64.b64decode(text), dtype)
+
+
+def curves_of(rollout: dict, kind: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Curve -> times and values of a track in the page."""
+    measures = rollout["measures"]
+    clocks = [numbers(clock, "<f8") for clock in measures["clocks"]]
+    track = next(t for t in measures["tracks"] if t["kind"] == kind)
+    return {
+        c["name"]: (clocks[c["clock"]] if "clock" in c else numbers(c["times"]), numbers(c["values"]))
+        for c in track["curves"]
+    }
+
+
+@pytest.fixture(scope="module")
+def drawer(robot_of) -> Constraint:
+    """Two rows of a drawer, held by hand."""
+    robot = robot_of("sawyer")
+    rows = np.array([[-0.42, 0.91, 0.0], [0.0, 0.0, 1.0]])
+    return Constraint(rows, FrameJacobian(robot, "right_gripper_tip", "xyz"), {"kind": "motion-constrained"})
+
+
+@pytest.fixture(scope="module")
+def rollout(robot_of, drawer) -> Rollout:
+    """One second towards a target."""
+    controller = ResolvedRateController(drawer, PointAttractor(TARGET), ManipulabilityAscent(drawer))
+    return simulate(robot_of("sawyer"), controller, START, 1.0, 0.01)
+
+
+def test_tracks_hold_the_numbers_of_the_library(robot_of, drawer, rollout, tmp_path):
+    """Every sample of every track: singular values, velocities and positions by their limits, both errors."""
+    robot = robot_of("sawyer")
+    slipping = replace(rollout, following_error=np.linspace(0.0, 0.02, len(rollout)))
+    page = data_in(replay(robot, {"a": slipping}, tmp_path / "a.html").html)["rollouts"][0]
+    sigma = np.array([np.linalg.svd(drawer(q), compute_uv=False) for q in rollout.q])
+    between = (rollout.q - robot.position_lower) / (robot.position_upper - robot.position_lower)
+    expected = {
+        "singular": {"σ1": sigma[:, 0], "σ2": sigma[:, 1]},
+        "velocity": dict(zip(robot.joint_names, (rollout.u / robot.velocity_limit).T, strict=True)),
+        "position": dict(zip(robot.joint_names, between.T, strict=True)),
+        "task-error": {"": rollout.task_error},
+        "following-error": {"": slipping.following_error},
+    }
+    assert [t["kind"] for t in page["measures"]["tracks"]] == list(expected)  # and no fit: b is not zero here
+    units = {t["kind"]: t["unit"] for t in page["measures"]["tracks"]}
+    assert units["task-error"] == "m" and units["following-error"] == "rad"
+    for kind, curves in expected.items():
+        shown = curves_of(page, kind)
+        assert list(shown) == list(curves)
+        for name, values in curves.items():
+            np.testing.assert_array_equal(shown[name][0], rollout.time - rollout.time[0])
+            np.testing.assert_allclose(shown[name][1], values, rtol=1e-6, atol=1e-7)
+
+
+def test_joints_without_limits_are_named(robot_of, tmp_path):
+    """A joint that has no range is left out of that track, and the page says which."""
+    robot = robot_of("wrist")
+    time = 0.1 * np.arange(4.0)
+    q = np.array([robot.neutral()] * 4)
+    motion = Trajectory(time, q, np.zeros((4, robot.nv)), robot.joint_names, "still")
+    page = data_in(replay(robot, motion, tmp_path / "a.html").html)["rollouts"][0]
+    finite = np.isfinite(robot.position_lower) & np.isfinite(robot.position_upper)
+    tracks = {t["kind"]: t for t in page["measures"]["tracks"]}
+    assert tracks["position"]["without"] == [n for n, f in zip(robot.joint_names, finite, strict=True) if not f] != []
+
+
+def test_the_fit_of_recordings_is_that_of_the_constraint(robot_of, drawer, rollout, tmp_path):
+    """|A+ A u| / |u| of each moving sample; over all samples it is `Constraint.residual`; at rest there is a gap."""
+    robot = robot_of("sawyer")
+    u = rollout.u.copy()
+    u[:5] = 0.0
+    demo = Trajectory(rollout.time + 3.0, rollout.q, u, robot.joint_names, "demo")
+    page = data_in(replay(robot, {"demo": demo}, tmp_path / "a.html", constraint=drawer).html)["rollouts"][0]
+    ((_, shares),) = curves_of(page, "fit").values()
+    assert np.all(np.isnan(shares[:5]))
+    speed = np.linalg.norm(u, axis=1)
+    moving = speed > 0.1 * np.sqrt(np.mean(speed**2))
+    expected = [
+        np.linalg.norm(np.linalg.pinv(drawer(q)) @ drawer(q) @ v) / np.linalg.norm(v)
+        for q, v in zip(rollout.q[moving], u[moving], strict=True)
+    ]
+    np.testing.assert_allclose(shares[moving], expected, rtol=1e-6)
+    assert page["fitShare"] == pytest.approx(drawer.residual([demo]), rel=1e-12)
+
+
+def test_the_fit_is_that_of_each_phase(robot_of, drawer, rollout, tmp_path):
+    """Within a phase its own constraint counts, outside the first; where none is known, or b != 0, there is no fit."""
+    robot = robot_of("sawyer")
+    demo = Trajectory(rollout.time, rollout.q, rollout.u, robot.joint_names, "demo")
+    other = Constraint([[1.0, 0.0, 0.0]], drawer.features)
+    phases = (("demo", 0.0, 0.3, 0), ("demo", 0.4, 0.6, 1), ("demo", 0.7, 0.8, 2))
+    given = {"phases": phases, "constraint": (drawer, other)}
+    page = data_in(replay(robot, {"demo": demo}, tmp_path / "a.html", **given).html)["rollouts"][0]
+    ((times, shares),) = curves_of(page, "fit").values()
+    for t, share in zip(times, shares, strict=True):
+        i = int(np.argmin(np.abs(rollout.time - t)))
+        if 0.7 <= t <= 0.8:
+            assert np.isnan(share)
+        elif not np.isnan(share):
+            own = other if 0.4 <= t <= 0.6 else drawer
+            u = rollout.u[i]
+            expected = np.linalg.norm(np.linalg.pinv(own(rollout.q[i])) @ own(rollout.q[i]) @ u) / np.linalg.norm(u)
+            assert share == pytest.approx(expected, rel=1e-5)
+    imposed = Constraint(drawer.selection, drawer.features, {"kind": "self-imposed"})
+    page = data_in(replay(robot, {"demo": demo}, tmp_path / "b.html", constraint=imposed).html)["rollouts"][0]
+    assert "fit" not in [t["kind"] for t in page["measures"]["tracks"]] and page["fitShare"] is None
+
+
+def test_recordings_without_velocities_show_derived_ones(robot_of, rollout, tmp_path):
+    """They are those that the learner derives, at their own times; too few samples have none."""
+    robot = robot_of("sawyer")
+    bare = Trajectory(rollout.time, rollout.q, None, robot.joint_names, "demo")
+    derived = derive_velocities(bare, robot)
+    page = data_in(replay(robot, bare, tmp_path / "a.html").html)["rollouts"][0]
+    times, values = curves_of(page, "velocity")[robot.joint_names[1]]
+    np.testing.assert_allclose(times, derived.time)
+    np.testing.assert_allclose(values, derived.u[:, 1] / robot.velocity_limit[1], rtol=1e-6, atol=1e-7)
+    page = data_in(replay(robot, bare[0.0:0.02], tmp_path / "b.html").html)["rollouts"][0]
+    assert [t["kind"] for t in page["measures"]["tracks"]] == ["position"]
+
+
+def test_thinned_curves_keep_every_extreme(rng):
+    """A dip or a peak of one sample among 60,000 stays; gaps stay gaps; short curves stay whole."""
+    values = np.sin(np.linspace(0.0, 30.0, 60_000))
+    values[[7_777, 41_234]] = -3.0, 5.0
+    values[50_000:55_000] = np.nan
+    kept = extremes(values, 500)
+    assert kept.size <= 502 and kept[0] == 0 and kept[-1] == values.size - 1
+    assert {7_777, 41_234} <= set(kept.tolist())
+    assert np.isnan(values[kept]).any()
+    np.testing.assert_array_equal(extremes(values[:500], 500), np.arange(500))
+
+
+def test_ten_minutes_at_100_hz_stay_small_and_keep_their_peaks(robot_of, drawer, tmp_path):
+    """60,000 samples with all tracks: less than 4 MB, and the largest velocity is in the page."""
+    robot = robot_of("sawyer")
+    time = 0.01 * np.arange(60_000)
+    q = START + 0.2 * np.sin(0.4 * time[:, None] + np.arange(7.0))
+    u = 0.08 * np.cos(0.4 * time[:, None] + np.arange(7.0))
+    u[31_415, 3] = 1.0
+    demo = Trajectory(time, q, u, robot.joint_names, "long")
+    result = replay(robot, {"long": demo}, tmp_path / "a.html", constraint=drawer)
+    assert result.bytes < 4_000_000
+    times, values = curves_of(data_in(result.html)["rollouts"][0], "velocity")[robot.joint_names[3]]
+    assert values.max() == pytest.approx(1.0 / robot.velocity_limit[3], rel=1e-6)
+    assert times[np.argmax(values)] == pytest.approx(314.15, abs=1e-4)
+
+
+def ranks(directions) -> list[int]:
+    """How many directions are held, free, held in turning, free in turning."""
+    names = "held", "free", "held_turns", "free_turns"
+    return [round(float(np.trace(np.atleast_3d(getattr(directions, n)).reshape(-1, 3, 3)[0]))) for n in names]
+
+
+def test_directions_held_and_free(robot_of):
+    """A drawer, a surface, rows along the hand's own axes, a plane robot, and rows that turn as they move."""
+    robot = robot_of("sawyer")
+    here = robot.position(START, robot.frame("right_hand"))[None]
+    xyz = FrameJacobian(robot, "right_hand", "xyz")
+    drawer = held_directions(Constraint([[0, 1, 0], [0, 0, 1]], xyz), here)
+    assert drawer is not None and drawer.axes is None and ranks(drawer) == [2, 1, 0, 0]
+    np.testing.assert_allclose(drawer.free, np.diag([1.0, 0.0, 0.0]), atol=1e-12)
+    table = held_directions(Constraint([[0, 0, 1]], FrameJacobian(robot, "right_hand", "xyz", "local")), here)
+    assert table is not None and table.axes == robot.frame("right_hand") and ranks(table) == [1, 2, 0, 0]
+    pose = held_directions(Constraint(np.eye(6)[[2, 3, 4]], FrameJacobian(robot, "right_hand", "pose")), here)
+    assert ranks(pose) == [1, 2, 2, 1]
+    np.testing.assert_allclose(pose.free_turns, np.diag([0.0, 0.0, 1.0]), atol=1e-12)
+    coupled = held_directions(Constraint([[1, 0, 0, 0, 1, 0]], FrameJacobian(robot, "right_hand", "pose")), here)
+    assert ranks(coupled) == [0, 3, 0, 3]  # moving along x alone breaks it only without the turn that goes with it
+    planar = robot_of("planar3")
+    flat = held_directions(Constraint(np.eye(3)[:1], FrameJacobian(planar, "tip", "planar")), np.zeros((1, 3)))
+    assert ranks(flat) == [1, 1, 0, 1]
+    seen = RelativeFrameJacobian(robot, "right_hand", "right_l2", "xyz")
+    assert held_directions(Constraint([[0, 0, 1]], seen), here).axes == robot.frame("right_l2")
+
+
+@pytest.mark.parametrize("rows", ["radial axial", "turn-1 turn-2 slide-1 slide-2 slide"])
+def test_a_hinge_leaves_its_tangent_free_everywhere(robot_of, rows):
+    """On each place of the circle, near the axis too, the tangent is free and what is across it is held."""
+    robot = robot_of("sawyer")
+    axis, point = np.array([0.0, 0.6, 0.8]), np.array([0.4, 0.1, 0.3])
+    features = MechanismRows(robot, "right_hand", rows, axis=axis, point=point)
+    arm = np.cross(axis, [1.0, 0.0, 0.0])
+    places = np.array([point + r * arm + 0.1 * axis for r in (0.02, 0.3, 1.5)])
+    directions = held_directions(Constraint(np.eye(features.n_rows), features), places)
+    assert directions is not None and directions.free.shape == (3, 3, 3)
+    tangent = np.cross(axis, arm)
+    for held, free in zip(directions.held, directions.free, strict=True):
+        np.testing.assert_allclose(free, np.outer(tangent, tangent), atol=1e-9)
+        np.testing.assert_allclose(held, np.eye(3) - free, atol=1e-9)
+    if "turn-1" in rows:
+        np.testing.assert_allclose(directions.free_turns[0], np.outer(axis, axis), atol=1e-9)
+
+
+@pytest.mark.parametrize("reference", ["world", "local"])
+def test_the_ellipsoid_has_the_singular_values_as_semi_axes(robot_of, drawer, rollout, tmp_path, reference):
+    """At every time of the table, in the axes of the rows; the scale is round and stated."""
+    robot = robot_of("sawyer")
+    features = FrameJacobian(robot, "right_gripper_tip", "xyz", reference)
+    constraint = Constraint(drawer.selection, features)
+    data = data_in(replay(robot, {"a": rollout}, tmp_path / "a.html", constraint=constraint).html)
+    marks = data["rollouts"][0]["marks"]
+    table = numbers(marks["ellipsoid"]).reshape(-1, 6)
+    for t, six in zip(numbers(marks["times"], "<f8"), table, strict=True):
+        q = rollout.q[int(np.argmin(np.abs(rollout.time - t)))]
+        M = np.zeros((3, 3))
+        M[SIX] = six
+        M = M + np.triu(M, 1).T
+        A = constraint(q)
+        np.testing.assert_allclose(M, constraint.selection.T @ A @ A.T @ constraint.selection, atol=1e-6)
+    assert (marks["axes"] is None) == (reference == "world")
+    scale = data["ellipsoidScale"]
+    assert round(scale / 10.0 ** np.floor(np.log10(scale)), 9) in (1, 2, 5)
+
+
+def test_the_target_is_where_the_task_wants_the_tip(robot_of, drawer, rollout, tmp_path):
+    """From the rollout's file, from the argument, along the rows, as a pose, seen from a frame that moves."""
+    robot = robot_of("sawyer")
+
+    def target(motion, **given):
+        page = replay(robot, {"a": motion}, tmp_path / "a.html", **given).html
+        return data_in(page)["rollouts"][0]["marks"]["target"]
+
+    saved = Rollout.load(rollout.save(tmp_path / "r.npz"), robot)
+    assert target(saved) == {"carrier": None, "point": pytest.approx(TARGET)}
+    assert target(saved, target=[0.1, 0.2, 0.3])["point"] == [0.1, 0.2, 0.3]
+    pose = np.eye(4)
+    pose[:3, 3] = 0.4, 0.5, 0.6
+    assert target(saved, target=pose)["point"] == [0.4, 0.5, 0.6]
+    rows = drawer.selection @ np.array(TARGET)
+    point = np.array(target(saved, target=rows)["point"])
+    np.testing.assert_allclose(drawer.selection @ point, rows, atol=1e-12)
+    start = robot.position(rollout.q[0], robot.frame("right_gripper_tip"))
+    along = np.linalg.svd(drawer.selection)[2][2]
+    assert along @ point == pytest.approx(along @ start)  # nothing is said of what is free
+    seen = Constraint(np.eye(3), RelativeFrameJacobian(robot, "right_gripper_tip", "right_l2", "xyz"))
+    carried = target(saved, constraint=seen, target=[0.1, 0.0, 0.2])
+    assert carried["point"] == [0.1, 0.0, 0.2]
+    assert carried["carrier"]["joint"] == robot.frame("right_l2").parent_joint
+    for wrong in ("here", [np.nan, 0, 0]):
+        with pytest.raises(TargetError, match="target to show"):
+            target(saved, target=wrong)
+
+
+def test_a_rollout_shows_its_own_constraint_and_mechanism(robot_of, drawer, rollout, tmp_path):
+    """Also from its file; the evidence that its constraint keeps is in the page, and its frame is drawn."""
+    robot = robot_of("sawyer")
+    line = {"type": "line", "axis": [0.91, 0.42, 0.0], "point": [0.6, 0.2, 0.3], "sentence": "a line"}
+    learnt = {"kind": "motion-constrained", "sentence": "moves freely", "gap": 12.0, "mechanism": line}
+    constraint = Constraint(drawer.selection, drawer.features, learnt)
+    controller = ResolvedRateController(constraint, PointAttractor(TARGET))
+    moved = Rollout.load(simulate(robot, controller, START, 0.1, 0.01).save(tmp_path / "r.csv"), robot)
+    data = data_in(replay(robot, {"a": moved}, tmp_path / "a.html").html)
+    assert data["mechanism"]["type"] == "line"
+    assert data["evidence"]["headline"] == "moves freely" and data["evidence"]["facts"][0][:2] == ["Gap", "12"]
+    assert data["robot"]["tip"] == "right_gripper_tip" and data["choice"] is None
+    bare = data_in(replay(robot, {"a": replace(moved, constraint=None)}, tmp_path / "b.html").html)
+    assert bare["mechanism"] is None and bare["evidence"] is None and bare["rollouts"][0]["marks"] is None
+
+
+def test_constraints_of_other_robots_are_refused(robot_of, drawer, rollout, tmp_path):
+    """A constraint of another robot names both."""
+    planar = robot_of("planar3")
+    still = Trajectory([0.0, 1.0], np.zeros((2, 3)), None, planar.joint_names, "still")
+    with pytest.raises(ConstraintMismatchError, match="'sawyer'.*'planar3'"):
+        replay(planar, still, tmp_path / "a.html", constraint=drawer)
+
+
+def test_evidence_in_words():
+    """Gap, residual, uncertainty with what they mean; rows with their verdicts; what is missing is left out."""
+    report = {
+        "sentence": "s", "kind": "motion-constrained", "estimator": "null-space", "gap": 3940.2, "n_constraints": 2,
+        "held_out_residual": 0.004, "uncertainty_deg": 0.01, "n_samples": 1200, "n_trajectories": 1,
+        "row_evidence": [{"strength": 261.0, "p_value": 0.005, "state": "held"},
+                         {"strength": 2e7, "p_value": None, "state": "untried"}],
+        "evidence": "2 rows held", "warnings": ["w"], "odd_trajectories": [["a.csv", "moves 3 mm"]],
+    }  # fmt: skip
+    told = evidence_of(report)
+    assert [fact[:2] for fact in told["facts"]] == [
+        ["Gap", "3,940"], ["Residual", "0.4 %"], ["Direction", "± 0.01°"], ["Learnt from", "1,200 samples"]
+    ]  # fmt: skip
+    assert "2 rows" in told["facts"][0][2] and "10 and above is clear" in told["facts"][0][2]
+    assert told["rows"] == [
+        ["row 1", "held", "261 times", "p = 0.005"],
+        ["row 2", "not tried: nothing moved along it", "over a million times", ""],
+    ]
+    assert told["odd"] == [["a.csv", "moves 3 mm"]] and told["warnings"] == ["w"] and told["kind"] == ""
+    assert "1.5 and above" in evidence_of(report | {"estimator": "joint"})["facts"][0][2]
+    assert "b is not 0" in evidence_of({"kind": "self-imposed"})["kind"]
+    odd = {"gap": float("nan"), "rows": 3, "row_evidence": "x", "warnings": None, "odd_trajectories": [3]}
+    assert evidence_of(odd)["facts"] == [] and evidence_of({})["headline"] == ""
+
+
+def test_a_learnt_constraint_keeps_its_evidence(robot_of, tmp_path):
+    """What a constraint file holds is enough for the evidence that the report itself gives, but for its notes."""
+    robot = robot_of("sawyer")
+    demos = load_demonstrations(sorted((shipped_recordings() / "sawyer_drawer").glob("*.csv"))[:6], robot)
+    learner = ConstraintLearner(FrameJacobian(robot, "right_gripper_tip", "xyz")).fit(demos)
+    kept = Constraint.load(learner.constraint_.save(tmp_path / "c.json"), robot).provenance
+    assert evidence_of(kept) == evidence_of(learner.report_) | {"notes": []}
+
+
+def test_the_choice_knows_the_numbers_of_files(robot_of):
+    """Places among all files, natural order, also where some were selected; typed selections are replaced."""
+    robot = robot_of("sawyer")
+    folder = shipped_recordings() / "sawyer_door"
+    assert numbers_read([folder], robot) == tuple(range(8))
+    assert numbers_read([folder], robot, episodes="2:4,6") == (2, 3, 6)
+    words = ("manip-learn", "learn", "my arm.urdf", "--episodes", "1:3", "--episodes=2", "x.csv")
+    choice = RecordingChoice.of(words, ("a", "b"), (4, 6)).to_dict(["a", "b"], [["b", "odd"], ["c", "gone"]])
+    assert choice["command"] == "manip-learn learn 'my arm.urdf' x.csv"
+    assert choice["episodes"] == [4, 6] and choice["odd"] == {"b": "odd"}
+    split = RecordingChoice.of(words, ("a", "b", "c"), (0, 1)).to_dict(["a", "b", "c"], [])
+    assert split["command"] == "" and split["episodes"] == []
+
+
+def test_the_command_of_the_page_does_what_it_says(tmp_path, monkeypatch, capsys):
+    """Run with the numbers of three recordings, the command line of the page learns from just these three."""
+    monkeypatch.chdir(tmp_path)
+    folder = str(shipped_recordings() / "sawyer_door")
+    frame = ["--frame", "right_gripper_tip"]
+    assert main(["learn", "sawyer", folder, *frame, "--episodes", "1:7", "--html", "page.html"]) == 0
+    data = data_in(tmp_path / "page.html")
+    choice, names = data["choice"], [r["name"] for r in data["rollouts"]]
+    assert choice["episodes"] == [1, 2, 3, 4, 5, 6]
+    command = f"{choice['command']} {choice['flag']} {choice['episodes'][0]},{choice['episodes'][3]}:6 --json"
+    capsys.readouterr()
+    words = shlex.split(command)
+    assert words[0] == "manip-learn" and main(words[1:]) == 0
+    assert json.loads(capsys.readouterr().out)["n_trajectories"] == 3
+    assert [r["name"] for r in data_in(tmp_path / "page.html")["rollouts"]] == [names[0], names[3], names[4]]
+
+
+def test_a_replay_says_how_to_learn_again():
+    """Flags that only replay has are left out, the features' are added; without a command line there is none."""
+    assert typed_command() == () == learning_command("tool0", ("x", "y"), "world")
+    replayed = "replay panda a.csv replay --lock j1 --html=p.html --constraint c.json --tip t --open --json"
+    with typed(replayed.split()):
+        assert typed_command()[:2] == ("manip-learn", "replay")
+        assert shlex.join(learning_command("tool0", ("x", "y"), "world")) == (
+            "manip-learn learn panda a.csv replay --lock j1 --frame tool0 --axes 'x y' --reference world"
+        )
+    assert typed_command() == ()
+
+
+def test_pages_of_recordings_offer_the_choice_in_python_too(robot_of, rollout, tmp_path):
+    """Without a command line the page has the names, and which are odd; rollouts are no recordings."""
+    robot = robot_of("sawyer")
+    demos = Demonstrations([rollout.trajectory("a"), rollout.trajectory("b")])
+    report = {"odd_trajectories": [["b", "moves 3 mm"]], "sentence": "s"}
+    data = data_in(replay(robot, {d.name: d for d in demos}, tmp_path / "a.html", report=report).html)
+    assert data["choice"] == {"command": "", "flag": "--episodes", "episodes": [], "odd": {"b": "moves 3 mm"}}
+    mixed = {"a": demos[0], "r": rollout}
+    assert data_in(replay(robot, mixed, tmp_path / "b.html").html)["choice"] is None
