@@ -163,7 +163,7 @@ def test_poses_are_reached_as_positions_are(robot_of: RobotOf, rng: np.random.Ge
             E = task.error_jacobian(constraint, q, 0.0)
             b, pi = task.velocity(constraint, q, 0.0), 0.5 * (middle - q)
             U, sigma, Vt = np.linalg.svd(E, full_matrices=False)
-            damped = Vt.T @ (np.where(sigma > 0.05, 1.0 / sigma, sigma / 0.0025) * (U.T @ b))
+            damped = Vt.T @ (sigma / np.maximum(sigma, 0.05) ** 2 * (U.T @ b))
             q = q + dt * (damped + pi - np.linalg.pinv(E) @ (E @ pi))
         reached.append(task.error(constraint, q, 0.0) / first)
     assert max(reached) < 1e-6, reached
