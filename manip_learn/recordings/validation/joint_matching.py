@@ -132,11 +132,12 @@ def _surplus_notes(recording: Recording, robot: Robot) -> list[str]:
 def _unknown(recording: Recording, robot: Robot, name: str) -> RecordingError:
     near = closest_names(name, robot.joint_names)
     hint = f" (near: {', '.join(map(repr, near))})" if near else f" (it has {', '.join(robot.joint_names)})"
+    only_joints = advice(" ({} reads the joints and leaves all else out)", "columns='{joint}'", "--columns '{joint}'")
     return recording.refusal(
         "unknown-column",
         f"no joint of robot {robot.name!r} matches this column{hint}: correct the name"
         + advice(", or pass {}", f"ignore_columns=[{name!r}]", f"--ignore-column {name}")
-        + advice(" ({} reads the joints and leaves all else out)", "columns='{joint}'", "--columns '{joint}'"),
+        + (only_joints if recording.line_of is not None else ""),  # patterns are for text tables
         column=name,
     )
 
