@@ -7,17 +7,16 @@ from __future__ import annotations
 
 import functools
 import math
+import sys
 from contextlib import AbstractContextManager
 from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dgesdd, dposv, dsyev  # pyright: ignore[reportAttributeAccessIssue]
 from threadpoolctl import ThreadpoolController
 
 Inverse = Literal["exact", "truncated", "damped"]
 EPS = float(np.finfo(np.float64).eps)
-LEAST_SINGULAR_RATIO = 0.04  # smallest over largest singular value of A for which A A^T may be inverted
 
 
 def pseudo_inverse(
@@ -81,50 +80,6 @@ def rank_of(sigma: Float[np.ndarray, " k"], shape: tuple[int, ...]) -> int:
     while rank and not values[rank - 1] > least:
         rank -= 1
     return rank
-
-
-def svd(
-    A: Float[np.ndarray, "s n"],
-) -> tuple[Float[np.ndarray, "s s"], Float[np.ndarray, " k"], Float[np.ndarray, "n n"]]:
-    """U, the singular values, and V^T, all square: LAPACK's dgesdd without NumPy's wrapping, which takes longer than
-    the decomposition of a matrix as small as a constraint's.
-    """
-    U, sigma, Vt, failed = dgesdd(A)
-    if failed:
-        return np.linalg.svd(A, full_matrices=True)
-    return U, sigma, Vt
-
-
-def row_inverse(A: Float[np.ndarray, "s n"]) -> tuple[Float[np.ndarray, "s n"], float, float] | None:
-    """A^{+T} = (A A^T)^-1 A, by Cholesky's factors of A A^T, in half the time of a singular value decomposition.
-
-    With it come the volume sqrt(det(A A^T)), which is the product of the singular values, and the smallest of them.
-    None if A is too ill-conditioned: errors grow with the square of its condition number here, so that 1e-12 holds up
-    to a condition number of 1 / LEAST_SINGULAR_RATIO only. The rest needs the singular value decomposition.
-    """
-    s = A.shape[0]
-    if s > A.shape[1]:
-        return None
-    G = A.dot(A.T)
-    if s == 2:  # in plain numbers, faster than LAPACK's calls
-        (a, b), (_, c) = G.tolist()
-        square, largest = a * c - b * b, 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
-        # the smallest eigenvalue is the quotient, not the difference, which cancels
-        if not square > LEAST_SINGULAR_RATIO**2 * largest * largest:
-            return None
-        inverse = np.array(((c / square, -b / square), (-b / square, a / square)))
-        return inverse.dot(A), math.sqrt(square), math.sqrt(square / largest)
-    L, X, failed = dposv(G, A)
-    if failed:
-        return None
-    volume = math.prod(L.diagonal().tolist())
-    if s == 1:
-        return X, volume, volume
-    values, _, failed = dsyev(G, compute_v=0)
-    smallest, largest = float(values[0]), float(values[-1])
-    if failed or not smallest > LEAST_SINGULAR_RATIO**2 * largest:
-        return None
-    return X, volume, math.sqrt(smallest)
 
 
 def null_basis(A: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "n k"]:
@@ -247,8 +202,8 @@ def row_bases(
 
 
 @functools.cache
-def _libraries() -> ThreadpoolController:
-    # looking for the loaded BLAS libraries takes milliseconds: once is enough, NumPy and SciPy stay loaded
+def _libraries(with_scipy: bool) -> ThreadpoolController:
+    # looking for the loaded BLAS libraries takes milliseconds: once for NumPy's, and once more when SciPy's is there
     return ThreadpoolController()
 
 
@@ -256,17 +211,22 @@ def one_thread() -> AbstractContextManager[Any]:
     """A context in which BLAS and LAPACK use one thread; the number set before is restored at its end.
 
     On matrices as small as a constraint's a second thread costs more than it brings, and sums that are split
-    differently differ in their last digits.
+    differently differ in their last digits. What is loaded within it is not limited: what loads SciPy enters it again.
     """
-    return _libraries().limit(limits=1, user_api="blas")
+    return _libraries("scipy.linalg" in sys.modules).limit(limits=1, user_api="blas")
 
 
 def inverse_triangles(R: Float[np.ndarray, "n s s"]) -> Float[np.ndarray, "n s s"]:
     """Inverses of stacked upper triangles; zero where a sample's constraint loses rank, so that it has no say."""
-    s = R.shape[1]
+    beside = np.ascontiguousarray(R.transpose(1, 2, 0))  # no call for each of them
+    return np.ascontiguousarray(inverse_triangles_beside(beside).transpose(2, 0, 1))
+
+
+def inverse_triangles_beside(work: Float[np.ndarray, "s s n"]) -> Float[np.ndarray, "s s n"]:
+    """`inverse_triangles` with the matrices side by side in the last axis, as `row_bases` has them."""
+    s = len(work)
     if s == 0:
-        return np.zeros(R.shape)
-    work = np.ascontiguousarray(R.transpose(1, 2, 0))  # the matrices side by side: no call for each of them
+        return np.zeros(work.shape)
     diagonal = np.abs(np.einsum("iin->in", work))
     usable = np.min(diagonal, axis=0) > 1e-9 * np.max(diagonal, axis=0)
     reciprocal = np.divide(1.0, np.einsum("iin->in", work), out=np.zeros(diagonal.shape), where=usable)
@@ -275,4 +235,4 @@ def inverse_triangles(R: Float[np.ndarray, "n s s"]) -> Float[np.ndarray, "n s s
         out[j, j] = reciprocal[j]
         for i in range(j - 1, -1, -1):
             out[i, j] = -reciprocal[i] * np.sum(work[i, i + 1 : j + 1] * out[i + 1 : j + 1, j], axis=0)
-    return np.ascontiguousarray(out.transpose(2, 0, 1))
+    return out

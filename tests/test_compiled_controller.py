@@ -17,6 +17,7 @@ from test_batch_rollout import same
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CentreOfMass, FrameJacobian
 from manip_learn.constraint.manipulability_batch import row_inverses
+from manip_learn.constraint.small_matrices import row_inverse
 from manip_learn.control import compiled_controller
 from manip_learn.control.command import Command
 from manip_learn.control.compiled import joint_limits, packing, step_table
@@ -29,7 +30,6 @@ from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, N
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import Hold, PointAttractor, Track
 from manip_learn.errors import ConfigurationError, ConstraintError, MissingExtraError
-from manip_learn.linalg import row_inverse
 from manip_learn.robot.batch.compiled_kinematics import JOINTS
 from manip_learn.robot.batch.kernel_cache import KERNEL_FILES
 from manip_learn.robot.robot import Robot

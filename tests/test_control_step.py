@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from conftest import tip_of
 
-from manip_learn import linalg
+from manip_learn.constraint import small_matrices
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
+from manip_learn.constraint.small_matrices import LEAST_SINGULAR_RATIO, row_inverse, svd
 from manip_learn.control.command import Command
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.errors import ConfigurationError, TargetError
-from manip_learn.linalg import LEAST_SINGULAR_RATIO, row_inverse
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]
@@ -88,8 +88,8 @@ def test_svd_survives_a_failing_lapack(monkeypatch: pytest.MonkeyPatch, rng: np.
     """If LAPACK reports that it did not converge, NumPy's own call has the last word."""
     A = rng.normal(size=(2, 5))
     expected = np.linalg.svd(A)
-    monkeypatch.setattr(linalg, "dgesdd", lambda A: (np.nan, np.nan, np.nan, 1))
-    for got, factor in zip(linalg.svd(A), expected, strict=True):
+    monkeypatch.setattr(small_matrices, "dgesdd", lambda A: (np.nan, np.nan, np.nan, 1))
+    for got, factor in zip(svd(A), expected, strict=True):
         np.testing.assert_array_equal(got, factor)
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -184,3 +188,21 @@ def test_samples_that_lose_rank_have_no_say(rng):
         np.testing.assert_allclose(inverses[i] @ R[i], np.eye(3), atol=1e-8)
     for i in (1, 3):
         np.testing.assert_array_equal(inverses[i], np.zeros((3, 3)))
+
+
+def test_one_thread_for_libraries_that_are_loaded_later():
+    """SciPy's BLAS, loaded within the context, has one thread where the context is entered again."""
+    code = """
+import sys
+from manip_learn.linalg import one_thread
+with one_thread():
+    assert "scipy.linalg" not in sys.modules
+    import scipy.linalg
+    with one_thread():
+        from threadpoolctl import threadpool_info
+        threads = [x["num_threads"] for x in threadpool_info() if x["user_api"] == "blas"]
+        assert len(threads) > 1 and set(threads) == {1}, threads
+"""
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr

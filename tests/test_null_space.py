@@ -12,9 +12,11 @@ from generated_motions import arm_features, guided_motions, oblique, paper_motio
 from manip_learn.learning.estimators.conditional_pca import conditional_pca
 from manip_learn.learning.estimators.null_space import (
     energy_share,
+    estimate_null_space,
     fit_null_space,
     held_out_share,
     levels,
+    null_space_gap,
     trajectory_moments,
 )
 from manip_learn.learning.estimators.policy_model import PolynomialModel
@@ -96,3 +98,11 @@ def test_what_a_regression_leaves_is_a_velocity():
     np.testing.assert_allclose(faster, 10.0 * sizes, rtol=1e-6)
     np.testing.assert_allclose(np.abs(same), np.abs(directions), atol=1e-6)
     assert np.all(np.diff(sizes) <= 0.0)
+
+
+def test_the_gap_is_known_before_the_fit():
+    """What tells a feature map that cannot win is the gap that its estimate would have had."""
+    samples = held(5, 40)
+    estimate = estimate_null_space(samples)
+    assert null_space_gap(samples) == estimate.table.gap(len(estimate.whitened_selection))
+    assert null_space_gap(samples, 1) == estimate_null_space(samples, 1).table.gap(1)

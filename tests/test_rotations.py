@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector
+from manip_learn.robot.rotations import (
+    left_jacobian,
+    left_jacobian_inverse,
+    rotation_matrix,
+    rotation_vector,
+    rotation_vectors,
+)
 
 ANGLES = [0.0, 1e-300, 1e-12, 1e-6, 0.1, 1.0, 3.0, np.pi - 1e-2, np.pi - 1e-6, np.pi - 1e-12, np.pi]
 
@@ -24,6 +30,15 @@ def test_there_and_back(angle: float, rng: np.random.Generator) -> None:
             got = -got
         np.testing.assert_allclose(got, vector, rtol=0, atol=2e-15)
         assert np.linalg.norm(got) <= np.pi + 1e-15
+
+
+def test_many_at_once(rng: np.random.Generator) -> None:
+    """A table of rotations gives the vectors of each of them, at every angle and about every axis."""
+    axes = np.concatenate([np.eye(3), -np.eye(3), rng.normal(size=(50, 3))])
+    vectors = np.concatenate([angle * axes / np.linalg.norm(axes, axis=1, keepdims=True) for angle in ANGLES])
+    R = Rotation.from_rotvec(vectors).as_matrix()
+    np.testing.assert_allclose(rotation_vectors(R), [rotation_vector(one) for one in R], rtol=0, atol=1e-15)
+    assert rotation_vectors(np.zeros((0, 3, 3))).shape == (0, 3)
 
 
 def test_more_than_a_turn() -> None:

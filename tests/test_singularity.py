@@ -13,6 +13,7 @@ from manip_learn.constraint.manipulability import (
     manipulability,
     manipulability_gradient,
 )
+from manip_learn.constraint.small_matrices import svd
 from manip_learn.control.singularity import (
     ESCAPE_SPEED,
     SEED_SPEED,
@@ -24,7 +25,6 @@ from manip_learn.control.singularity import (
     stable_damping,
     steepest_ascent,
 )
-from manip_learn.linalg import svd
 
 DT, WIDTH = 0.001, 0.2
 

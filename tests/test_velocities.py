@@ -10,8 +10,9 @@ from manip_learn.errors import RecordingError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.recordings import local_fit as local_fit_module
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.local_fit import best_window, local_fit
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.velocities import best_window, derive_velocities, local_fit, with_velocities
+from manip_learn.recordings.velocities import derive_together, derive_velocities, with_velocities
 from manip_learn.robot import load_robot
 
 FEATURES = arm_features()
@@ -199,3 +200,19 @@ def _counted(function, calls):
         return function(*arguments)
 
     return call
+
+
+@pytest.mark.parametrize("method", ["auto", "midpoint"])
+def test_together_as_one_by_one(method: str) -> None:
+    """Recordings with the same times get the velocities that each gets by itself, in their order."""
+    _, many, _ = recorded(3, 1e-4, n_points=90, n_trajectories=6)
+    _, long, _ = recorded(4, 1e-3, n_points=120, n_trajectories=2)
+    _, short, _ = recorded(5, 1e-4, n_points=9, n_trajectories=2)
+    mixed = [many[0], long[0], many[1], short[0], *many.trajectories[2:], long[1], short[1]]
+    for t, got in zip(mixed, derive_together(mixed, ROBOT, method), strict=True):  # type: ignore[arg-type]
+        one = derive_velocities(t, ROBOT, method)  # type: ignore[arg-type]
+        assert got.name == t.name
+        np.testing.assert_array_equal(got.time, one.time)
+        np.testing.assert_allclose(got.q, one.q, rtol=0, atol=1e-13)
+        assert got.u is not None and one.u is not None
+        np.testing.assert_allclose(got.u, one.u, rtol=0, atol=1e-11)

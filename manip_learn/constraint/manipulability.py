@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
-from manip_learn.linalg import EPS, svd
+from manip_learn.constraint.small_matrices import svd
+from manip_learn.linalg import EPS
 
 # below this ratio to the largest singular value the left singular vectors of zero and non-zero are mixed by rounding
 SINGULAR_RATIO = 64.0 * EPS

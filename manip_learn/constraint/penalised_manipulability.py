@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import gradient_from, manipulability_of
+from manip_learn.constraint.small_matrices import svd
 from manip_learn.errors import ConstraintError
-from manip_learn.linalg import svd
 from manip_learn.robot.limit_potential import limit_weights
 from manip_learn.robot.robot import Robot
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, manipulability_of
+from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.control.bounded_velocity import Desired
 from manip_learn.control.limits import Limits
 from manip_learn.control.outcome import Law
@@ -30,7 +31,7 @@ from manip_learn.control.singularity import (
 )
 from manip_learn.control.tasks import Hold, PointAttractor, Task
 from manip_learn.errors import TargetError
-from manip_learn.linalg import Inverse, inverse_singular_values, rank_of, row_inverse, svd
+from manip_learn.linalg import Inverse, inverse_singular_values, rank_of
 
 # width of the escape from a singularity, as a share of the singular value at which damping sets in
 ESCAPE_WIDTH = 0.6

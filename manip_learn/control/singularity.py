@@ -11,7 +11,7 @@ from scipy.linalg.lapack import dsyev  # pyright: ignore[reportAttributeAccessIs
 
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
-from manip_learn.linalg import svd
+from manip_learn.constraint.small_matrices import svd
 
 # [rad/s] speed at which a singularity is left
 ESCAPE_SPEED = 0.2

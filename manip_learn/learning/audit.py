@@ -13,7 +13,7 @@ from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
@@ -275,4 +275,4 @@ def outlier_threshold(n: int, k: int) -> float:
     """
     if n < FEWEST:
         return math.inf
-    return max(SMALLEST_THRESHOLD, float(student.isf(FALSE_ALARMS / (n * max(k, 1)), MAD_EFFICIENCY * n + MAD_SMALL)))
+    return max(SMALLEST_THRESHOLD, -float(stdtrit(MAD_EFFICIENCY * n + MAD_SMALL, FALSE_ALARMS / (n * max(k, 1)))))

@@ -12,10 +12,10 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError, advice
 from manip_learn.learning.data_summary import DataSummary
 from manip_learn.learning.estimators.estimate import CLEAR_GAP, Estimate
-from manip_learn.learning.estimators.joint_estimator import estimate_joint
-from manip_learn.learning.estimators.null_space import estimate_null_space
+from manip_learn.learning.estimators.null_space import estimate_null_space, null_space_gap
 from manip_learn.learning.excitation import check_fastest, check_samples
 from manip_learn.learning.samples import Samples
+from manip_learn.linalg import one_thread
 
 EstimatorName = Literal["auto", "joint", "null-space", "separate"]
 
@@ -101,13 +101,11 @@ def learn_best(
     refusals: list[NotIdentifiableError] = []
     for features in feature_maps:
         try:
-            candidate = learn_candidate(
-                features, data, joint_names, settings, rival_is_held=best is not None and best.is_held
-            )
+            candidate = learn_candidate(features, data, joint_names, settings, rival=best)
         except NotIdentifiableError as error:
             refusals.append(error)
             continue
-        if best is None or candidate.gap > CHANCE * best.gap:
+        if best is None or (candidate is not None and candidate.gap > CHANCE * best.gap):
             best = candidate
     if best is None:
         raise refusals[0]
@@ -120,17 +118,17 @@ def learn_candidate(
     joint_names: tuple[str, ...],
     settings: LearnerSettings,
     *,
-    rival_is_held: bool,
-) -> Candidate:
-    """Samples -> estimate -> number of rows, with one feature map.
+    rival: Candidate | None = None,
+) -> Candidate | None:
+    """Samples -> estimate -> number of rows, with one feature map; None where the rival's gap cannot be exceeded.
 
     Args:
         features: Phi.
         data: The samples to learn from.
         joint_names: One per velocity, for messages.
         settings: What the user asked for.
-        rival_is_held: Whether the rows of another feature map are held beyond doubt: the same motion is not
-            self-imposed in these, then.
+        rival: The best of other feature maps. If its rows are held beyond doubt, the same motion is not self-imposed
+            in these.
 
     Raises:
         NotIdentifiableError: The data determine no constraint; says why.
@@ -139,6 +137,10 @@ def learn_candidate(
     samples = Samples.of(features, data)
     check_fastest(samples.u, data, joint_names)
     warnings = check_samples(samples, joint_names, settings.n_constraints)
+    rival_is_held = rival is not None and rival.is_held
+    if rival is not None and (rival_is_held and settings.estimator == "auto" or settings.estimator == "null-space"):
+        if null_space_gap(samples, settings.n_constraints) <= CHANCE * rival.gap:
+            return None
     rng = np.random.default_rng(settings.seed)
     # what all samples refine afterwards need not be as good as these can make it
     share = START_SHARE if len(samples) < data.n_samples else 1
@@ -158,7 +160,8 @@ def _estimate(
     if settings.estimator == "separate":
         from manip_learn.learning.estimators.separation import estimate_separate
 
-        return estimate_separate(samples, settings.n_constraints, rng)
+        with one_thread():
+            return estimate_separate(samples, settings.n_constraints, rng)
     return _select_estimator(samples, start, settings, rng, rival_is_held)
 
 
@@ -187,11 +190,15 @@ def _joint(
     Raises:
         NotIdentifiableError: It is not, or no policy model leaves less than this share unexplained.
     """
+    # loads SciPy, which what is held does without
+    from manip_learn.learning.estimators.joint_estimator import estimate_joint
+
     isotropic = start is not samples
     try:
-        return estimate_joint(
-            start, settings.n_constraints, rng, settings.policy_model, unexplained, isotropic=isotropic
-        )
+        with one_thread():
+            return estimate_joint(
+                start, settings.n_constraints, rng, settings.policy_model, unexplained, isotropic=isotropic
+            )
     except np.linalg.LinAlgError as error:
         raise NotIdentifiableError(
             "the motion is too short, or too much the same in all recordings, for a model of the null-space policy: "

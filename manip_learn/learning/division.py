@@ -19,7 +19,7 @@ from manip_learn.learning.agreement.reason import reason
 from manip_learn.learning.before_smoothing import BeforeSmoothing
 from manip_learn.learning.phases.beside_tethers import with_contacts_beside
 from manip_learn.learning.phases.decoding import TRIM
-from manip_learn.learning.phases.find_phases import find_phases, one_constraint_fits, too_short
+from manip_learn.learning.phases.find_phases import find_phases, maps_that_fit, one_constraint_fits, too_short
 from manip_learn.learning.phases.find_tethers import find_tethers
 from manip_learn.learning.phases.result import PhaseConstraint, PhaseResult, Stretch
 from manip_learn.learning.phases.search import FIRM
@@ -124,7 +124,7 @@ def divide(
     usable = tuple(f for f in feature_maps if _moves(f, demonstrations))
     if not usable:
         return undivided(demonstrations, feature_maps)
-    fitting = tuple(f for f in usable if one_constraint_fits(f, demonstrations))
+    fitting = maps_that_fit(usable, demonstrations)
     if len(demonstrations) < 2 or (not fitting and too_short(demonstrations)):
         return Division(undivided(demonstrations, feature_maps).parts, one_fits=bool(fitting))
     elsewhere = () if fitting else _held_elsewhere(demonstrations, usable)

@@ -225,7 +225,7 @@ class ConstraintLearner:
         from manip_learn.learning.streaming.summary_pass import SummaryAccumulator
 
         stream = open_stream(source, feature_maps, self.velocities)
-        with open_executor(client, stream, progress) as executor:
+        with one_thread(), open_executor(client, stream, progress) as executor:
             summary = executor.total(SummaryAccumulator(IN_MEMORY_SAMPLES), {}, "all samples, first pass")
             summary = summary.checked(source.n_parts)
             chosen = learn_best(feature_maps, summary.data, stream.joint_names, settings)

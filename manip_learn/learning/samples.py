@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import final
 
@@ -39,6 +39,21 @@ class Block:
     x: Float[np.ndarray, "n m"]
     trajectory: Int[np.ndarray, " n"]
 
+    @property
+    def columns(self) -> Float[np.ndarray, "p nv n"]:
+        """Phi with the samples side by side in the last axis, for arithmetic on all of them at once."""
+        return self.Phi.transpose(1, 2, 0)
+
+    def rows_of(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s nv n"]:
+        """Lambda Phi, side by side."""
+        p, nv, n = self.columns.shape
+        return (selection @ self.columns.reshape(p, nv * n)).reshape(-1, nv, n)
+
+    def add_to(self, sums: Float[np.ndarray, "g ..."], values: Float[np.ndarray, "... n"]) -> None:
+        """Add values of each sample, side by side, to the sum of its trajectory."""
+        starts = np.flatnonzero(np.diff(self.trajectory, prepend=-1))
+        sums[self.trajectory[starts]] += np.moveaxis(np.add.reduceat(values, starts, axis=-1), -1, 0)
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -67,6 +82,7 @@ class Samples:
     spread: Float[np.ndarray, " nq"]
     mixing: Float[np.ndarray, "nv nv"] | None = None
     _kept: list[np.ndarray] = field(default_factory=list, repr=False)
+    _whitened: list[np.ndarray] = field(default_factory=list, repr=False, init=False)
 
     @staticmethod
     def collect(features: FeatureMap, demonstrations: Demonstrations) -> Samples:
@@ -97,7 +113,8 @@ class Samples:
         raw = Samples(features, data.q, data.u, trajectory, np.eye(features.n_rows), centre, spread)
         S = np.zeros((features.n_rows, features.n_rows))
         for block in raw.blocks():
-            S += np.einsum("niv,njv->ij", block.Phi, block.Phi, optimize=True)
+            rows = block.columns.reshape(features.n_rows, -1)
+            S += rows @ rows.T
         whitening = _whitening(S / len(raw), features)
         return Samples(features, data.q, data.u, trajectory, whitening, centre, spread, None, raw._kept)
 
@@ -121,26 +138,20 @@ class Samples:
 
     def blocks(self) -> Iterator[Block]:
         """The samples in order, at most BLOCK at a time."""
-        keep = len(self) * self.features.n_rows * self.nv <= KEEP_LIMIT
+        size = len(self) * self.features.n_rows * self.nv
         for i, start in enumerate(range(0, len(self), BLOCK)):
             part = slice(start, start + BLOCK)
-            if i < len(self._kept):
-                raw = self._kept[i]
-            else:
-                raw = self.features.batch(self.q[part])
-                if keep:
-                    self._kept.append(raw)
+            raw = _kept_or_made(self._kept, i, lambda p=part: self.features.batch(self.q[p]), size <= KEEP_LIMIT)
+            Phi = _kept_or_made(self._whitened, i, lambda r=raw: self._whiten(r), size <= KEEP_WHITENED_LIMIT)
             x = (self.q[part] - self.centre) / self.spread
-            n, p, nv = raw.shape
-            Phi = (self.whitening @ raw.transpose(1, 0, 2).reshape(p, n * nv)).reshape(-1, n, nv).transpose(1, 0, 2)
-            if self.mixing is not None:
-                Phi = Phi @ self.mixing
             yield Block(Phi, self.u[part], x, self.trajectory[part])
 
-    def kept_blocks(self) -> tuple[Block, ...]:
-        """All blocks, for many passes over few samples; none where they are too many to be kept."""
-        few = len(self) * self.features.n_rows * self.nv <= KEEP_WHITENED_LIMIT
-        return tuple(self.blocks()) if few else ()
+    def _whiten(self, raw: Float[np.ndarray, "n p nv"]) -> Float[np.ndarray, "n r nv"]:
+        n, p, nv = raw.shape
+        columns = (self.whitening @ raw.transpose(1, 2, 0).reshape(p, nv * n)).reshape(-1, nv, n)
+        if self.mixing is not None:
+            columns = np.einsum("rvn,vw->rwn", columns, self.mixing, optimize=True)
+        return columns.transpose(2, 0, 1)
 
     def subset(self, keep: np.ndarray) -> Samples:
         """The samples where the mask is true, in the same whitened coordinates."""
@@ -157,6 +168,18 @@ class Samples:
     def energy(self) -> float:
         """Mean of |u|^2."""
         return float(np.mean(np.einsum("ni,ni->n", self.u, self.u)))
+
+
+def _kept_or_made(
+    kept: list[np.ndarray], number: int, make: Callable[[], np.ndarray], keep: bool
+) -> Float[np.ndarray, "n r nv"]:
+    """What an earlier pass has kept, or what is made, and kept for the next one if it is to be."""
+    if number < len(kept):
+        return kept[number]
+    made = make()
+    if keep:
+        kept.append(made)
+    return made
 
 
 def _whitening(S: np.ndarray, features: FeatureMap) -> Float[np.ndarray, "r p"]:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from manip_learn.playback.shapes import TriangleMesh
 
@@ -96,6 +94,9 @@ def _smooth_groups(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray
     """A group for each corner of each triangle: corners at one vertex share it if smooth edges lead from one to the
     other.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     edges = vertices[triangles]
     normals = np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)

@@ -110,13 +110,18 @@ class _Trial:
     own: Float[np.ndarray, " d"]
     spread: Float[np.ndarray, " d"]
 
-    def errors(self, windows: Float[np.ndarray, "N nv W"], noise2: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " d"]:
-        """Estimated error of the slope for each degree: bias and noise, all joints together."""
-        difference = windows @ (self.richer[0] if len(self.richer) == 1 else self.richer)  # (N, nv, d)
-        square = np.einsum("njd,njd->dj", difference, difference) / len(windows)
+    def errors(self, windows: Float[np.ndarray, "j N W"], noise2: Float[np.ndarray, " j"]) -> Float[np.ndarray, "d j"]:
+        """Estimated error of the slope for each degree and joint: bias and noise."""
+        joints, n, _ = windows.shape
+        if len(self.richer) == 1:
+            difference = (windows.reshape(joints * n, -1) @ self.richer[0]).reshape(joints, n, -1)
+            square = np.einsum("jnd,jnd->dj", difference, difference) / n
+        else:
+            difference = windows.transpose(1, 0, 2) @ self.richer
+            square = np.einsum("njd,njd->dj", difference, difference) / n
         # the difference of the two fits holds the bias and its own share of the noise: take that off again
         bias2 = np.maximum(square - self.own[:, None] * noise2, 0.0)
-        return np.sum(BIAS_WEIGHT * bias2 + self.spread[:, None] * noise2, axis=1)
+        return BIAS_WEIGHT * bias2 + self.spread[:, None] * noise2
 
 
 @functools.lru_cache(maxsize=32)
@@ -147,21 +152,35 @@ def best_window(
     longest: int | None = None,
 ) -> tuple[int, int]:
     """Half width [samples] and degree whose slope has the smallest estimated error, all joints together."""
-    noise2, grid = noise_variance(time, x), _grid(time)
-    best, best_error = (half_widths[0], degrees[0]), np.inf
+    return best_windows(time, x[None], half_widths, degrees, longest)[0]
+
+
+def best_windows(
+    time: Float[np.ndarray, " T"],
+    x: Float[np.ndarray, "e T nv"],
+    half_widths: Sequence[int] = HALF_WIDTHS,
+    degrees: Sequence[int] = DEGREES,
+    longest: int | None = None,
+) -> list[tuple[int, int]]:
+    """`best_window` of each of several recordings with the same times."""
+    n, T, nv = x.shape
+    beside = np.ascontiguousarray(x.transpose(0, 2, 1)).reshape(n * nv, T)
+    noise2, grid = noise_variance(time, beside.T), _grid(time)
+    best, least = [(half_widths[0], degrees[0])] * n, np.full(n, np.inf)
     for m in half_widths:
         if 2 * m + 1 > len(time):
             break
-        usable = tuple(degree for degree in degrees if fits(m, degree, longest or x.shape[0]))
+        usable = tuple(degree for degree in degrees if fits(m, degree, longest or T))
         if not usable:
             continue
         stride = max(1, (len(time) - 2 * m) // COMPARED)
-        windows = np.lib.stride_tricks.sliding_window_view(x, 2 * m + 1, axis=0)[::stride]
+        windows = np.lib.stride_tricks.sliding_window_view(beside, 2 * m + 1, axis=1)[:, ::stride]
         trial = _kept_trial if _is_short(grid) else _trial
         errors = trial(grid, m, usable, stride if isinstance(grid, bytes) else 1).errors(windows, noise2)
-        i = int(np.argmin(errors))
-        if errors[i] < best_error:
-            best, best_error = (m, usable[i]), float(errors[i])
+        errors = np.sum(errors.reshape(len(usable), n, nv), axis=2)
+        for k in np.flatnonzero(errors.min(axis=0) < least):
+            i = int(np.argmin(errors[:, k]))
+            best[k], least[k] = (m, usable[i]), errors[i, k]
     return best
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.local_fit import DEGREES, HALF_WIDTHS, best_window, fits, local_fit, noise_variance
+from manip_learn.recordings.local_fit import DEGREES, HALF_WIDTHS, best_windows, fits, local_fit, noise_variance
 from manip_learn.recordings.pose_velocities import continuous_rotation_vectors, smooth_pose
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.joints import JointBlock
@@ -77,9 +77,51 @@ def derive_velocities(
         )
     if bodies:
         return _with_bodies(trajectory, robot, x, bodies, half_width, degree)
-    m, d = _window(trajectory, x, half_width, degree)
-    value, slope = local_fit(time, x, m, d)
-    return Trajectory(time[m : T - m], value, slope, trajectory.joint_names, trajectory.name)
+    return _smoothed([trajectory], x[None], half_width, degree)[0]
+
+
+def derive_together(
+    trajectories: Sequence[Trajectory], robot: Robot, method: VelocityMethod = "auto"
+) -> list[Trajectory]:
+    """`derive_velocities` of each; those recorded at the same times share the work.
+
+    Raises:
+        RecordingError: Too few samples.
+    """
+    alike: dict[bytes, list[int]] = {}
+    for i, t in enumerate(trajectories):
+        alike.setdefault(t.time.tobytes(), []).append(i)
+    derived: dict[int, Trajectory] = {}
+    for numbers in alike.values():
+        some = [trajectories[i] for i in numbers]
+        x = [positions_along(t, robot) for t in some] if _is_plain(robot) and len(some[0]) >= SHORT_AND_CLEAN else []
+        together = [one for one in x if one is not None]
+        if method == "midpoint" or len(together) < len(some):
+            derived |= {i: derive_velocities(t, robot, method) for i, t in zip(numbers, some, strict=True)}
+        else:
+            derived |= dict(zip(numbers, _smoothed(some, np.stack(together), None, None), strict=True))
+    return [derived[i] for i in range(len(trajectories))]
+
+
+def _is_plain(robot: Robot) -> bool:
+    """Whether a joint is all that a velocity belongs to, and no body that floats or glides."""
+    return all(b.kind not in ("floating", "planar", "other") for b in robot.blocks)
+
+
+def _smoothed(
+    trajectories: Sequence[Trajectory], x: Float[np.ndarray, "e T nv"], half_width: int | None, degree: int | None
+) -> list[Trajectory]:
+    """Polynomials fitted to trajectories with the same times, each in the windows that suit it."""
+    time, (_, T, nv) = trajectories[0].time, x.shape
+    windows = _windows(trajectories[0], x, half_width, degree)
+    out: dict[int, Trajectory] = {}
+    for m, d in dict.fromkeys(windows):
+        chosen = [i for i, window in enumerate(windows) if window == (m, d)]
+        value, slope = local_fit(time, x[chosen].transpose(1, 0, 2).reshape(T, -1), m, d)
+        for i, k in zip(chosen, range(0, value.shape[1], nv), strict=True):
+            t, own = trajectories[i], slice(k, k + nv)
+            out[i] = Trajectory(time[m : T - m], value[:, own], slope[:, own], t.joint_names, t.name)
+    return [out[i] for i in range(len(trajectories))]
 
 
 def _with_bodies(
@@ -98,10 +140,10 @@ def _with_bodies(
     fixed = np.array([i for i in range(robot.nv) if i not in loose], dtype=int)
     parts: list[tuple[int, np.ndarray | slice, np.ndarray, np.ndarray]] = []
     if fixed.size:
-        m, d = _window(trajectory, x[:, fixed], half_width, degree)
+        m, d = _windows(trajectory, x[None, :, fixed], half_width, degree)[0]
         parts.append((m, fixed, *local_fit(time, x[:, fixed], m, d)))
     for b in bodies:
-        m, d = _window(trajectory, x[:, b.v], half_width, degree)
+        m, d = _windows(trajectory, x[None, :, b.v], half_width, degree)[0]
         position, rotation = x[:, b.v][:, :3], Rotation.from_rotvec(x[:, b.v][:, 3:])
         parts.append((m, b.v, *smooth_pose(time, position, rotation, m, d)))
     widest = max(m for m, *_ in parts)
@@ -114,7 +156,10 @@ def _with_bodies(
     return Trajectory(time[widest : T - widest], q, u, trajectory.joint_names, trajectory.name)
 
 
-def _window(trajectory: Trajectory, x: np.ndarray, half_width: int | None, degree: int | None) -> tuple[int, int]:
+def _windows(
+    trajectory: Trajectory, x: Float[np.ndarray, "e T _"], half_width: int | None, degree: int | None
+) -> list[tuple[int, int]]:
+    """Half width and degree for each of several recordings at the times of a trajectory."""
     T = len(trajectory)
     widths = HALF_WIDTHS if half_width is None else (half_width,)
     degrees = DEGREES if degree is None else (degree,)
@@ -124,7 +169,7 @@ def _window(trajectory: Trajectory, x: np.ndarray, half_width: int | None, degre
             code="too-short",
         )
     if half_width is not None and degree is not None and 1 <= degree <= 2 * half_width:
-        return half_width, degree
+        return [(half_width, degree)] * len(x)
     longest = max(5, T // 3) if half_width is None else T
     if T < 5 or not any(fits(m, d, longest) for m in widths for d in degrees):
         raise RecordingError(
@@ -132,7 +177,7 @@ def _window(trajectory: Trajectory, x: np.ndarray, half_width: int | None, degre
             f"{' or '.join(map(str, widths))} fits {T} samples: leave the choice to the data, or use 'midpoint'",
             code="too-short",
         )
-    return best_window(trajectory.time, x, widths, degrees, longest)
+    return best_windows(trajectory.time, x, widths, degrees, longest)
 
 
 def with_velocities(

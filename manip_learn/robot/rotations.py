@@ -39,6 +39,27 @@ def rotation_vector(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 3"]:
     return np.array([scale * x, scale * y, scale * z])
 
 
+def rotation_vectors(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
+    """`rotation_vector` of many rotation matrices at once."""
+    (a, b, c), (d, e, f), (g, h, i) = R.transpose(1, 2, 0)
+    x, y, z, xy, xz, yz = h - f, c - g, d - b, b + d, c + g, f + h
+    # four times the quaternion (w, x, y, z) times each of its parts: that of the largest part has no cancellation
+    products = np.array(
+        [
+            [1.0 + a + e + i, x, y, z],
+            [x, 1.0 + a - e - i, xy, xz],
+            [y, xy, 1.0 + e - a - i, yz],
+            [z, xz, yz, 1.0 + i - a - e],
+        ]
+    )
+    largest = np.argmax(np.einsum("kkn->kn", products), axis=0)
+    quaternion = products[largest, :, np.arange(len(R))]
+    w, axis = quaternion[:, 0], quaternion[:, 1:]
+    length = np.sqrt(np.einsum("nk,nk->n", axis, axis))
+    angle = np.copysign(2.0 * np.arctan2(length, np.abs(w)), w)
+    return axis * np.divide(angle, length, out=np.zeros(len(R)), where=length > 0.0)[:, None]
+
+
 def rotation_matrix(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     """Rotation matrix of axis times angle [rad]."""
     x, y, z = vector.tolist()

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from manip_learn.errors import TargetError
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_vector, skew
@@ -46,7 +45,11 @@ def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
     off = float(np.abs(R.dot(R.T) - np.eye(3)).max())
     if not off < NEARLY or R[0] @ skew(R[1]) @ R[2] < 0.0:
         raise TargetError(f"the upper left 3 x 3 part of the pose is not a rotation matrix: {R.tolist()}")
-    return R if off < EXACT else Rotation.from_matrix(R).as_matrix()
+    if off < EXACT:
+        return R
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(R).as_matrix()
 
 
 def pose_error(

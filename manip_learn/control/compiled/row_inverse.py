@@ -1,10 +1,10 @@
-"""`linalg.row_inverse` as loops over plain numbers, for matrices of a few rows; compiled where numba is installed."""
+"""`small_matrices.row_inverse` as loops over plain numbers, for few rows; compiled where numba is installed."""
 
 from __future__ import annotations
 
 import math
 
-from manip_learn.linalg import LEAST_SINGULAR_RATIO
+from manip_learn.constraint.small_matrices import LEAST_SINGULAR_RATIO
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 SWEEPS = 8  # of Jacobi rotations: converged to the last bit for six rows

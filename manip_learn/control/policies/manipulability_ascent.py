@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, escape_direction, gradient_from
+from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.control.policies.policy import SampledPolicy
 from manip_learn.control.singularity import SEED_SPEED, STABLE_SLOPE, Decomposition, steepest_ascent
 from manip_learn.errors import ConstraintError
-from manip_learn.linalg import row_inverse, svd
 
 # [rad^2/s] default gain: the highest manipulability of the gains that were compared (docs/control.md)
 ASCENT_GAIN = 3.0

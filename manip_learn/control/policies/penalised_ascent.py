@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.penalised_manipulability import limited_robot, penalised_value_and_vjp
+from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.control.policies.manipulability_ascent import ASCENT_GAIN, ManipulabilityAscent
 from manip_learn.control.policies.policy import SampledPolicy
-from manip_learn.linalg import row_inverse, svd
 
 
 @final

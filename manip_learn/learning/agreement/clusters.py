@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from manip_learn.learning.phases.hypotheses import fitted_rows
+from manip_learn.learning.phases.hypotheses import rows_of_moments
 from manip_learn.learning.phases.motion import PhaseMotion, broken_energy
 from manip_learn.learning.phases.search import FIRST_SCALE, refit, scale_of
 from manip_learn.learning.phases.segmentation import HeldScale, evidence
@@ -93,8 +93,8 @@ def _refined(motion: PhaseMotion, among: Sequence[int], counts: Iterable[int]) -
     for s in counts:
         seen: list[np.ndarray] = []
         known: dict[tuple[int, ...], Cluster] = {}
-        for weights in starts:
-            rows = fitted_rows(motion, weights, s)[0]
+        for M, S in starts:
+            rows = rows_of_moments(M, S, s)[0]
             if seen and np.any(np.linalg.svd(np.array(seen) @ rows.T, compute_uv=False)[:, -1] > np.cos(0.05)):
                 continue
             seen.append(rows)
@@ -102,14 +102,18 @@ def _refined(motion: PhaseMotion, among: Sequence[int], counts: Iterable[int]) -
     return out
 
 
-def _starts(motion: PhaseMotion, among: Sequence[int]) -> list[Float[np.ndarray, " n"]]:
-    """Weights of the samples of all trajectories, of each, and of pairs, for a first fit."""
-    chosen = among[:: max(1, len(among) // MOST_ALONE)]
-    own = [np.where(motion.trajectory == i, motion.weight, 0.0) for i in chosen]
-    pairs = [(a, b) for a in range(len(own)) for b in range(a)]
+def _starts(motion: PhaseMotion, among: Sequence[int]) -> list[Float[np.ndarray, "2 r r"]]:
+    """Sums of r r^T and of Phi Phi^T over all trajectories, over each, and over pairs, for a first fit."""
+    weighted = motion.rates * motion.weight[:, None]
+    each = {}
+    for i in among:
+        own = slice(int(motion.first[i]), int(motion.first[i + 1]))
+        S = np.tensordot(motion.weight[own], motion.gram[own], axes=1)
+        each[i] = np.stack([weighted[own].T @ motion.rates[own], S])
+    chosen = [each[i] for i in among[:: max(1, len(among) // MOST_ALONE)]]
+    pairs = [(a, b) for a in range(len(chosen)) for b in range(a)]
     step = max(1, len(pairs) // MOST_PAIRS)
-    everything = np.where(np.isin(motion.trajectory, among), motion.weight, 0.0)
-    return [everything, *own, *(own[a] + own[b] for a, b in pairs[::step])]
+    return [np.sum(list(each.values()), axis=0), *chosen, *(chosen[a] + chosen[b] for a, b in pairs[::step])]
 
 
 def _grown(

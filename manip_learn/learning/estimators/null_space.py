@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
 
@@ -11,10 +11,11 @@ from jaxtyping import Float
 
 from manip_learn.learning.estimators.estimate import Estimate, gaps_of_levels
 from manip_learn.learning.samples import Block, Samples
-from manip_learn.linalg import batch_row_spaces, complement_rows, inverse_triangles, orthonormal_rows
+from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases
 
 MAX_ITERATIONS = 50
 MAX_FOLDS = 10
+SAME_COST = 1e-13  # relative: a rise that is rounding, after which the step counts as one that gains nothing
 # a velocity to be explained, block by block: u itself, or the null-space part that a separation found
 Velocity = Callable[[Block], np.ndarray]
 
@@ -48,11 +49,14 @@ def levels(samples: Samples) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray,
     strong in all joints: about 1 along a free direction, about the noise along a constrained one. In whitened
     coordinates this is the generalised eigenproblem sum Phi w w^T Phi^T x = e sum Phi Phi^T x.
     """
-    M = np.zeros((samples.n_rows, samples.n_rows))
-    for block in samples.blocks():
-        r = np.einsum("npv,nv->np", block.Phi, block.u, optimize=True)
-        M += r.T @ r
-    eigenvalues, vectors = np.linalg.eigh(M / len(samples))
+    return _levels(samples, trajectory_moments(samples).sum(axis=0))
+
+
+def _levels(
+    samples: Samples, moment: Float[np.ndarray, "r r"]
+) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r r"]]:
+    """The same from the sum of `trajectory_moments`."""
+    eigenvalues, vectors = np.linalg.eigh(moment / len(samples))
     scale = samples.nv / max(samples.energy, np.finfo(np.float64).tiny)
     return np.sqrt(np.maximum(eigenvalues, 0.0) * scale), vectors.T
 
@@ -61,8 +65,8 @@ def trajectory_moments(samples: Samples) -> Float[np.ndarray, "g r r"]:
     """sum Phi u u^T Phi^T of each trajectory: enough for the closed-form start on any choice of trajectories."""
     moments = np.zeros((samples.n_trajectories, samples.n_rows, samples.n_rows))
     for block in samples.blocks():
-        r = np.einsum("npv,nv->np", block.Phi, block.u, optimize=True)
-        np.add.at(moments, block.trajectory, r[:, :, None] * r[:, None, :])
+        r = np.einsum("pvn,vn->pn", block.columns, np.ascontiguousarray(block.u.T))
+        block.add_to(moments, r[:, None] * r)
     return moments
 
 
@@ -88,8 +92,7 @@ def fit_null_space(
     """
     Lambda = orthonormal_rows(start)
     s, r = Lambda.shape
-    blocks = samples.kept_blocks()
-    state = _moments(samples, Lambda, velocity, blocks)
+    state = _moments(samples, Lambda, velocity)
     damping, iterations = 0.0, 0
     while iterations < max_iterations and s < r:
         iterations += 1
@@ -98,8 +101,8 @@ def fit_null_space(
         B = -np.linalg.lstsq(H + damping * scale * np.eye(H.shape[0]), gradient.reshape(-1), rcond=1e-14)[0]
         B = B.reshape(s, r - s)
         moved = orthonormal_rows(Lambda + B @ complement_rows(Lambda))
-        trial = _moments(samples, moved, velocity, blocks)
-        if trial.cost <= state.cost:
+        trial = _moments(samples, moved, velocity)
+        if trial.cost <= state.cost * (1.0 + SAME_COST):
             small = float(np.linalg.norm(B)) < tolerance
             no_gain = trial.cost >= state.cost * (1.0 - 1e-12)
             Lambda, state, damping = moved, trial, damping * 0.1 if damping > 1e-9 else 0.0
@@ -112,32 +115,29 @@ def fit_null_space(
     return NullSpaceFit(Lambda, state.cost, state.energy, iterations, state.scores, state.curvatures)
 
 
-def _moments(
-    samples: Samples, Lambda: np.ndarray, velocity: Velocity | None, blocks: Sequence[Block] = ()
-) -> NullSpaceFit:
-    """What a Gauss-Newton step needs; blocks that were made before need not be made again."""
+def _moments(samples: Samples, Lambda: np.ndarray, velocity: Velocity | None) -> NullSpaceFit:
+    """What a Gauss-Newton step needs; the samples lie side by side in the last axis."""
     s, r = Lambda.shape
     perp, k = complement_rows(Lambda), r - s
     scores = np.zeros((samples.n_trajectories, s, k))
     curvatures = np.zeros((samples.n_trajectories, s * k, s * k))
     cost = energy = 0.0
-    for block in blocks or samples.blocks():
-        w = block.u if velocity is None else velocity(block)
-        A = np.einsum("sr,nrv->nsv", Lambda, block.Phi, optimize=True)
-        Q, R = batch_row_spaces(A)
-        along = np.einsum("nvs,nv->ns", Q[:, :, :s], w, optimize=True)
-        null = w - np.einsum("nvs,ns->nv", Q[:, :, :s], along, optimize=True)
+    for block in samples.blocks():
+        w = np.ascontiguousarray((block.u if velocity is None else velocity(block)).T)
+        Q, R = row_bases(block.rows_of(Lambda).transpose(1, 0, 2))
+        along = np.einsum("vsn,vn->sn", Q, w)
+        null = w - np.einsum("vsn,sn->vn", Q, along)
         cost += float(np.sum(along**2))
         energy += float(np.sum(w**2))
         if k == 0:
             continue
-        R_inverse = inverse_triangles(R)
-        a = np.einsum("nij,nj->ni", R_inverse, along, optimize=True)  # A^{+T} w
-        g = np.einsum("kr,nrv,nv->nk", perp, block.Phi, null, optimize=True)
-        np.add.at(scores, block.trajectory, a[:, :, None] * g[:, None, :])
-        inverse_gram = R_inverse @ R_inverse.transpose(0, 2, 1)  # (A A^T)^-1
-        H = np.einsum("nij,nk,nl->nikjl", inverse_gram, g, g, optimize=True)
-        np.add.at(curvatures, block.trajectory, H.reshape(len(w), s * k, s * k))
+        R_inverse = inverse_triangles_beside(R)
+        a = np.einsum("ijn,jn->in", R_inverse, along)  # A^{+T} w
+        g = np.einsum("kvn,vn->kn", block.rows_of(perp), null)
+        block.add_to(scores, a[:, None] * g)
+        inverse_gram = np.einsum("iln,jln->ijn", R_inverse, R_inverse)  # (A A^T)^-1
+        H = inverse_gram[:, None, :, None] * (g[:, None] * g)[None, :, None]
+        block.add_to(curvatures, H.reshape(s * k, s * k, -1))
     n = len(samples)
     return NullSpaceFit(Lambda, cost / n, energy / n, 0, scores, curvatures)
 
@@ -149,7 +149,8 @@ def estimate_null_space(samples: Samples, n_constraints: int | None = None) -> E
         samples: What was recorded.
         n_constraints: Number of rows; found from the data by default.
     """
-    sizes, directions = levels(samples)
+    moments = trajectory_moments(samples)
+    sizes, directions = _levels(samples, moments.sum(axis=0))
     table = gaps_of_levels(sizes, samples.nv)
     s = n_constraints or table.best
     fit = fit_null_space(samples, directions[:s])
@@ -159,11 +160,17 @@ def estimate_null_space(samples: Samples, n_constraints: int | None = None) -> E
         fit.whitened_selection,
         table,
         energy_share(fit),
-        held_out_share(samples, s),
+        _held_out_share(samples, s, moments),
         fit.scores.reshape(samples.n_trajectories, m),
         fit.curvatures,
         levels=sizes,
     )
+
+
+def null_space_gap(samples: Samples, n_constraints: int | None = None) -> float:
+    """The gap that `estimate_null_space` will find: it depends on the levels alone."""
+    table = gaps_of_levels(levels(samples)[0], samples.nv)
+    return table.gap(n_constraints or table.best)
 
 
 def energy_share(fit: NullSpaceFit) -> float:
@@ -173,7 +180,11 @@ def energy_share(fit: NullSpaceFit) -> float:
 
 def held_out_share(samples: Samples, s: int) -> float:
     """Share of the energy that breaks a constraint learnt, in closed form, from the other trajectories."""
-    moments = trajectory_moments(samples)
+    return _held_out_share(samples, s, trajectory_moments(samples))
+
+
+def _held_out_share(samples: Samples, s: int, moments: Float[np.ndarray, "g r r"]) -> float:
+    """The same from `trajectory_moments`."""
     n_folds = min(MAX_FOLDS, samples.n_trajectories)
     if n_folds < 2:
         return float("nan")
@@ -184,10 +195,10 @@ def held_out_share(samples: Samples, s: int) -> float:
         _, vectors = np.linalg.eigh(total - moments[fold_of_trajectory == fold].sum(axis=0))
         selections.append(vectors[:, :s].T)
     broken = energy = 0.0
-    stacked = np.array(selections)
+    stacked = np.stack(selections, axis=2)
     for block in samples.blocks():
-        Lambda = stacked[fold_of_trajectory[block.trajectory]]
-        Q, _ = batch_row_spaces(Lambda @ block.Phi)
-        broken += float(np.sum(np.einsum("nvs,nv->ns", Q[:, :, :s], block.u, optimize=True) ** 2))
+        Lambda = stacked[:, :, fold_of_trajectory[block.trajectory]]
+        Q, _ = row_bases(np.einsum("srn,rvn->vsn", Lambda, block.columns))
+        broken += float(np.sum(np.einsum("vsn,vn->sn", Q, np.ascontiguousarray(block.u.T)) ** 2))
         energy += float(np.sum(block.u**2))
     return broken / energy if energy > 0.0 else float("nan")

@@ -15,8 +15,7 @@ from typing import final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.linalg import cho_factor, cho_solve
-from scipy.linalg.lapack import dpotri, dtrtri
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtri
 
 from manip_learn.learning.estimators.policy_model import PolicyModel
 from manip_learn.learning.samples import Samples
@@ -77,15 +76,12 @@ class Projections:
         s, perp = len(Lambda), complement_rows(Lambda)
         parts = []
         for block in samples.blocks():
-            n, r, nv = block.Phi.shape
-            # all rows with the samples side by side: one product for both selections
-            both = np.concatenate([Lambda, perp]) @ block.Phi.transpose(1, 0, 2).reshape(r, n * nv)
-            A, others = both[:s].reshape(s, n, nv), both[s:].reshape(-1, n, nv)
-            Q, R = row_bases(A.transpose(2, 0, 1))
-            N = np.eye(nv)[None] - (Q.transpose(2, 0, 1) @ Q.transpose(2, 1, 0))
+            both = block.rows_of(np.concatenate([Lambda, perp]))  # one product for both selections
+            Q, R = row_bases(both[:s].transpose(1, 0, 2))
+            N = np.eye(samples.nv)[None] - (Q.transpose(2, 0, 1) @ Q.transpose(2, 1, 0))
             rows = Q.transpose(2, 1, 0)
             duals = inverse_triangles(R.transpose(2, 0, 1)) @ rows if s else rows
-            parts.append((N, duals, N @ others.transpose(1, 2, 0)))
+            parts.append((N, duals, N @ both[s:].transpose(2, 1, 0)))
         N, duals, free = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
         return Projections(N, duals, free)
 
@@ -169,44 +165,44 @@ def pull(beta: Float[np.ndarray, "n j"], values: Float[np.ndarray, "n nv m"]) ->
 
 @final
 class Solver:
-    """(H + a trifle)^-1 by Cholesky's factors."""
+    """(H + a trifle)^-1 by Cholesky's factors; SciPy's wrapping takes as long as LAPACK itself for few unknowns."""
 
     def __init__(self, H: Float[np.ndarray, "c c"]):
         self._scale = 1.0 / np.sqrt(np.maximum(np.diag(H), np.finfo(np.float64).tiny))
         scaled = self._scale[:, None] * H * self._scale
         for floor in (FLOOR, 1e3 * FLOOR, 1e6 * FLOOR):
-            try:
-                self._factor = cho_factor(scaled + floor * np.eye(len(H)), lower=True, check_finite=False)
-                return
-            except np.linalg.LinAlgError:  # rounding has eaten a direction without curvature
-                continue
+            self._factor, failed = dpotrf(scaled + floor * np.eye(len(H)), lower=1, clean=0)
+            if not failed:
+                return  # else rounding has eaten a direction without curvature
         raise np.linalg.LinAlgError("the policy's normal equations are not positive definite")
 
     @property
     def least_pivot(self) -> float:
         """Least squared diagonal element of Cholesky's factor, the diagonal of H scaled to 1."""
-        return float(np.min(np.diag(self._factor[0]))) ** 2
+        return float(np.min(np.diag(self._factor))) ** 2
 
     @property
     def log_determinant(self) -> float:
         """log |H + a trifle|."""
-        return 2.0 * float(np.sum(np.log(np.diag(self._factor[0]) / self._scale)))
+        return 2.0 * float(np.sum(np.log(np.diag(self._factor) / self._scale)))
 
     def inverse(self) -> Float[np.ndarray, "c c"]:
         """The inverse itself, from the factor: a third of the cost of solving for the unit matrix."""
-        half, _ = dpotri(self._factor[0], lower=1)
+        half, _ = dpotri(self._factor, lower=1)
         lower = np.tril(half)
         whole = lower + np.tril(half, -1).T
         return self._scale[:, None] * whole * self._scale
 
     def inverse_diagonal(self) -> Float[np.ndarray, " c"]:
         """Diagonal of the inverse, from the inverse of the factor."""
-        back, _ = dtrtri(self._factor[0], lower=1)
+        back, _ = dtrtri(self._factor, lower=1)
         return self._scale**2 * np.sum(np.tril(back) ** 2, axis=0)
 
     def __call__(self, y: Float[np.ndarray, "c m"]) -> Float[np.ndarray, "c m"]:
         """Solution for several right sides."""
-        return self._scale[:, None] * cho_solve(self._factor, self._scale[:, None] * y, check_finite=False)
+        if y.size == 0:
+            return y
+        return self._scale[:, None] * dpotrs(self._factor, self._scale[:, None] * y, lower=1)[0]
 
 
 def solve_policy(

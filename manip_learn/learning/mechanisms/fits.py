@@ -8,7 +8,6 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.constraint.features.place_fields import across
 from manip_learn.learning.mechanisms.kinds import MechanismKind
 from manip_learn.learning.mechanisms.residuals import QUANTITIES, Place
 from manip_learn.learning.mechanisms.starts import STARTS
@@ -48,7 +47,7 @@ class Fit:
 
 def tangents(candidate: MechanismKind, place: Place) -> Float[np.ndarray, "7 m"]:
     """Directions in which the seven numbers of a place may move."""
-    columns, base = [], across(place.axis)
+    columns, base = [], place.across
     for name in candidate.unknowns:
         block = np.zeros((7, {"axis": 2, "point-across": 2, "point": 3, "pitch": 1}[name]))
         if name == "axis":

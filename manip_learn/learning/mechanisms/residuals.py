@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, final
 
 import numpy as np
@@ -29,6 +30,11 @@ class Place:
     axis: Float[np.ndarray, " 3"]
     point: Float[np.ndarray, " 3"]
     pitch: float = 0.0
+
+    @cached_property
+    def across(self) -> Float[np.ndarray, "2 3"]:
+        """Two unit vectors across the axis, see `place_fields.across`."""
+        return across(self.axis)
 
     def moved(self, step: Float[np.ndarray, " 7"]) -> Place:
         """The place after a step of the seven numbers."""
@@ -67,7 +73,7 @@ def _cylindrical(paths: TipPaths, place: Place) -> tuple[np.ndarray, np.ndarray,
 
 
 def _across_line(paths: TipPaths, place: Place) -> Values:
-    base = across(place.axis)
+    base = place.across
     d = paths.p - place.point
     J = np.zeros((len(d), 2, 7))
     J[:, :, :3] = -(d @ place.axis)[:, None, None] * base
@@ -98,7 +104,7 @@ def _distance(paths: TipPaths, place: Place) -> Values:
 
 def angles_about(paths: TipPaths, place: Place) -> Float[np.ndarray, " N"]:
     """Angle of the path about the axis, without jumps along each trajectory [rad]."""
-    base = across(place.axis)
+    base = place.across
     y = (paths.p - place.point) @ base.T
     return paths.unwrapped(np.arctan2(y[:, 1], y[:, 0]))
 

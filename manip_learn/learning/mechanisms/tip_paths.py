@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.rotations import rotation_vectors
 
 PHASES = 40  # places along each trajectory at which joints are exchanged
 
@@ -61,9 +62,7 @@ class TipPaths:
         U, _, Vt = np.linalg.svd(mean)
         U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
         away = self.R @ np.repeat(U @ Vt, self.counts, axis=0).transpose(0, 2, 1)
-        from scipy.spatial.transform import Rotation
-
-        return Rotation.from_matrix(away).as_rotvec()
+        return rotation_vectors(away)
 
     @cached_property
     def turned(self) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:

@@ -11,7 +11,7 @@ from manip_learn.learning.phases.confirmation import Confirm, confirmed_by_recom
 from manip_learn.learning.phases.discovery import PhaseDiscovery
 from manip_learn.learning.phases.hypotheses import fitted_rows
 from manip_learn.learning.phases.merging import merged
-from manip_learn.learning.phases.motion import PhaseMotion, broken_energy, sparse
+from manip_learn.learning.phases.motion import PhaseMotion, broken_energy, sparse, velocity_noise
 from manip_learn.learning.phases.result import PhaseResult
 from manip_learn.learning.phases.unsupported import contacts_of_one
 from manip_learn.recordings.trajectory import Trajectory
@@ -30,7 +30,14 @@ def too_short(trajectories: Sequence[Trajectory]) -> bool:
 
 def one_constraint_fits(features: FeatureMap, trajectories: Sequence[Trajectory]) -> bool:
     """Whether rows of these features hold in nearly all samples that move, clearly more than all other rows."""
-    return _one_fits(PhaseMotion.collect(features, sparse(trajectories)), features.nv)
+    return bool(maps_that_fit([features], trajectories))
+
+
+def maps_that_fit(feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory]) -> tuple[FeatureMap, ...]:
+    """Those of which one constraint fits."""
+    few = sparse(trajectories)
+    noise = [velocity_noise(t) for t in few if t.u is not None]
+    return tuple(f for f in feature_maps if _one_fits(PhaseMotion.collect(f, few, noise), f.nv))
 
 
 def _one_fits(motion: PhaseMotion, nv: int) -> bool:

@@ -170,9 +170,15 @@ def fitted_rows(
 
     A level is the root of the mean energy along a direction [rad/s].
     """
-    r = motion.rates.shape[1]
     M = (motion.rates * weights[:, None]).T @ motion.rates
-    S = np.tensordot(weights, motion.gram, axes=1)
+    return rows_of_moments(M, np.tensordot(weights, motion.gram, axes=1), s)
+
+
+def rows_of_moments(
+    M: Float[np.ndarray, "r r"], S: Float[np.ndarray, "r r"], s: int
+) -> tuple[Float[np.ndarray, "s r"], Float[np.ndarray, " r"]]:
+    """The same from the weighted sums of r r^T and of Phi Phi^T."""
+    r = len(M)
     L = np.linalg.cholesky(S + max(1e-9 * np.trace(S) / r, TINY) * np.eye(r))
     inverse = np.linalg.inv(L)
     values, vectors = np.linalg.eigh(inverse @ M @ inverse.T)

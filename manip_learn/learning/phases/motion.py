@@ -57,8 +57,15 @@ class PhaseMotion:
     whitening: Float[np.ndarray, "r p"]
 
     @staticmethod
-    def collect(features: FeatureMap, trajectories: Sequence[Trajectory]) -> PhaseMotion:
+    def collect(
+        features: FeatureMap, trajectories: Sequence[Trajectory], noise: Sequence[float] | None = None
+    ) -> PhaseMotion:
         """The motion of trajectories with velocities.
+
+        Args:
+            features: Phi.
+            trajectories: With velocities.
+            noise: `velocity_noise` of each trajectory, where it is known already.
 
         Raises:
             RecordingError: A trajectory lacks velocities.
@@ -78,7 +85,7 @@ class PhaseMotion:
         free = np.einsum("ni,ni->n", rates, np.linalg.solve(regular, rates[:, :, None])[:, :, 0]) / len(W)
         lengths = [len(t) for t in trajectories]
         first = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-        noise = np.repeat([velocity_noise(t) for t in trajectories], lengths)
+        each = [velocity_noise(t) for t in trajectories] if noise is None else noise
         return PhaseMotion(
             np.concatenate([t.time for t in trajectories]),
             np.concatenate([_weights(t.time) for t in trajectories]),
@@ -87,7 +94,7 @@ class PhaseMotion:
             rates,
             gram,
             np.maximum(free, 0.0),
-            noise,
+            np.repeat(each, lengths),
             W,
         )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby, islice
 from typing import final
 
 from manip_learn.constraint.features.feature_map import FeatureMap
@@ -13,10 +14,11 @@ from manip_learn.learning.data_summary import check_joints
 from manip_learn.learning.streaming.accumulator import Chunk, chunks
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource
-from manip_learn.recordings.velocities import VelocityMethod, derive_velocities
+from manip_learn.recordings.velocities import VelocityMethod, derive_together
 from manip_learn.robot.robot import Robot
 
 DERIVED = "velocities were derived from the positions"
+TOGETHER = 16  # trajectories whose velocities are derived at a time
 
 
 @final
@@ -60,20 +62,30 @@ class SampleStream:
             RecordingError: As for `chunks`.
         """
         derived = False
+        for has_velocities, run in groupby(self._checked(part, notes), lambda t: t.u is not None):
+            if has_velocities or self.robot is None:
+                yield from run
+                continue
+            derived = True
+            while some := list(islice(run, TOGETHER)):
+                yield from derive_together(some, self.robot, self.velocities)
+        if derived:
+            notes.append(DERIVED)
+
+    def _checked(self, part: int, notes: list[str]) -> Iterator[Trajectory]:
+        """The trajectories of a part as they were recorded.
+
+        Raises:
+            RecordingError: As for `chunks`.
+        """
         for trajectory in self.source.part(part, notes):
             _check_joints(trajectory, self.joint_names, self.robot)
-            if trajectory.u is not None:
-                yield trajectory
-                continue
-            if self.robot is None:
+            if trajectory.u is None and self.robot is None:
                 raise RecordingError(
                     f"{trajectory.name} has no velocities: give features of a robot to derive them with",
                     code="no-velocities",
                 )
-            derived = True
-            yield derive_velocities(trajectory, self.robot, self.velocities)
-        if derived:
-            notes.append(DERIVED)
+            yield trajectory
 
 
 def open_stream(source: TrajectorySource, features: Sequence[FeatureMap], velocities: VelocityMethod) -> SampleStream:

@@ -113,8 +113,7 @@ def _usual_distance(q: Float[np.ndarray, "T nv"], size: Float[np.ndarray, " n"])
 
 def _quantum(q: Float[np.ndarray, "T nv"]) -> float:
     """Size of a step by which all joints move by the smallest difference that their encoders show [rad or m]."""
-    total = 0.0
-    for column in q.T:
-        gaps: Float[np.ndarray, " k"] = np.diff(np.unique(column))
-        total += min(float(gaps.min()), LARGEST_QUANTUM) ** 2 if gaps.size else 0.0
-    return float(np.sqrt(total))
+    gaps = np.diff(np.sort(q, axis=0), axis=0)
+    least = np.min(np.where(gaps > 0.0, gaps, np.inf), axis=0, initial=np.inf)
+    least = np.where(np.isfinite(least), np.minimum(least, LARGEST_QUANTUM), 0.0)  # a joint that stands still has none
+    return float(np.sqrt(np.sum(least**2)))

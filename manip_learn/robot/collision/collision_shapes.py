@@ -10,7 +10,6 @@ import coal
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float, Int
-from scipy.spatial import ConvexHull, QhullError
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.description.urdf_elements import as_matrix
@@ -117,6 +116,8 @@ def _shape(robot: Robot, element: VisualElement, meshes: dict[str, Mesh]) -> Col
 def _hull(
     vertices: Float[np.ndarray, "n 3"], element: VisualElement, robot: Robot
 ) -> tuple[Float[np.ndarray, "k 3"], Int[np.ndarray, "m 3"]]:
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         hull = ConvexHull(vertices)
     except (QhullError, ValueError) as error:
