@@ -18,7 +18,8 @@ def test_the_reference_has_every_public_name():
     text = (DOCS / "reference.md").read_text(encoding="utf-8")
     entries = re.findall(r"^\.\. auto(?:class|function):: manip_learn\.([\w.]+)$", text, re.MULTILINE)
     # an error is documented with the other errors
-    assert sorted([*entries, "ManipLearnError"]) == sorted(ml.__all__)
+    beside = {"learning.LearningReport"}  # what a public name holds
+    assert sorted([*(e for e in entries if e not in beside), "ManipLearnError"]) == sorted(ml.__all__)
 
 
 def test_equations_are_where_the_map_says():
