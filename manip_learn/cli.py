@@ -217,7 +217,7 @@ def export(
     options: ReadOptions,
     as_json: shared.Json = False,
 ) -> None:
-    """Write recordings or rollouts as MCAP, CSV, LeRobot data, or as a JointTrajectory for a controller."""
+    """Write recordings or rollouts as MCAP, CSV, LeRobot data, for Rerun, or as a JointTrajectory for a controller."""
     from manip_learn.commands.export import export as run
 
     with waiting(as_json, "writing"):

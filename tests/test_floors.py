@@ -29,6 +29,7 @@ ROOMS = {
     "pinocchio": {"robot", "playback"},
     "coal": {"robot", "playback"},
     "meshcat": {"playback"},
+    "rerun": {"playback"},
     "trimesh": {"robot", "playback"},
     "yourdfpy": {"robot", "playback"},
     "defusedxml": {"robot", "playback"},

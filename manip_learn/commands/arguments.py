@@ -42,10 +42,10 @@ Dask = Annotated[str | None, typer.Option(help="Scheduler address, or local: wor
 Exported = Annotated[list[str], typer.Argument(metavar="FILE...", help="Recordings or rollouts, or a folder of them.")]
 ExportOut = Annotated[
     Path,
-    typer.Option(help="A file (.mcap, .csv, .yaml: a JointTrajectory), or a folder: LeRobot, or what --to says."),
+    typer.Option(help="A file (.mcap, .csv, .rrd, .yaml: a JointTrajectory), or a folder: LeRobot, or what --to says."),
 ]
 ExportTo = Annotated[
-    str | None, typer.Option(help="mcap, csv, lerobot or trajectory: format of the files in a folder.")
+    str | None, typer.Option(help="mcap, csv, lerobot, rrd or trajectory: format of the files in a folder.")
 ]
 Rollouts = Annotated[list[str], typer.Argument(metavar="ROLLOUT...", help="Written by `control --out`; or recordings.")]
 Start = Annotated[str | None, typer.Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the rest posture.")]

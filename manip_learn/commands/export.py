@@ -1,4 +1,4 @@
-"""`manip-learn export`: recordings or rollouts -> MCAP, CSV, LeRobot data, or a JointTrajectory."""
+"""`manip-learn export`: recordings or rollouts -> MCAP, CSV, LeRobot data, Rerun, or a JointTrajectory."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajector
 from manip_learn.recordings.writers.csv_writer import csv_bytes
 from manip_learn.recordings.writers.joint_trajectory_writer import joint_trajectory_bytes
 from manip_learn.recordings.writers.mcap_writer import mcap_bytes
+from manip_learn.robot.robot import Robot
 
-LEROBOT = "lerobot"
+LEROBOT, RERUN = "lerobot", "rrd"
 # name on the command line -> endings, and the writer of one motion
 FORMATS: dict[str, tuple[tuple[str, ...], Callable[[SavedMotion], bytes]]] = {
     "mcap": ((".mcap",), mcap_bytes),
@@ -34,7 +35,7 @@ class Exported:
     """What was written.
 
     Attributes:
-        format: mcap, csv, lerobot or trajectory.
+        format: mcap, csv, lerobot, rrd or trajectory.
         files: Files, or the folder of a LeRobot data set.
         trajectories: Number of trajectories.
         samples: Number of samples of all of them.
@@ -82,6 +83,8 @@ def export(
     """
     kind = _format(out, to)
     robot = load_for_files(robot_name, recordings, robot_options or RobotOptions())
+    if kind == RERUN:
+        return _to_rerun(robot, recordings, out, options)
     demonstrations = load_demonstrations(recordings, robot, **(options or {}))
     motions = [motion_of_trajectory(t, robot) for t in demonstrations]
     if kind == LEROBOT:
@@ -101,15 +104,29 @@ def export(
     return Exported(kind, files, len(motions), sum(len(m.time) for m in motions), demonstrations.notes)
 
 
+def _to_rerun(robot: Robot, files: list[str], out: Path, options: ReadOptions | None) -> Exported:
+    """All of them in one file, rollouts with their curves."""
+    from manip_learn.commands.named_motions import named_motions
+    from manip_learn.playback.rerun_recording import write_rerun
+
+    read = named_motions(files, robot, options)
+    path = write_rerun(robot, read.motions, out)
+    samples = sum(len(motion.time) for motion in read.motions.values())
+    return Exported(RERUN, (path,), len(read.motions), samples, tuple(read.notes))
+
+
 def _format(out: Path, to: str | None) -> str:
-    by_ending = next((name for name, (endings, _) in FORMATS.items() if out.suffix.lower() in endings), None)
+    suffixes = {name: endings for name, (endings, _) in FORMATS.items()} | {RERUN: (".rrd",)}
+    by_ending = next((name for name, endings in suffixes.items() if out.suffix.lower() in endings), None)
     kind = to or by_ending or LEROBOT
-    if kind not in (*FORMATS, LEROBOT):
-        raise OutputError(f"--to must be one of {', '.join([*FORMATS, LEROBOT])}, not {to!r}")
+    if kind not in (*suffixes, LEROBOT):
+        raise OutputError(f"--to must be one of {', '.join([*suffixes, LEROBOT])}, not {to!r}")
+    if kind == RERUN and by_ending is None:
+        raise OutputError(f"cannot write a Rerun recording to {str(out)!r}: name one file for all, --out NAME.rrd")
     if (to is None and by_ending is None and out.suffix) or (by_ending is not None and kind != by_ending):
         raise OutputError(
-            f"cannot write {str(out)!r} as {kind}: the ending says the format, .mcap, .csv, .yaml or .json; LeRobot "
-            "data and several files are written to a folder (a name without ending)"
+            f"cannot write {str(out)!r} as {kind}: the ending says the format, .mcap, .csv, .rrd, .yaml or .json; "
+            "LeRobot data and several files are written to a folder (a name without ending)"
         )
     return kind
 

@@ -6,22 +6,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from manip_learn.commands.named_motions import NamedMotions, named_motions
 from manip_learn.commands.robot_loading import load_for_files, robot_of_constraint
 from manip_learn.commands.robot_options import RobotOptions
 from manip_learn.commands.typed_command import learning_command
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConstraintMismatchError, RecordingError
 from manip_learn.playback import RecordingChoice, ReplayResult
 from manip_learn.playback import replay as write_replay
 from manip_learn.playback.phase_bands import phases_from_json
-from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.episode_numbers import numbers_read
 from manip_learn.recordings.load_demonstrations import ReadOptions
-from manip_learn.recordings.readers.option_uses import flag_of
-from manip_learn.recordings.readers.saved_reader import file_header
-from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 
 
@@ -63,61 +59,28 @@ def replay(
         tip = tip or getattr(constraint.features, "frame", None)
     else:
         robot = load_for_files(robot_name, files, loading)
-    named: dict[str, Rollout | Trajectory] = {}
-    notes: list[str] = []
-    rollouts = [file for file in files if _is_rollout(Path(file))]
-    recordings = [file for file in files if file not in rollouts]
-    if options and not recordings:
-        asked = ", ".join(flag_of(name) for name in options)
-        raise RecordingError(f"rollouts are read as they were written, so {asked} has no use: leave it out")
-    for file in rollouts:
-        rollout, said = Rollout.load_with_notes(file, robot)
-        named[_unique(Path(file).stem, named)] = rollout
-        notes += [f"{Path(file).name}: {note}" for note in said]
-    # together, since an option may be meant for one of them
-    for trajectory in load_demonstrations(recordings, robot, **(options or {})) if recordings else ():
-        named[_unique(trajectory.name, named)] = trajectory
+    read = named_motions(files, robot, options)
     return write_replay(
         robot,
-        named,
+        read.motions,
         html or Path("replay.html"),
         tip=tip,
         open_browser=open_browser,
         phases=phases_from_json(learnt.get("phases") or []),
         mechanism=learnt.get("mechanism") or None,
-        notes=notes,
+        notes=read.notes,
         constraint=constraint,
         report=learnt or None,
-        choice=_choice(robot, constraint, recordings, named, options or {}) if recordings and not rollouts else None,
+        choice=_choice(robot, constraint, read, options or {}) if read.recordings and not read.rollouts else None,
     )
 
 
 def _choice(
-    robot: Robot,
-    constraint: Constraint | None,
-    recordings: list[str],
-    named: Mapping[str, Rollout | Trajectory],
-    options: ReadOptions,
+    robot: Robot, constraint: Constraint | None, read: NamedMotions, options: ReadOptions
 ) -> RecordingChoice | None:
     """The command line that learns from these recordings again; None without a constraint that says how."""
     features = None if constraint is None else constraint.features
     if not isinstance(features, FrameJacobian):
         return None
     command = learning_command(features.frame.name, features.row_names, features.reference)
-    return RecordingChoice.of(command, tuple(named), numbers_read(recordings, robot, **options))
-
-
-def _is_rollout(path: Path) -> bool:
-    if not path.exists():
-        raise RecordingError(f"{path}: there is no such file: check the path", code="missing", path=path)
-    if not path.is_file():
-        return False
-    header = file_header(path)
-    return header is not None and header.kind == "rollout"
-
-
-def _unique(name: str, taken: dict[str, Rollout | Trajectory]) -> str:
-    candidate, n = name, 2
-    while candidate in taken:
-        candidate, n = f"{name} ({n})", n + 1
-    return candidate
+    return RecordingChoice.of(command, tuple(read.motions), numbers_read(read.recordings, robot, **options))

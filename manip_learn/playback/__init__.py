@@ -9,8 +9,9 @@ if TYPE_CHECKING:
     from manip_learn.playback.live_viewer import LiveViewer
     from manip_learn.playback.recording_choice import RecordingChoice
     from manip_learn.playback.replay_page import ReplayResult, replay
+    from manip_learn.playback.rerun_recording import write_rerun
 
-__all__ = ["LiveViewer", "RecordingChoice", "ReplayResult", "replay"]
+__all__ = ["LiveViewer", "RecordingChoice", "ReplayResult", "replay", "write_rerun"]
 
 # the file is not called replay.py: importing it would put the module where the function belongs
 _HOMES = {
@@ -18,6 +19,7 @@ _HOMES = {
     "RecordingChoice": "recording_choice",
     "ReplayResult": "replay_page",
     "replay": "replay_page",
+    "write_rerun": "rerun_recording",
 }
 
 

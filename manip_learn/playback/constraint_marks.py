@@ -58,7 +58,7 @@ def constraint_marks(robot: Robot, samples: MotionSamples, guidance: Guidance, m
         "times": packed(samples.time[kept], "<f8"),
         **{_key(n): packed(getattr(directions, n)[..., *SIX], "<f4") for n in names},
         "ellipsoid": packed(_ellipsoids(robot, directions, q)[:, *SIX], "<f4"),
-        "target": _target(robot, constraint, guidance.target, samples.q[0]),
+        "target": target_place(robot, constraint, guidance.target, samples.q[0]),
     }
 
 
@@ -97,7 +97,7 @@ def _ellipsoids(robot: Robot, directions: HeldDirections, q: Float[np.ndarray, "
     return held @ held.transpose(0, 2, 1)
 
 
-def _target(
+def target_place(
     robot: Robot, constraint: Constraint, target: np.ndarray | None, q: Float[np.ndarray, " n"]
 ) -> dict[str, Any] | None:
     """Place of the target in the frame of a joint; coordinates that the target lacks are those of the start."""

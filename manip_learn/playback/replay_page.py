@@ -114,12 +114,12 @@ def replay(
         UnknownNameError: No such tip frame or colour.
         OutputError: The file cannot be written.
     """
-    named = _named(rollouts)
+    named = named_recordings(rollouts)
     guided = {name: guidance_of(robot, name, r, constraint, target) for name, r in named.items()}
     learnt = _learnt(report, guided)
     phases = phases or _own_phases(learnt, named)
     mechanism = mechanism if mechanism is not None else learnt.get("mechanism")
-    tip_name = _tip(robot, tip, named, guided)
+    tip_name = shown_tip(robot, tip, named, guided)
     bands = phase_bands(phases, list(named))
     chosen_colours = rollout_colours(list(named), colours or {}, neutral=bool(phases))
     tree, frame = kinematic_tree(robot), robot.frame(tip_name)
@@ -168,7 +168,7 @@ def _own_phases(learnt: Mapping[str, Any], named: Mapping[str, Recording]) -> tu
     return tuple(p for p in phases if isinstance(named.get(p[0]), Trajectory))
 
 
-def _tip(robot: Robot, tip: str | None, named: Mapping[str, Recording], guided: Mapping[str, Guidance]) -> str:
+def shown_tip(robot: Robot, tip: str | None, named: Mapping[str, Recording], guided: Mapping[str, Guidance]) -> str:
     """The frame whose path is drawn: the given one, else that of a rollout or of a constraint, else the default."""
     if tip is not None:
         return robot.frame(tip).name
@@ -178,7 +178,12 @@ def _tip(robot: Robot, tip: str | None, named: Mapping[str, Recording], guided: 
     return next((name for name in frames if name in robot.frame_names), None) or default_tip(robot)
 
 
-def _named(rollouts: Mapping[str, Recording] | Recording) -> dict[str, Recording]:
+def named_recordings(rollouts: Mapping[str, Recording] | Recording) -> dict[str, Recording]:
+    """Name -> rollout or recording, of one or of many.
+
+    Raises:
+        RecordingError: None at all, or something else.
+    """
     if isinstance(rollouts, Rollout | Trajectory):
         rollouts = {rollouts.name if isinstance(rollouts, Trajectory) else "rollout": rollouts}
     if not isinstance(rollouts, Mapping):

@@ -32,6 +32,11 @@ def write_motion(path: str | os.PathLike[str], motion: SavedMotion) -> Path:
         OutputError: No format of that name, it cannot be written, or the format cannot hold the motion.
     """
     suffix = Path(path).suffix.lower()
+    if suffix == ".rrd":
+        raise OutputError(
+            f"cannot write {os.fspath(path)!r}: a Rerun recording shows the robot too; use "
+            "manip_learn.playback.write_rerun(robot, rollouts, path), or `manip-learn export ROBOT FILE... --out x.rrd`"
+        )
     if suffix not in WRITERS:
         raise OutputError(
             f"cannot write {os.fspath(path)!r}: the ending says the format, and it is {suffix or 'missing'!r}; use "
