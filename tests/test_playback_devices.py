@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import base64
+import itertools
 import shutil
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from conftest import tip_of
 from test_playback import waving
 from test_playback_browser import FLAGS, NAMES, PHASES, links_of, wait_until
 
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian
 from manip_learn.playback import LiveViewer, replay
 from manip_learn.playback.palette import COLOURS
 from manip_learn.playback.phase_bands import FREE_COLOUR
@@ -20,10 +24,18 @@ pytestmark = pytest.mark.browser
 PHONES = (320, 390, 430)  # widths [px]
 DESKTOP = (1280, 800)
 FINGER = 40  # least width and height of what a finger must hit [px]
-CONTROLS = "button, select, summary, input"
+# a check box or a choice is hit by its label
+CONTROLS = "button, select, summary, input[type=range], label:has(input)"
 HINGE = {"type": "hinge", "axis": [0, 0, 1], "point": [0.5, 0.5, 0.1], "radius": 0.6, "sentence": "a hinge"}
 PAGES = ("replay", "phases", "live")
-OPEN_LISTS = "open => document.querySelectorAll('details').forEach(list => { list.open = open; })"
+REPORT = {
+    "sentence": "the hand is held", "gap": 3940.0, "n_constraints": 2, "held_out_residual": 0.012,
+    "uncertainty_deg": 0.2, "n_samples": 600, "n_trajectories": 2, "warnings": ["recordings are few"],
+    "odd_trajectories": [["b", "moves 3 mm"]],
+}  # fmt: skip
+ALL_TRACKS = "document.querySelectorAll('#sheets input').forEach(box => { if (!box.checked) box.click(); })"
+# one of the lists and cards open, the others closed; a number beyond them closes all
+OPEN_ONE = "n => document.querySelectorAll('details').forEach((list, i) => { list.open = i === n; })"
 # place and name of what has the focus; in words, if it does not show that it has
 FOCUS = """() => {
     const e = document.activeElement, style = getComputedStyle(e);
@@ -79,15 +91,14 @@ def address_of(kind, robot, folder):
             yield viewer.url
         return
     rollouts = {f"a rather long name of a rollout, number {i}": waving(robot, 3.0 + i, phase=i) for i in range(3)}
-    phases, mechanism = (), None
+    guided = Constraint(np.eye(2), FrameJacobian(robot, tip_of(robot.name), "x y"))
+    more = {"constraint": guided, "target": [0.4, 0.3]}
     if kind == "phases":
         rollouts = {"a": waving(robot, 4.0).trajectory("a"), "b": waving(robot, 2.0, phase=1.0).trajectory("b")}
-        phases, mechanism = PHASES, HINGE
+        more = {"phases": PHASES, "mechanism": HINGE, "constraint": (guided, guided), "report": REPORT}
     notes = ["a note about a_very_long_file_name_that_has_no_space_in_it_and_goes_on_and_on.mcap"]
     path = folder / f"{kind}.html"
-    yield replay(
-        robot, rollouts, path, title="drawer, 3 times", phases=phases, mechanism=mechanism, notes=notes
-    ).html.as_uri()
+    yield replay(robot, rollouts, path, title="drawer, 3 times", notes=notes, **more).html.as_uri()
 
 
 def boxes(page, selector):
@@ -106,16 +117,19 @@ def test_phones_show_everything_without_sideways_scrolling(robot_of, tmp_path, o
     """At 320, 390 and 430 pixels nothing is wider than the screen, and every control is large enough for a finger."""
     with address_of(kind, robot_of("planar3"), tmp_path) as address:
         page = opened(address, phone=True)
-        page.evaluate(OPEN_LISTS, True)
-        for width in PHONES:
+        page.evaluate(ALL_TRACKS)
+        for width, list_open in itertools.product(PHONES, range(page.locator("details").count())):
             page.set_viewport_size({"width": width, "height": 800})
+            page.evaluate(OPEN_ONE, list_open)
             page.wait_for_timeout(50)
             assert page.evaluate("[document.documentElement.scrollWidth, innerWidth]") == [width, width]
             controls = boxes(page, CONTROLS)
             assert len(controls) > 6
             for name, left, right, across, down in controls:
                 assert left >= 0 and right <= width and across >= FINGER and down >= FINGER, (width, name)
-            for name, left, right, *_ in boxes(page, "#legend *, #chart, #notes, #keys dl, #transport, #scene canvas"):
+            for name, left, right, *_ in boxes(
+                page, "#legend *, #chart, #tracks, .sheet, #notes, #keys dl, #transport, canvas"
+            ):
                 assert left >= -0.5 and right <= width + 0.5, (width, name)
 
 
@@ -179,18 +193,17 @@ def test_nothing_keeps_readers_out(robot_of, tmp_path, opened, kind):
         page = opened(address)
         wait_until(page, "getComputedStyle(document.getElementById('panel')).display !== 'none'")
         page.evaluate(base.AXE_SCRIPT)
+        page.evaluate(ALL_TRACKS)
         for size in (DESKTOP, (PHONES[1], 844)):
             page.set_viewport_size({"width": size[0], "height": size[1]})
             for scheme in ("light", "dark"):
                 page.emulate_media(color_scheme=scheme)
-                for lists in (False, True):
-                    page.evaluate(
-                        "open => document.querySelectorAll('details').forEach(d => { d.open = open; })", lists
-                    )
+                for list_open in range(page.locator("details").count() + 1):
+                    page.evaluate(OPEN_ONE, list_open)
                     found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
                     bad = [(v["id"], [n["target"] for n in v["nodes"]]) for v in found["violations"]
                            if v["impact"] in ("serious", "critical")]  # fmt: skip
-                    assert bad == [], (size, scheme, lists)
+                    assert bad == [], (size, scheme, list_open)
 
 
 def luminance(colour):
@@ -237,7 +250,7 @@ def test_every_control_is_reached_by_tab(robot_of, tmp_path, opened, kind):
         page = opened(address)
         wait_until(page, "getComputedStyle(document.getElementById('panel')).display !== 'none'")
         expected = page.evaluate(
-            f"[...document.querySelectorAll('{CONTROLS}, [tabindex]')].filter(e => e.checkVisibility()).length"
+            "[...document.querySelectorAll('button, select, summary, input, [tabindex]')].filter(e => e.checkVisibility()).length"
         )
         seen = set()
         for _ in range(expected):

@@ -199,7 +199,7 @@ class Chart {
     const known = Object.keys(STATUS).filter((w) => words.delete(w));
     const used = new Set(this.rollouts.flatMap((r) => r.bands.map((b) => b.kind)));
     const phases = [...new Set(this.rollouts.flatMap((r) => r.kinds))].filter((kind) => used.has(kind));
-    if (this.rollouts.some(hasGaps)) phases.push(NO_PHASE);
+    if (this.rollouts.some(hasGaps)) phases.push({ ...NO_PHASE, colour: "var(--unclassified)" });
     if (colouring.mode === "fit") phases.splice(0, Infinity, ...fitKey());
     return [...[...known, ...words].map((word) => this.statusStyle(word)), ...phases.map(({ colour, label, mark, ink }) => ({ colour, say: label, mark, ink }))];
   }

@@ -41,7 +41,9 @@ class Tracks {
     Object.assign(this, { show, chart, rows: [], time: 0 });
     this.kinds = Object.keys(TRACKS).filter((kind) => show.rollouts.some((r) => r.byKind.has(kind)));
     this.chosen = new Set(this.kinds.filter((kind) => kind === "fit" && !show.rollouts.some((r) => r.curve.length || r.bands.length)));
-    this.element = Object.assign(document.createElement("div"), { id: "tracks" });
+    this.element = Object.assign(document.createElement("div"), { id: "tracks", tabIndex: 0 }); // it scrolls, by keys too
+    this.element.setAttribute("role", "group");
+    this.element.setAttribute("aria-label", "Tracks");
     get("chart").after(this.element);
     let width = 0;
     new ResizeObserver(() => { if (this.element.clientWidth !== width) { width = this.element.clientWidth; this.draw(); } }).observe(this.element);
