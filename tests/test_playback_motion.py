@@ -74,8 +74,8 @@ def test_continuous_joints_take_the_short_way(robot_of):
 
 
 def test_key_frames_are_few_and_keep_the_ends():
-    """At most 60 key frames a second and 6,000 in all; slow recordings keep every sample; first and last stay."""
-    for rate, seconds, most in ((1000.0, 10.0, 602), (100.0, 10.0, 602), (30.0, 10.0, 301), (100.0, 900.0, 6001)):
+    """At most 60 key frames a second and 18,000 in all; slow recordings keep every sample; first and last stay."""
+    for rate, seconds, most in ((1000.0, 10.0, 602), (100.0, 10.0, 602), (30.0, 10.0, 301), (100.0, 900.0, 18_001)):
         time = np.arange(int(rate * seconds) + 1) / rate
         keys = key_frames(time)
         assert keys[0] == 0 and keys[-1] == time.size - 1

@@ -21,7 +21,7 @@ from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 
 KEY_FRAMES_PER_SECOND = 60.0
-MAX_KEY_FRAMES = 6000
+MAX_KEY_FRAMES = 18_000  # 30 a second in ten minutes
 MAX_CURVE_POINTS = 2000
 MAX_PATH_POINTS = 1500
 UNGUIDED = Guidance()

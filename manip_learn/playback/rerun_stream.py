@@ -128,7 +128,9 @@ class RerunStream:
         """What only rollouts have; numbers that are not known (NaN) are left out."""
         for curve in CURVES:
             values = getattr(rollout, curve)
-            known = np.zeros(0, dtype=bool) if values is None else np.isfinite(values)
+            if values is None:
+                continue
+            known = np.isfinite(values)
             if known.any():
                 self._moving(entity(name, curve), time[known], rr.Scalars.columns(scalars=values[known]))
         words = [str(word) for word in rollout.status]
