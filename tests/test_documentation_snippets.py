@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import re
 import shlex
+import sys
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,7 @@ def test_snippets_run(page, tmp_path, monkeypatch, capsys):
     furnish(tmp_path, page.stem)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "160")
+    monkeypatch.setitem(sys.modules, "numba", None)  # compiling takes half a minute, and other tests do it
     found = names()
     printed = ""
     for block in blocks(page):
