@@ -25,7 +25,7 @@ from manip_learn.robot.robot import Robot
 
 __all__ = ["CompiledController", "CompiledRollout", "compiled_if_possible", "why_not"]
 
-FIRST_COMPILE = "compiling the controller, once per machine and version of the library: about half a minute"
+FIRST_COMPILE = "compiling the controller, once per machine and version of the library: about a minute"
 _LOGGER = logging.getLogger("manip_learn")
 
 _DOUBLE = np.dtype(np.float64)  # in the byte order of the machine
@@ -57,7 +57,7 @@ class CompiledController:
     finite, where a direction is lost that the inverse `"exact"` cannot invert, and where several are lost at once under
     a policy without a bound. The numbers are the same everywhere (to 1e-12 of the largest, to 1e-9 at limits).
 
-    The first one on a machine takes about half a minute, which it says through the logger `manip_learn`; the machine
+    The first one on a machine takes about a minute, which it says through the logger `manip_learn`; the machine
     code is kept on disk.
 
     Args:
