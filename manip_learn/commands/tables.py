@@ -27,6 +27,7 @@ if TYPE_CHECKING:  # so that printing one command's answer does not load the oth
     from manip_learn.robot.robot_summary import RobotSummary
 
 MOST_ROWS = 20  # of an audit on a terminal
+NOT_AN_ANGLE = 45.0  # an uncertainty beyond says nothing [deg]
 ROLLOUT_TERMS = ("error", "mu", "peak", "unhindered")
 AUDIT_TERMS = ("score", "sigma", "broken", "mm, deg", "margin", "speed", "jerk", "rest")
 
@@ -86,7 +87,10 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> Non
 def _spread(mechanism: Mechanism) -> str:
     """The uncertainty of each parameter, one standard deviation."""
     units = {"axis": (1.0, "degrees"), "point": (1e3, "mm"), "radius": (1e3, "mm"), "pitch": (1e3, "mm/rad")}
-    parts = [f"{name} {units[name][0] * x:.2g} {units[name][1]}" for name, x in mechanism.uncertainty.items()]
+    spread = mechanism.uncertainty
+    parts = [f"{name} {units[name][0] * x:.2g} {units[name][1]}" for name, x in spread.items()]
+    if spread.get("axis", 0.0) > NOT_AN_ANGLE:  # linear errors of a direction that nothing determines
+        parts[list(spread).index("axis")] = "axis not determined"
     return f" (+- {', '.join(parts)})" if parts else ""
 
 
