@@ -8,9 +8,9 @@ from pathlib import Path
 
 
 def peak_megabytes() -> float:
-    """Peak of the resident memory [MB]. On Linux ru_maxrss would count what the parent held when it forked."""
+    """Peak of the resident memory [MiB]. On Linux ru_maxrss would count what the parent held when it forked."""
     status = Path("/proc/self/status")
     if status.exists():
         high_water = next(line for line in status.read_text(encoding="utf-8").splitlines() if line.startswith("VmHWM"))
-        return int(high_water.split()[1]) / 1e3
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+        return int(high_water.split()[1]) / 1024  # in KiB, whatever it says
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024**2 if sys.platform == "darwin" else 1024)

@@ -22,6 +22,11 @@ import make_experiments  # noqa: E402
 EXPECTED = json.loads(make_experiments.PATH.read_text(encoding="utf-8"))
 
 
+# the paper's separation of task and null space divides by what is small: OpenBLAS's kernels SkylakeX and Haswell differ
+# by 1.7e-11 in it
+LOOSER = {"/separate": 1e-9}
+
+
 def differences(found: Any, expected: Any, where: str = "") -> list[str]:
     """Paths at which numbers differ by more than 1e-12, or structures differ."""
     if isinstance(expected, dict):
@@ -32,7 +37,7 @@ def differences(found: Any, expected: Any, where: str = "") -> list[str]:
     if a.shape != b.shape:
         return [f"{where}: shape {a.shape} is not {b.shape}"]
     worst = float(np.max(np.abs(a - b) / np.maximum(1.0, np.abs(b))))
-    return [] if worst <= 1e-12 else [f"{where}: off by {worst:.2g}"]
+    return [] if worst <= LOOSER.get(where, 1e-12) else [f"{where}: off by {worst:.2g}"]
 
 
 @pytest.mark.parametrize("part", ["generator", "table", "starts", "rmse"])

@@ -227,7 +227,7 @@ def test_one_recording_is_not_answered_with_certainty():
 
 def test_phases_can_be_turned_off():
     """With `phases="off"` whole recordings are refused, and the refusal says that they are not of one piece."""
-    with pytest.raises(NotIdentifiableError, match="--phases auto"):
+    with pytest.raises(NotIdentifiableError, match="phases='auto'"):
         learnt("panda_drawer_whole", phases="off")
 
 

@@ -27,7 +27,7 @@ def refuse(
         content = finite({"error": {"code": code, "message": message, **(facts or {})}})
         try:
             print(json.dumps(content, indent=2), flush=True)
-        except BrokenPipeError:
+        except OSError:  # a pipe that nobody reads any more, or a full disk, which the sentence below tells
             nobody_reads()
     print(f"manip-learn: {message}", file=sys.stderr)
     return exit_code

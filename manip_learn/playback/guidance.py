@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
-from manip_learn.errors import ConstraintMismatchError, TargetError
+from manip_learn.errors import ConstraintMismatchError, RecordingError, TargetError
 from manip_learn.playback.phase_bands import PhaseBand
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
@@ -71,12 +71,13 @@ def guidance_of(
 
     Raises:
         ConstraintMismatchError: A constraint of another robot.
+        RecordingError: A rollout of another robot.
         TargetError: A target that is not finite numbers.
     """
     if isinstance(constraint, Constraint):
         constraint = (constraint,)
     if constraint is None and isinstance(motion, Rollout) and motion.constraint is not None:
-        constraint = (Constraint.from_dict(motion.constraint, robot, source=f"the constraint of rollout {name!r}"),)
+        constraint = (_own_constraint(robot, name, motion.constraint),)
     if target is None and isinstance(motion, Rollout):
         target = motion.target
     for c in constraint or ():
@@ -98,3 +99,13 @@ def _numbers(target: ArrayLike) -> Float[np.ndarray, "..."]:
     if array.ndim not in (1, 2) or not np.all(np.isfinite(array)):
         raise TargetError(f"the target to show must be finite numbers, or a 4 x 4 pose, got {array.tolist()!r:.80}")
     return array
+
+
+def _own_constraint(robot: Robot, name: str, content: Mapping[str, Any]) -> Constraint:
+    """What guided a rollout; it belongs to the robot that the rollout was made with."""
+    try:
+        return Constraint.from_dict(content, robot, source=f"the constraint of rollout {name!r}")
+    except ConstraintMismatchError as error:
+        raise RecordingError(
+            f"rollout {name!r} was not made with robot {robot.name!r}: {error}", code="other-robot"
+        ) from error

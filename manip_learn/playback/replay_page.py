@@ -118,7 +118,7 @@ def replay(
     guided = {name: guidance_of(robot, name, r, constraint, target) for name, r in named.items()}
     learnt = _learnt(report, guided)
     phases = phases or _own_phases(learnt, named)
-    mechanism = mechanism if mechanism is not None else learnt.get("mechanism")
+    mechanism = mechanism if mechanism is not None else _own_mechanism(learnt)
     tip_name = shown_tip(robot, tip, named, guided)
     bands = phase_bands(phases, list(named))
     chosen_colours = rollout_colours(list(named), colours or {}, neutral=bool(phases))
@@ -160,6 +160,18 @@ def _learnt(report: DescribedReport | Mapping[str, Any] | None, guided: Mapping[
         return report if isinstance(report, Mapping) else report.to_dict()
     kept = (g.constraint.provenance for g in guided.values() if g.constraint is not None)
     return next((provenance for provenance in kept if provenance), {})
+
+
+def _own_mechanism(learnt: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """The report's mechanism.
+
+    Raises:
+        RecordingError: It is none, as in a damaged file.
+    """
+    kept = learnt.get("mechanism")
+    if kept is None or isinstance(kept, Mapping):
+        return kept
+    raise RecordingError(f"the mechanism must be a dictionary, got {kept!r:.60}: learn it again", code="mechanism")
 
 
 def _own_phases(learnt: Mapping[str, Any], named: Mapping[str, Recording]) -> tuple[Phase, ...]:

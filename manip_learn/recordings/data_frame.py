@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence, Sized
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, runtime_checkable
+from typing import Any, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.writers.csv_writer import VELOCITY_SUFFIX
-
-if TYPE_CHECKING:
-    import pandas
 
 TRAJECTORY, TIME = "trajectory", "time"
 
@@ -26,21 +23,21 @@ class DataFrame(Protocol):
     """What is needed of a table of pandas, which need not be installed."""
 
     @property
-    def columns(self) -> Any:
+    def columns(self) -> Sized:
         """Names."""
         ...
 
     @property
-    def index(self) -> Any:
+    def index(self) -> Sized:
         """Row numbers, names or times."""
         ...
 
-    def to_csv(self, path_or_buf: Any) -> Any:
+    def to_csv(self, path_or_buf: object) -> str | None:
         """Write a text table."""
         ...
 
 
-def frame_of(trajectories: Sequence[Trajectory]) -> pandas.DataFrame:
+def frame_of(trajectories: Sequence[Trajectory]) -> DataFrame:
     """See `Demonstrations.to_frame`.
 
     Raises:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final, overload
+from typing import final, overload
 
 from manip_learn.errors import RecordingError
+from manip_learn.recordings.data_frame import DataFrame, frame_of
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import html_card
-
-if TYPE_CHECKING:
-    import pandas
 
 
 @final
@@ -64,7 +62,7 @@ class Demonstrations(Sequence[Trajectory]):
         """
         return Demonstrations([t.with_joint_names(joint_names) for t in self.trajectories], self.notes)
 
-    def to_frame(self) -> pandas.DataFrame:
+    def to_frame(self) -> DataFrame:
         """All samples in one table, which `load_demonstrations` reads again: one row per sample.
 
         Returns:
@@ -75,8 +73,6 @@ class Demonstrations(Sequence[Trajectory]):
             RecordingError: Postures that are no joint positions (nq differs from nv) have no column names.
             MissingExtraError: pandas is not installed.
         """
-        from manip_learn.recordings.data_frame import frame_of
-
         return frame_of(self.trajectories)
 
     @property

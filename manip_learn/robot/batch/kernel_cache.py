@@ -46,6 +46,7 @@ KERNEL_FILES = (
 # the constants that the kernels take from elsewhere
 CONSTANT_FILES = (
     "linalg.py",
+    "constraint/small_matrices.py",
     "control/status.py",
     "control/approach.py",
     "control/limits.py",
