@@ -144,6 +144,7 @@ class Stage {
   }
 
   resize() {
+    if (matchMedia("print").matches) return;  // the layout of a sheet has no place for a canvas
     const w = Math.max(this.element.clientWidth, 1), h = Math.max(this.element.clientHeight, 1);
     this.viewer.renderer.setSize(w, h);
     this.camera.aspect = w / h;
