@@ -73,7 +73,12 @@ def check_samples(samples: Samples, joint_names: Sequence[str], n_constraints: i
     r = samples.n_rows
     s = n_constraints or 1
     needed = max(r + 2, s * (r - s) + 2, 5)
-    different = _count_different(np.concatenate([samples.q, samples.u], axis=1)[speed > 1e-9 * median], needed)
+    moving = np.concatenate([samples.q, samples.u], axis=1)[speed > 1e-9 * median]
+    different = len(
+        np.unique(moving[:: max(1, len(moving) // (10 * needed))], axis=0)
+    )  # an even choice is soon counted
+    if different < needed:
+        different = len(np.unique(moving, axis=0))
     if different < needed:
         raise NotIdentifiableError(
             f"{different} different moving sample(s) cannot determine a constraint on {r} rows: at least {needed} are "
@@ -81,13 +86,6 @@ def check_samples(samples: Samples, joint_names: Sequence[str], n_constraints: i
             code="too-few-samples",
         )
     return _warn(samples, joint_names)
-
-
-def _count_different(rows: Float[np.ndarray, "n m"], enough: int) -> int:
-    """Number of different rows; of an even choice of them where that is enough already."""
-    few = rows[:: max(1, len(rows) // (10 * enough))]
-    different = len(np.unique(few, axis=0))
-    return different if different >= enough else len(np.unique(rows, axis=0))
 
 
 def _warn(samples: Samples, joint_names: Sequence[str]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import final
 
@@ -39,15 +39,10 @@ class Block:
     x: Float[np.ndarray, "n m"]
     trajectory: Int[np.ndarray, " n"]
 
-    @property
-    def columns(self) -> Float[np.ndarray, "p nv n"]:
-        """Phi with the samples side by side in the last axis, for arithmetic on all of them at once."""
-        return self.Phi.transpose(1, 2, 0)
-
     def rows_of(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s nv n"]:
-        """Lambda Phi, side by side."""
-        p, nv, n = self.columns.shape
-        return (selection @ self.columns.reshape(p, nv * n)).reshape(-1, nv, n)
+        """Lambda Phi, the samples side by side in the last axis, for arithmetic on all of them at once."""
+        n, p, nv = self.Phi.shape
+        return (selection @ self.Phi.transpose(1, 2, 0).reshape(p, nv * n)).reshape(-1, nv, n)
 
     def add_to(self, sums: Float[np.ndarray, "g ..."], values: Float[np.ndarray, "... n"]) -> None:
         """Add values of each sample, side by side, to the sum of its trajectory."""
@@ -113,7 +108,7 @@ class Samples:
         raw = Samples(features, data.q, data.u, trajectory, np.eye(features.n_rows), centre, spread)
         S = np.zeros((features.n_rows, features.n_rows))
         for block in raw.blocks():
-            rows = block.columns.reshape(features.n_rows, -1)
+            rows = block.Phi.transpose(1, 2, 0).reshape(features.n_rows, -1)
             S += rows @ rows.T
         whitening = _whitening(S / len(raw), features)
         return Samples(features, data.q, data.u, trajectory, whitening, centre, spread, None, raw._kept)
@@ -141,8 +136,12 @@ class Samples:
         size = len(self) * self.features.n_rows * self.nv
         for i, start in enumerate(range(0, len(self), BLOCK)):
             part = slice(start, start + BLOCK)
-            raw = _kept_or_made(self._kept, i, lambda p=part: self.features.batch(self.q[p]), size <= KEEP_LIMIT)
-            Phi = _kept_or_made(self._whitened, i, lambda r=raw: self._whiten(r), size <= KEEP_WHITENED_LIMIT)
+            raw = self._kept[i] if i < len(self._kept) else self.features.batch(self.q[part])
+            if i == len(self._kept) and size <= KEEP_LIMIT:
+                self._kept.append(raw)
+            Phi = self._whitened[i] if i < len(self._whitened) else self._whiten(raw)
+            if i == len(self._whitened) and size <= KEEP_WHITENED_LIMIT:
+                self._whitened.append(Phi)
             x = (self.q[part] - self.centre) / self.spread
             yield Block(Phi, self.u[part], x, self.trajectory[part])
 
@@ -168,18 +167,6 @@ class Samples:
     def energy(self) -> float:
         """Mean of |u|^2."""
         return float(np.mean(np.einsum("ni,ni->n", self.u, self.u)))
-
-
-def _kept_or_made(
-    kept: list[np.ndarray], number: int, make: Callable[[], np.ndarray], keep: bool
-) -> Float[np.ndarray, "n r nv"]:
-    """What an earlier pass has kept, or what is made, and kept for the next one if it is to be."""
-    if number < len(kept):
-        return kept[number]
-    made = make()
-    if keep:
-        kept.append(made)
-    return made
 
 
 def _whitening(S: np.ndarray, features: FeatureMap) -> Float[np.ndarray, "r p"]:

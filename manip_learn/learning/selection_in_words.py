@@ -35,7 +35,9 @@ def describe(
 ) -> str:
     """One sentence: what moves freely, what is held or commanded, how sure it is."""
     verb = "held" if kind == "motion-constrained" else "commanded by the task"
-    spread = "" if uncertainty_deg is None else f" +- {_degrees(uncertainty_deg)} degrees"
+    angle = uncertainty_deg or 0.0
+    digits = f"{angle:.2f}" if angle >= 0.095 else f"{angle:.1g}"
+    spread = "" if uncertainty_deg is None else f" +- {digits} degrees"
     names = [n for n, u in zip(features.row_names, used, strict=True) if u]
     where = getattr(features, "reference", None)
     place = f" in the {where} frame" if where else ""
@@ -61,16 +63,8 @@ def _echelon(rows: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "k p"]:
     return np.array(sorted(out, key=lambda row: int(np.argmax(np.abs(row)))))
 
 
-def _vector(row: np.ndarray) -> str:
-    return "(" + ", ".join(f"{c + 0.0:.2f}" for c in np.where(np.abs(row) < NEGLIGIBLE, 0.0, row)) + ")"
-
-
 def _row(row: np.ndarray, names: list[str]) -> str:
     large = [i for i in range(len(row)) if abs(row[i]) >= NEGLIGIBLE]
     if len(large) == 1:
         return names[large[0]]
-    return _vector(row)
-
-
-def _degrees(angle: float) -> str:
-    return f"{angle:.2f}" if angle >= 0.095 else f"{angle:.1g}"
+    return "(" + ", ".join(f"{c + 0.0:.2f}" for c in np.where(np.abs(row) < NEGLIGIBLE, 0.0, row)) + ")"

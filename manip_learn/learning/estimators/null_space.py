@@ -65,7 +65,7 @@ def trajectory_moments(samples: Samples) -> Float[np.ndarray, "g r r"]:
     """sum Phi u u^T Phi^T of each trajectory: enough for the closed-form start on any choice of trajectories."""
     moments = np.zeros((samples.n_trajectories, samples.n_rows, samples.n_rows))
     for block in samples.blocks():
-        r = np.einsum("pvn,vn->pn", block.columns, np.ascontiguousarray(block.u.T))
+        r = np.einsum("pvn,vn->pn", block.Phi.transpose(1, 2, 0), np.ascontiguousarray(block.u.T))
         block.add_to(moments, r[:, None] * r)
     return moments
 
@@ -198,7 +198,7 @@ def _held_out_share(samples: Samples, s: int, moments: Float[np.ndarray, "g r r"
     stacked = np.stack(selections, axis=2)
     for block in samples.blocks():
         Lambda = stacked[:, :, fold_of_trajectory[block.trajectory]]
-        Q, _ = row_bases(np.einsum("srn,rvn->vsn", Lambda, block.columns))
+        Q, _ = row_bases(np.einsum("srn,rvn->vsn", Lambda, block.Phi.transpose(1, 2, 0)))
         broken += float(np.sum(np.einsum("vsn,vn->sn", Q, np.ascontiguousarray(block.u.T)) ** 2))
         energy += float(np.sum(block.u**2))
     return broken / energy if energy > 0.0 else float("nan")
