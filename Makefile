@@ -17,7 +17,7 @@ PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
 # what touches other libraries: files in and out, robots, the command line, compiled code; pytest refuses a missing file
 QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli compiled_controller mjcf loading load_demonstrations \
-	playback playback_motion meshes rollout_file linalg axioms examples experiments csv_reader lerobot_reader \
+	playback meshes rollout_file linalg examples csv_reader lerobot_reader \
 	npz_reader robomimic_reader rosbag_reader))
 
 .DEFAULT_GOAL := help
