@@ -41,6 +41,13 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         ml.CompiledController(ml.ResolvedRateController(constraint)).rollout(np.array([0.1, 0.5, 0.5]), 1, 0.01)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Where tests run in several processes, any of these may be the first, which compiles: a minute or two."""
+    for item in items:
+        if any(word in item.path.name for word in COMPILES) and item.get_closest_marker("timeout") is None:
+            item.add_marker(pytest.mark.timeout(400))
+
+
 def chain_urdf(name: str, joints: list[tuple[str, str, str, str]], extra: str = "") -> str:
     """URDF of links one after the other; each joint is (type, axis, origin xyz, origin rpy), inertias everywhere."""
     links = [_link("base")]
