@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
@@ -29,6 +31,8 @@ from manip_learn.robot.robot import Robot  # noqa: E402
 
 # of the files whose tests run compiled controllers
 COMPILES = ("compiled", "servo", "rollout", "loops", "kernel_cache", "examples", "free_direction", "golden", "physics")
+BROWSER_FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 ROBOTS = Path(__file__).resolve().parents[1] / "robots"
 
 
@@ -141,6 +145,19 @@ def robot_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Robot]
     """Name -> robot, each built once."""
     folder = tmp_path_factory.mktemp("robots")
     return lambda name: named_robot(name, folder)
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """One browser for all tests of a file."""
+    found = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    if found is None:
+        pytest.skip(f"NO CHROMIUM ({', '.join(BROWSERS)}): THE REPLAY PAGE IS NOT TESTED IN A BROWSER")
+    playwright = pytest.importorskip("playwright.sync_api", reason="NO PLAYWRIGHT: THE REPLAY PAGE IS NOT TESTED")
+    with playwright.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=found, args=[*BROWSER_FLAGS, "--enable-unsafe-swiftshader"])
+        yield browser
+        browser.close()
 
 
 @pytest.fixture

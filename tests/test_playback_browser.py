@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 import zlib
 from dataclasses import replace
@@ -17,22 +16,7 @@ from manip_learn.playback.recorded_motion import key_frames
 
 pytestmark = pytest.mark.browser
 
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 POSES = 1e-9  # 1e-6 is required; the page computes in double precision
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    """One browser for all tests of this file."""
-    found = next((path for name in NAMES if (path := shutil.which(name))), None)
-    if found is None:
-        pytest.skip(f"NO CHROMIUM ({', '.join(NAMES)}): THE REPLAY PAGE IS NOT TESTED IN A BROWSER")
-    playwright = pytest.importorskip("playwright.sync_api", reason="NO PLAYWRIGHT: THE REPLAY PAGE IS NOT TESTED")
-    with playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=found, args=[*FLAGS, "--enable-unsafe-swiftshader"])
-        yield browser
-        browser.close()
 
 
 @pytest.fixture

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import base64
 import itertools
-import shutil
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from conftest import tip_of
 from test_playback import waving
-from test_playback_browser import FLAGS, NAMES, PHASES, links_of, wait_until
+from test_playback_browser import PHASES, links_of, wait_until
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
@@ -43,19 +42,6 @@ FOCUS = """() => {
     const name = e.getAttribute("aria-label") || e.textContent.trim() || e.title;
     return [[...document.querySelectorAll("*")].indexOf(e), name];
 }"""
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    """One browser for all tests of this file."""
-    found = next((path for name in NAMES if (path := shutil.which(name))), None)
-    if found is None:
-        pytest.skip(f"NO CHROMIUM ({', '.join(NAMES)}): THE REPLAY PAGE IS NOT TESTED ON OTHER DEVICES")
-    playwright = pytest.importorskip("playwright.sync_api", reason="NO PLAYWRIGHT: THE REPLAY PAGE IS NOT TESTED")
-    with playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=found, args=[*FLAGS, "--enable-unsafe-swiftshader"])
-        yield browser
-        browser.close()
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_playback_browser import chromium, opened, wait_until  # noqa: F401
+from test_playback_browser import opened, wait_until  # noqa: F401
 from test_replay_tracks import START, TARGET, drawer, rollout  # noqa: F401
 
 from manip_learn.constraint.constraint import Constraint

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence, Sized
+from collections.abc import Iterator, Sequence, Sized
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol, TypeGuard, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -68,9 +68,13 @@ def frame_of(trajectories: Sequence[Trajectory]) -> DataFrame:
     return pd.DataFrame(table)
 
 
-def is_data_frame(given: object) -> TypeGuard[DataFrame]:
-    """True for a table of pandas."""
-    return isinstance(given, DataFrame)
+def data_frames_in(given: object) -> list[DataFrame]:
+    """The tables of pandas that were given, one or a list of them; none if anything else was."""
+    if isinstance(given, DataFrame):
+        return [given]
+    if isinstance(given, Sequence) and all(isinstance(entry, DataFrame) for entry in given):
+        return list(given)
+    return []
 
 
 @contextmanager
@@ -86,11 +90,8 @@ def frames_as_files(given: Any) -> Iterator[Any]:
     Raises:
         RecordingError: A frame without columns or rows.
     """
-    frames: list[Any] = [given]
-    if not is_data_frame(given):
-        listed = isinstance(given, Iterable) and not isinstance(given, str)
-        frames = list(given) if listed and isinstance(given, Sequence) else []
-    if not frames or not all(map(is_data_frame, frames)):
+    frames = data_frames_in(given)
+    if not frames:
         yield given
         return
     with tempfile.TemporaryDirectory(prefix="manip_learn_") as folder:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.data_frame import DataFrame, is_data_frame
+from manip_learn.recordings.data_frame import DataFrame, data_frames_in
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import load_demonstrations
 from manip_learn.recordings.readers.read_request import ReadRequest
@@ -41,8 +41,8 @@ def demonstrations_of(given: object, robot: Robot | None = None) -> Demonstratio
         return given
     if isinstance(given, Trajectory) or _is_motion(given):
         given = [given]
-    if robot is not None and _is_frames(given):
-        return load_demonstrations(given, robot)  # type: ignore[arg-type]
+    if robot is not None and (frames := data_frames_in(given)):
+        return load_demonstrations(frames, robot)
     if isinstance(given, np.ndarray):
         raise RecordingError(
             f"an array of shape {given.shape} alone is no motion, for its times are not known: give (time, q), or "
@@ -66,11 +66,6 @@ def demonstrations_of(given: object, robot: Robot | None = None) -> Demonstratio
         trajectories += checked.trajectories
         notes += [f"{checked[0].name}: {note}" for note in checked.notes]
     return Demonstrations(trajectories, notes)
-
-
-def _is_frames(given: object) -> bool:
-    """True for a data frame, or a list of them."""
-    return is_data_frame(given) or (isinstance(given, list | tuple) and bool(given) and all(map(is_data_frame, given)))
 
 
 def _is_motion(given: object) -> bool:
