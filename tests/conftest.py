@@ -12,16 +12,14 @@ from typing import Any
 
 import hypothesis
 import pytest
-from jaxtyping import install_import_hook
-from shape_checker import checked_modules
+from shape_checker import install_shape_checks
 
 hypothesis.settings.register_profile("default", max_examples=25, deadline=None, derandomize=True)
 hypothesis.settings.register_profile("fuzz", max_examples=2000, deadline=None, print_blob=True)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 if os.environ.get("CHECK_SHAPES", "1") != "0":
-    # every shape in a signature is checked while the tests run; must come before the first import of the library
-    install_import_hook(checked_modules(), "shape_checker.check_shapes")
+    install_shape_checks()
 
 import numpy as np  # noqa: E402
 

@@ -1,0 +1,79 @@
+"""The check of shapes that runs beside all tests notices what it is there for."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+from jaxtyping import Float
+from shape_checker import check_shapes
+
+from manip_learn import linalg
+from manip_learn.robot.frame_kinematics import FrameKinematics
+
+Rows = Float[np.ndarray, "s p"]
+
+
+@check_shapes
+def product(a: Rows, b: Float[np.ndarray, " p"] | None = None, rows: int = 2) -> Float[np.ndarray, " s"]:
+    """Rows times a column; `rows` makes the result wrong."""
+    return np.zeros(rows) if b is None else a @ b
+
+
+@check_shapes
+def split(a: list[Float[np.ndarray, "n 3"]]) -> tuple[Float[np.ndarray, " n"], int]:
+    """A container goes in and comes out."""
+    return a[0][:, 0], len(a)
+
+
+def unannotated(a: int) -> int:
+    """Nothing here is an array."""
+    return a
+
+
+def test_right_shapes_pass():
+    """Any numbers that agree with each other, defaults, names, None and containers."""
+    for s, p in ((2, 3), (4, 1), (2, 3)):
+        assert product(np.ones((s, p)), np.ones(p)).shape == (s,)
+    assert product(np.ones((2, 5))).shape == product(a=np.ones((2, 5)), b=None).shape == (2,)
+    assert split([np.ones((4, 3))])[1] == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ((np.ones((2, 3)), np.ones(4)), "b"),
+        ((np.ones(3), np.ones(3)), "a"),
+        ((np.ones((2, 3), dtype=int), np.ones(3)), "a"),
+        (([[1.0, 2.0]], np.ones(2)), "a"),
+        ((np.ones((2, 3)), None, 3), "return"),
+        ((np.ones((3, 3)),), "return"),
+    ],
+)
+def test_wrong_shapes_are_noticed(given, named):
+    """Also after a call that was right, which is remembered; the message names the argument."""
+    product(np.ones((2, 3)), np.ones(3))
+    product(np.ones((2, 3)))
+    with pytest.raises(TypeError, match=f"product: {named} is not"):
+        product(*given)
+
+
+def test_containers_are_looked_into():
+    """A wrong array in a list."""
+    split([np.ones((4, 3))])
+    with pytest.raises(TypeError, match="split: a is not"):
+        split([np.ones((4, 2))])
+
+
+def test_other_functions_are_left_alone():
+    """What has no arrays in its signature costs nothing."""
+    assert check_shapes(unannotated) is unannotated
+
+
+@pytest.mark.skipif(os.environ.get("CHECK_SHAPES", "1") == "0", reason="the checks are switched off")
+def test_the_library_is_checked():
+    """Functions and methods of the library have been decorated, and a wrong call of one fails."""
+    assert hasattr(FrameKinematics.jacobian, "__wrapped__")
+    with pytest.raises(TypeError, match="null_basis: A is not"):
+        linalg.null_basis(np.ones(3))
