@@ -64,7 +64,7 @@ def manipulability_and_gradient(table, postures, selection, public, least, mu, i
         gradient: shape (n, nv), written in the public columns.
     """
     joints, s = public.shape[0], selection.shape[0]
-    turns, angle, work = np.empty((joints, 3 * LANES)), np.empty(LANES), np.empty((joints, GRADIENT + 1))
+    turns, angle, work = np.empty((joints, 3 * LANES)), np.empty(LANES), np.empty((joints + 1, GRADIENT + 1))
     Q, L, local = np.empty((s, joints)), np.empty((s, s)), table[1, LOCAL] != 0.0
     for first in range(0, postures.shape[0], LANES):
         size = min(LANES, postures.shape[0] - first)

@@ -24,10 +24,10 @@ from manip_learn.control.compiled.bounded_step import (
 )
 from manip_learn.control.compiled.constrained_rows import public_rows
 from manip_learn.control.compiled.decomposition import complete, decompose, row_space
-from manip_learn.control.compiled.free_step import free_step
+from manip_learn.control.compiled.free_step import free_step, scratch
 from manip_learn.control.compiled.joint_limits import binding, bounds_of, within
 from manip_learn.control.compiled.outcome import bounded_outcome, plain_outcome, split_parts
-from manip_learn.control.compiled.singular_parts import singular_parts
+from manip_learn.control.compiled.singular_parts import posed_policy, singular_parts
 from manip_learn.control.compiled.step_table import (
     CHAIN,
     DAMPED,
@@ -36,8 +36,8 @@ from manip_learn.control.compiled.step_table import (
     FACTS,
     HAS_ESCAPE,
     ILL_CONDITIONED,
+    ILL_POSED,
     INVERSE,
-    LEAST_WIDTH,
     LIMIT,
     LIMITING_JOINT,
     LIMITS,
@@ -48,9 +48,11 @@ from manip_learn.control.compiled.step_table import (
     NULL_SCALE,
     NV,
     OUTSIDE,
+    POSE,
     PROGRESS,
     REFUSED,
     SMALLEST,
+    TASK,
     TASK_PART,
     TASK_SCALE,
     TASK_VELOCITY,
@@ -68,7 +70,7 @@ def command_of(constants, q, dt, previous, slide, parts):
     Arguments as for `control_step`; one array fewer to hand over.
     """
     joints, nv, s = int(constants[0, N_JOINTS]), int(constants[0, NV]), int(constants[0, N_CONSTRAINTS])
-    work = np.empty((MATRICES + 3 * s + joints, max(LEAST_WIDTH, nv, 2 * s)))
+    work = scratch(joints, nv, s)
     status, facts = control_step(constants, q, dt, previous, slide, parts, work), work[FACTS]
     scale, null_scale, progress = facts[TASK_SCALE], facts[NULL_SCALE], facts[PROGRESS]
     joint = int(facts[LIMITING_JOINT]) if status > REFUSED else -1
@@ -99,7 +101,10 @@ def control_step(constants, q, dt, previous, slide, parts, work):
     space[SLOPE, 0] = math.nan  # unknown
     public_rows(constants, s, joints, work, MATRICES, A)
     rank, sigma[0] = s, -1.0  # unknown
-    if state == ILL_CONDITIONED:
+    posed = constants[0, TASK] == POSE
+    if state == ILL_CONDITIONED or state == ILL_POSED:
+        if posed and state == ILL_CONDITIONED and not posed_policy(constants, q, dt, A, Ut, sigma, Vt, weights, work):
+            return REFUSED
         rank = singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, space[SLOPE, :nv], parts, work)
         if rank < 0 or not _finite(parts):
             return REFUSED
@@ -109,7 +114,7 @@ def control_step(constants, q, dt, previous, slide, parts, work):
     damped = int(constants[0, INVERSE]) == DAMPED and work[FACTS, SMALLEST] < constants[0, THRESHOLD]
     if constants[0, LIMITS] == 0.0:
         return plain_outcome(A, singular, damped, 0.0, parts, work[FACTS])
-    barred = barrier(constants, A, Ut, sigma, Vt, weights, dt, parts[VELOCITY], space, work)
+    barred = not posed and barrier(constants, A, Ut, sigma, Vt, weights, dt, parts[VELOCITY], space, work)
     dofs = CHAIN + JOINTS + joints
     causes = space[LOW_CAUSE : HIGH_CAUSE + 1]
     outside = bounds_of(constants, dofs, nv, q, dt, previous, space[LOW], space[HIGH], causes[0], causes[1])

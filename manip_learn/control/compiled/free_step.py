@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from manip_learn.control.compiled.constrained_rows import turn_joints
 from manip_learn.control.compiled.joint_limits import admitted
 from manip_learn.control.compiled.null_policy import policy_velocity
+from manip_learn.control.compiled.pose_target import pose_velocity
 from manip_learn.control.compiled.row_inverse import row_inverse
 from manip_learn.control.compiled.step_table import (
     ACCELERATION,
@@ -17,7 +20,9 @@ from manip_learn.control.compiled.step_table import (
     GAIN,
     HAS_ESCAPE,
     ILL_CONDITIONED,
+    ILL_POSED,
     INVERSE,
+    LEAST_WIDTH,
     LIMITED,
     LIMITING_JOINT,
     LIMITS,
@@ -32,11 +37,13 @@ from manip_learn.control.compiled.step_table import (
     OK,
     OUTSIDE,
     PI,
+    POINT,
+    POSE,
     PROGRESS,
-    REACHES,
     REFUSED,
     SMALLEST,
     TARGET_POINT,
+    TASK,
     TASK_PART,
     TASK_SCALE,
     TASK_VELOCITY,
@@ -51,15 +58,20 @@ from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 @compiled_inside
 def free_step(constants, q, dt, previous, parts, work):
-    """Write the law into `parts`; return OK, or LIMITED or ILL_CONDITIONED where more is to be done, or REFUSED."""
+    """Write the law into `parts`; return OK, REFUSED, or LIMITED, ILL_CONDITIONED or ILL_POSED: there is more to do."""
     joints, nv, s = int(constants[0, N_JOINTS]), int(constants[0, NV]), int(constants[0, N_CONSTRAINTS])
     for j in range(nv):
         if not math.isfinite(q[j]):
             return REFUSED
     dofs = CHAIN + JOINTS + joints
-    rows, base, facts = dofs + nv, MATRICES + 3 * s, work[FACTS]
-    p0, p1, p2 = chain_rows(constants, rows, s, joints, q, work, base)
-    facts[ERROR] = task_velocity(constants, rows, s, p0, p1, p2, parts[TASK_VELOCITY])
+    rows, base, facts, posed = dofs + nv, MATRICES + 3 * s, work[FACTS], constants[0, TASK] == POSE
+    turn_joints(constants, joints, q, work, base)
+    p0, p1, p2 = columns_of(constants, CHAIN, joints, work, base, SLIDE, 1, work, base)
+    chain_rows(constants, rows, s, joints, work, base)
+    if posed:
+        facts[ERROR] = pose_velocity(constants, rows, s, p0, p1, p2, work, base + joints, parts[TASK_VELOCITY])
+    else:
+        facts[ERROR] = task_velocity(constants, rows, s, p0, p1, p2, parts[TASK_VELOCITY])
     A, X = work[MATRICES : MATRICES + s, :joints], work[MATRICES + s : MATRICES + 2 * s, :joints]
     squares = work[MATRICES + 2 * s : MATRICES + 3 * s]
     volume, smallest = row_inverse(A, X, squares[:, :s], squares[:, s : 2 * s])
@@ -67,9 +79,14 @@ def free_step(constants, q, dt, previous, parts, work):
     facts[TASK_SCALE] = facts[NULL_SCALE] = facts[PROGRESS] = 1.0
     facts[OUTSIDE], facts[LIMITING_JOINT] = 0.0, -1.0
     damps = int(constants[0, INVERSE]) == DAMPED
-    if volume == 0.0 or (damps and smallest < constants[0, THRESHOLD]):
+    if volume == 0.0 or (damps and not posed and smallest < constants[0, THRESHOLD]):
         return ILL_CONDITIONED
     policy_velocity(constants, dofs, rows, nv, joints, s, q, dt, volume, X, work, base)
+    if posed:  # the policy is that of A; those of the error take its place
+        chain_rows(work, base + joints + 1, s, joints, work, base)
+        volume, facts[SMALLEST] = row_inverse(A, X, squares[:, :s], squares[:, s : 2 * s])
+        if volume == 0.0 or (damps and facts[SMALLEST] < constants[0, THRESHOLD]):
+            return ILL_POSED
     size = regular_parts(constants, joints, nv, s, A, X, work[PI], parts)
     square, weakest = 0.0, math.inf
     for j in range(nv):
@@ -79,7 +96,7 @@ def free_step(constants, q, dt, previous, parts, work):
         return REFUSED
     if constants[0, LIMITS] == 0.0:
         return OK
-    if damps:
+    if damps and not posed:
         # |grad sigma| is about as large as A itself: slow enough to stop at a singularity
         rate = min(APPROACH_RATE, 0.5 / dt) * smallest
         if square * size >= min(2.0 * BRAKING_SHARE * weakest * math.sqrt(size) * smallest, rate * rate):
@@ -88,25 +105,28 @@ def free_step(constants, q, dt, previous, parts, work):
 
 
 @compiled_inside
-def chain_rows(constants, rows, s, joints, q, work, base):
-    """A in columns of the chain, into the rows from MATRICES on; returns the frame's position."""
-    turn_joints(constants, joints, q, work, base)
-    p0, p1, p2 = columns_of(constants, CHAIN, joints, work, base, SLIDE, 1, work, base)
+def scratch(joints, nv, s):
+    """The work space of a step: numbers, A, its inverse and squares, the joints, the chain's end, a pose's error."""
+    return np.empty((MATRICES + 3 * s + joints + 1 + s + 1, max(LEAST_WIDTH, nv, 2 * s)))
+
+
+@compiled_inside
+def chain_rows(weights, rows, s, joints, work, base):
+    """Weights times the Jacobian in columns of the chain, into the rows of `work` from MATRICES on."""
     for i in range(s):
         for j in range(joints):
             # the joint that moves column j, as many as there are from the base
             total = 0.0
             for k in range(6):
-                total += constants[rows + i, k] * work[base + j, k]
+                total += weights[rows + i, k] * work[base + j, k]
             work[MATRICES + i, j] = total
-    return p0, p1, p2
 
 
 @compiled_inside
 def task_velocity(constants, rows, s, p0, p1, p2, b):
     """Write the task velocity b = gain Lambda (r* - r(q)), norm at most max_speed; return the error."""
     error = 0.0
-    if constants[0, REACHES] == 0.0:
+    if constants[0, TASK] != POINT:
         for i in range(s):
             b[i] = 0.0
         return error

@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
+from manip_learn.constraint.features.pose_error import goal_rotation
 from manip_learn.control.compiled import step_table as table
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.resolved_rate_law import ESCAPE_WIDTH
 from manip_learn.control.tasks import Hold, PointAttractor
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.rotations import rotation_matrix
 
 LARGEST_ACCELERATION = 1e12  # [rad/s2] stands for none in the kernel, which must stay finite
 
@@ -21,7 +23,8 @@ def why_not(controller: ResolvedRateController) -> str | None:
 
     Children of the classes that are compiled are not: what they change would be lost.
     """
-    features, task, policy = controller.constraint.features, controller.task, controller.null_policy
+    constraint, task, policy = controller.constraint, controller.task, controller.null_policy
+    features = constraint.features
     if type(features) is not FrameJacobian:
         return f"the features are {type(features).__name__}, not FrameJacobian"
     kinematics = batch_kinematics(features.robot, features.frame)
@@ -33,13 +36,13 @@ def why_not(controller: ResolvedRateController) -> str | None:
         return "its limits are those of another robot"
     if any(b.kind in ("floating", "planar", "other") for b in features.robot.blocks):
         return "the robot's base moves"
-    if controller.constraint.n_constraints > len(kinematics.public_columns):
+    if constraint.n_constraints > len(kinematics.public_columns):
         return "it has more rows than joints"
-    reaches = type(task) is PointAttractor and features.only_linear and task.target.shape == (features.n_rows,)
+    reaches = type(task) is PointAttractor and _is_packed(features, constraint.n_constraints, task.target)
     if not (reaches or type(task) is Hold):
         return f"the task is {task!r} with rows {' '.join(features.row_names)} ({features.reference})"
     if type(policy) is ManipulabilityAscent:
-        return None if policy.constraint is controller.constraint else "the policy climbs another constraint's mu"
+        return None if policy.constraint is constraint else "the policy climbs another constraint's mu"
     if type(policy) is JointAttractor:
         known = policy.robot is features.robot or (policy.robot is None and policy.rest.shape == (features.nv,))
         return None if known else "the rest posture belongs to another robot"
@@ -68,12 +71,47 @@ def packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
     header[0, table.LIMITS] = limits is not None
     header[1, table.DAMPING], header[1, table.ESCAPE_WIDTH] = controller.damping, ESCAPE_WIDTH * controller.threshold
     if isinstance(task, PointAttractor):
-        header[0, table.REACHES], header[0, table.GAIN] = True, task.gain
+        header[0, table.GAIN] = task.gain
         header[0, table.MAX_SPEED] = np.inf if task.max_speed is None else task.max_speed
-        places = [table.TARGET_POINT + "xyz".index(name) for name in features.row_names]
-        chain[1, places] = task.target
+        _pack_target(features, constraint.selection, task.target, header, chain)
     _pack_policy(controller, header, dofs)
     return np.concatenate([header, chain, dofs, rows])
+
+
+def _is_packed(features: FrameJacobian, n_constraints: int, target: np.ndarray) -> bool:
+    """Whether a target is fixed in the base by numbers or by a pose, all of whose rotation is given or none."""
+    if target.shape == (4, 4) or (features.only_linear and target.shape == (n_constraints,)):
+        return True
+    whole = (0, 3)  # of x y z, and of rx ry rz
+    linear = sum(name in "xyz" for name in features.row_names)
+    turns = features.n_rows - linear in whole
+    return target.shape == (features.n_rows,) and turns and (features.reference == "world" or linear in whole)
+
+
+def _pack_target(
+    features: FrameJacobian, selection: np.ndarray, target: np.ndarray, header: np.ndarray, chain: np.ndarray
+) -> None:
+    """Place and rotation of the target as `pose_target` takes them, in the frame in which the chain is walked."""
+    placed = turned = True
+    if target.shape == (4, 4):
+        place, rotation = target[:3, 3], goal_rotation(target[:3, :3])
+    else:
+        numbers = target if target.shape == (features.n_rows,) else selection.T.dot(target)
+        given = dict(zip(features.row_names, numbers.tolist(), strict=True))
+        place, turn = (np.array([given.get(name, 0.0) for name in names]) for names in (AXES[:3], AXES[3:]))
+        placed, turned, rotation = "x" in given, "rx" in given, rotation_matrix(turn)
+    header[0, table.TASK] = table.POINT
+    if not features.only_linear:
+        header[0, table.TASK] = table.POSE
+        walked = batch_kinematics(features.robot, features.frame).walked(features.reference)
+        if features.reference == "local":
+            place = walked.tool_position + walked.tool_rotation.dot(place)
+            rotation = walked.tool_rotation.dot(rotation)
+        else:
+            placed, rotation = True, rotation.dot(walked.tool_rotation.T)
+        chain[1, table.PLACED], chain[1, table.TURNED] = placed, turned
+        header[1, table.GOAL :] = rotation.reshape(-1)
+    chain[1, table.TARGET_POINT : table.TARGET_POINT + 3] = place
 
 
 def _pack_policy(controller: ResolvedRateController, header: np.ndarray, dofs: np.ndarray) -> None:

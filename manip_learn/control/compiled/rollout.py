@@ -7,12 +7,11 @@ import math
 import numpy as np
 
 from manip_learn.control.compiled.control_step import control_step
+from manip_learn.control.compiled.free_step import scratch
 from manip_learn.control.compiled.outcome import next_slide
 from manip_learn.control.compiled.step_table import (
     ERROR,
     FACTS,
-    LEAST_WIDTH,
-    MATRICES,
     MU,
     N_CONSTRAINTS,
     N_JOINTS,
@@ -32,7 +31,7 @@ def rollout(constants, first, dt, rk4, q, u, mu, error, code, state):
     """
     nv, steps = q.shape[1], q.shape[0]
     joints, s = int(constants[0, N_JOINTS]), int(constants[0, N_CONSTRAINTS])
-    parts, work = np.empty((PARTS, nv)), np.empty((MATRICES + 3 * s + joints, max(LEAST_WIDTH, nv, 2 * s)))
+    parts, work = np.empty((PARTS, nv)), scratch(joints, nv, s)
     point, slope = np.empty(nv), np.empty(nv)
     bounded = not math.isnan(state[0])
     for i in range(first, steps):

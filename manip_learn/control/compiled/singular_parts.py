@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
-from manip_learn.control.compiled.constrained_rows import vjp
+from manip_learn.control.compiled.constrained_rows import public_rows, vjp
 from manip_learn.control.compiled.decomposition import complete, decompose
+from manip_learn.control.compiled.free_step import chain_rows
 from manip_learn.control.compiled.joint_limits import turn_to_freer_sense
 from manip_learn.control.compiled.near_singularity import (
     escape_velocity,
@@ -41,7 +42,9 @@ from manip_learn.control.compiled.step_table import (
     NULL_PART,
     PI,
     POLICY,
+    POSE,
     SMALLEST,
+    TASK,
     TASK_PART,
     TASK_VELOCITY,
     THRESHOLD,
@@ -59,7 +62,7 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, slope, parts, wo
     The gradient of the smallest singular value goes into `slope` where it is needed; `weights` is scratch.
     """
     s, nv = A.shape
-    joints = int(constants[0, N_JOINTS])
+    joints, posed = int(constants[0, N_JOINTS]), constants[0, TASK] == POSE
     dofs = CHAIN + JOINTS + joints
     rows, base = dofs + nv, MATRICES + 3 * s
     along, climb, facts, pi = np.empty(s), np.empty(nv), work[FACTS], work[PI, :nv]
@@ -70,20 +73,18 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, slope, parts, wo
         if int(constants[0, INVERSE]) == EXACT:
             return -1
         complete(Vt, rank_of(sigma, 0.0))
-    facts[MU], facts[SMALLEST] = 1.0, sigma[s - 1]
+    facts[SMALLEST] = sigma[s - 1]
     for i in range(s):
-        facts[MU] *= sigma[i]
         along[i] = 0.0
         for k in range(s):
             along[i] += Ut[i, k] * parts[TASK_VELOCITY, k]
-    policy = int(constants[0, POLICY])
-    if policy == ASCENT or policy == LOG_ASCENT:
-        if not ascent_near_singularity(constants, rows, s, joints, Ut, sigma, Vt, dt, weights, work, base, climb, pi):
+    if not posed:  # mu and the policy are those of A, and known
+        facts[MU] = _volume(sigma)
+        if not _policy(constants, q, dt, Ut, sigma, Vt, weights, work, climb, pi):
             return -1
-    else:
-        rest_velocity(constants, dofs, nv, q, pi)
     pressed = _damped_task(constants, sigma, along, dt, Vt, parts[TASK_PART])
-    near = not singular and constants[1, ESCAPES] != 0.0 and sigma[s - 1] < constants[1, ESCAPE_WIDTH]
+    escapes = not posed and constants[1, ESCAPES] != 0.0
+    near = not singular and escapes and sigma[s - 1] < constants[1, ESCAPE_WIDTH]
     if pressed > 0.0 or near:
         outer_product(Ut[s - 1], Vt[s - 1], weights)
         vjp(constants, rows, s, joints, weights, work, base, slope)
@@ -93,7 +94,7 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, slope, parts, wo
     _null_part(Vt, rank, pi, parts[NULL_PART])
     for j in range(nv):
         parts[VELOCITY, j] = parts[TASK_PART, j] + parts[NULL_PART, j]
-    if constants[1, ESCAPES] != 0.0:
+    if escapes:
         escape, width = parts[ESCAPE_PART], constants[1, ESCAPE_WIDTH]
         facts[HAS_ESCAPE] = 1.0
         if singular:  # the policy has taken the steepest ascent already
@@ -108,6 +109,45 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, slope, parts, wo
         for j in range(nv):
             parts[VELOCITY, j] += escape[j]
     return rank
+
+
+@compiled_inside
+def posed_policy(constants, q, dt, A, Ut, sigma, Vt, weights, work):
+    """The policy of an ill-conditioned A beside a pose's error, `ResolvedRateLaw._of_error_rows`, then the error's rows
+    in the place of A; False: Python's.
+    """
+    s, nv = A.shape
+    joints, base, climb = int(constants[0, N_JOINTS]), MATRICES + 3 * s, np.empty(nv)
+    decompose(A, s, Ut, sigma, Vt)
+    if sigma[s - 1] <= SINGULAR_RATIO * sigma[0]:
+        complete(Vt, rank_of(sigma, 0.0))
+    work[FACTS, MU] = _volume(sigma)
+    if not _policy(constants, q, dt, Ut, sigma, Vt, weights, work, climb, work[PI, :nv]):
+        return False
+    chain_rows(work, base + joints + 1, s, joints, work, base)
+    public_rows(constants, s, joints, work, MATRICES, A)
+    return True
+
+
+@compiled_inside
+def _policy(constants, q, dt, Ut, sigma, Vt, weights, work, climb, pi):
+    """The null-space policy's velocity into `pi`, and grad log mu of an ascent into `climb`; False: Python's."""
+    s, nv, joints = sigma.shape[0], Vt.shape[1], int(constants[0, N_JOINTS])
+    dofs, base, policy = CHAIN + JOINTS + joints, MATRICES + 3 * s, int(constants[0, POLICY])
+    if policy == ASCENT or policy == LOG_ASCENT:
+        rows = dofs + nv
+        return ascent_near_singularity(constants, rows, s, joints, Ut, sigma, Vt, dt, weights, work, base, climb, pi)
+    rest_velocity(constants, dofs, nv, q, pi)
+    return True
+
+
+@compiled_inside
+def _volume(sigma):
+    """Product of the singular values."""
+    volume = 1.0
+    for i in range(sigma.shape[0]):
+        volume *= sigma[i]
+    return volume
 
 
 @compiled_inside

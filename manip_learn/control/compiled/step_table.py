@@ -7,13 +7,14 @@ from manip_learn.control.status import STATUSES, Status
 # The constants of a controller are one table of twelve columns: two rows of settings, the chain's table, one row per
 # degree of freedom (velocity limit, lower, upper, rest posture, whether it wraps, acceleration limit), and one per row
 # of Lambda (padded to six).
-N_JOINTS, NV, N_CONSTRAINTS, POLICY, POLICY_GAIN, INVERSE, THRESHOLD, LIMITS, REACHES, GAIN, MAX_SPEED, LONGEST = range(
-    12
-)
-DAMPING, ESCAPES, ESCAPE_WIDTH = range(3)  # columns of the second row
+N_JOINTS, NV, N_CONSTRAINTS, POLICY, POLICY_GAIN, INVERSE, THRESHOLD, LIMITS, TASK, GAIN, MAX_SPEED, LONGEST = range(12)
+DAMPING, ESCAPES, ESCAPE_WIDTH, GOAL = range(4)  # columns of the second row, the last of them nine of a rotation
 CHAIN = 2
-TARGET_POINT = 6  # column of the chain's second row, after the tool's position, sign and reference
+# columns of the chain's second row, after the tool's position, sign and reference: where to, and whether a place and a
+# rotation are given
+TARGET_POINT, PLACED, TURNED = 6, 9, 10
 LIMIT, LOWER, UPPER, REST_AT, WRAPS, ACCELERATION = range(6)
+HOLD, POINT, POSE = range(3)  # kinds of tasks
 NO_POLICY, ASCENT, LOG_ASCENT, REST = range(4)
 DAMPED, EXACT, TRUNCATED = range(3)
 INVERSES = ("damped", "exact", "truncated")
@@ -25,8 +26,8 @@ FACTS, PI, MATRICES = range(3)
 MU, SMALLEST, ERROR, TASK_SCALE, NULL_SCALE, PROGRESS, OUTSIDE, LIMITING_JOINT, HAS_ESCAPE, N_FACTS = range(10)
 LEAST_WIDTH = 19  # columns of a joint's row of scratch, up to `compiled_vjp.GRADIENT`; imported from there comes numba
 
-# what `free_step` may return instead of a status: a limit binds, or A is ill-conditioned
-LIMITED, ILL_CONDITIONED = -2, -3
+# what `free_step` may return instead of a status: a limit binds, or A or the rows of a pose's error are ill-conditioned
+LIMITED, ILL_CONDITIONED, ILL_POSED = -2, -3, -4
 REFUSED = -1  # Python decides: what is not finite, and lost directions that "exact" inverts
 OK = STATUSES.index(Status.OK)
 DAMPED_STATUS = STATUSES.index(Status.DAMPED)
@@ -38,8 +39,3 @@ VELOCITY_LIMITED = STATUSES.index(Status.VELOCITY_LIMITED)
 ACCELERATION_LIMITED = STATUSES.index(Status.ACCELERATION_LIMITED)
 REROUTED = STATUSES.index(Status.REROUTED)
 NULL_SCALED = STATUSES.index(Status.NULL_SCALED)
-
-
-def work_shape(joints: int, nv: int, s: int) -> tuple[int, int]:
-    """Shape of the work space of `control_step`."""
-    return MATRICES + 3 * s + joints, max(LEAST_WIDTH, nv, 2 * s)

@@ -224,6 +224,10 @@ class BatchKinematics:
             raise ConfigurationError(f"frame {self._frame.name!r} of {self._robot.name!r} has no compiled kinematics")
         return chain_table(self._chain, self.public_columns, reference)
 
+    def walked(self, reference: Reference) -> Chain:
+        """The chain as `chain_table` walks it: seen from the frame for columns along its own axes."""
+        return self._chain if reference == "world" else self._reversed
+
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
         """Homogeneous transforms from the frame to the robot's base [m].
 

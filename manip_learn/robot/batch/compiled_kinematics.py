@@ -20,6 +20,7 @@ SOURCE, TARGET, PRISMATIC, OFFSET, TILT_COS, TILT_SIN, SHIFT = 0, 1, 2, 3, 4, 5,
 # columns of the second row, after the tool's position
 SIGN, LOCAL = 3, 4
 ORIGIN = 6  # column of the work space behind a joint's (v, w)
+END_ORIGIN, END_WIDTH = 9, 12  # of the work space's row behind the joints': rotation, then origin of the chain's end
 
 LARGEST_ANGLE = 1e5  # [rad] beyond it the three-part reduction below loses digits
 # pi/2 in three parts of 33 bits, so that n * part is exact for the n that LARGEST_ANGLE allows
@@ -84,7 +85,8 @@ def columns_of(table, at, joints, turns, row, m, stride, work, base):
         m: See `turns`.
         stride: See `turns`.
         work: (v, w) of each joint goes into the rows from `base` on, base first, columns 0 to 5; the next three
-            columns are scratch.
+            columns are scratch. The row behind them takes the end of the chain as it is walked, without the tool: nine
+            numbers of its rotation, three of its origin.
         base: See `work`.
     """
     x0, y0, z0 = table[at, 0], table[at, 1], table[at, 2]
@@ -115,6 +117,9 @@ def columns_of(table, at, joints, turns, row, m, stride, work, base):
         x0, y0 = c * x0 + s * y0, c * y0 - s * x0
         x1, y1 = c * x1 + s * y1, c * y1 - s * x1
         x2, y2 = c * x2 + s * y2, c * y2 - s * x2
+    end = work[base + joints]
+    end[0], end[1], end[2], end[3], end[4], end[5], end[6], end[7], end[8] = x0, y0, z0, x1, y1, z1, x2, y2, z2
+    end[END_ORIGIN], end[END_ORIGIN + 1], end[END_ORIGIN + 2] = p0, p1, p2
     if table[at + 1, LOCAL] != 0.0:
         p0 = p1 = p2 = 0.0
     else:
@@ -161,7 +166,7 @@ def joint_turns(table, postures, first, size, turns, angle):
 def jacobians(table, postures, rows, public, out):
     """Rows of the Jacobians into the public columns of `out` (n, p, nv)."""
     joints = public.shape[0]
-    turns, angle, work = np.empty((joints, 3 * LANES)), np.empty(LANES), np.empty((joints, 9))
+    turns, angle, work = np.empty((joints, 3 * LANES)), np.empty(LANES), np.empty((joints + 1, END_WIDTH))
     for first in range(0, postures.shape[0], LANES):
         size = min(LANES, postures.shape[0] - first)
         joint_turns(table, postures, first, size, turns, angle)
@@ -175,7 +180,7 @@ def jacobians(table, postures, rows, public, out):
 @compiled
 def derivative_of(work, local, out):
     """dJ/dq of one posture, base first, into `out` (6, joints, joints): [r, i, k] = d J_ri / d q_k."""
-    joints = work.shape[0]
+    joints = out.shape[1]
     for i in range(joints):
         b0, b1, b2, b3, b4, b5 = work[i, 0], work[i, 1], work[i, 2], work[i, 3], work[i, 4], work[i, 5]
         for k in range(i + 1):
@@ -202,7 +207,7 @@ def derivative_of(work, local, out):
 def jacobians_and_derivatives(table, postures, rows, public, out, derivative):
     """Rows of J (n, p, nv) and dJ/dq (n, p, nv, nv) into public columns."""
     joints, local = public.shape[0], table[1, LOCAL] != 0.0
-    turns, angle, work = np.empty((joints, 3 * LANES)), np.empty(LANES), np.empty((joints, 9))
+    turns, angle, work = np.empty((joints, 3 * LANES)), np.empty(LANES), np.empty((joints + 1, END_WIDTH))
     block = np.empty((6, joints, joints))
     for first in range(0, postures.shape[0], LANES):
         size = min(LANES, postures.shape[0] - first)

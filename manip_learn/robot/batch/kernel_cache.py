@@ -38,6 +38,7 @@ KERNEL_FILES = (
     "control/compiled/bounded_step.py",
     "control/compiled/outcome.py",
     "control/compiled/barrier.py",
+    "control/compiled/pose_target.py",
     "control/compiled/free_step.py",
     "control/compiled/singular_parts.py",
     "control/compiled/control_step.py",
@@ -45,6 +46,7 @@ KERNEL_FILES = (
 )
 # the constants that the kernels take from elsewhere
 CONSTANT_FILES = (
+    "robot/rotations.py",
     "linalg.py",
     "constraint/small_matrices.py",
     "control/status.py",

@@ -1,0 +1,63 @@
+"""How tests compare compiled controllers with their originals, compiled or as the plain Python that they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from manip_learn.control import compiled_controller
+from manip_learn.control.command import Command
+from manip_learn.robot.batch.kernel_cache import KERNEL_FILES
+from manip_learn.robot.robot import Robot
+
+needs_numba = pytest.mark.skipif(find_spec("numba") is None, reason="the extra 'fast' is not installed")
+both_ways = pytest.mark.parametrize("numba", [pytest.param(True, marks=needs_numba), False])
+RobotOf = Callable[[str], Robot]
+
+
+@pytest.fixture
+def kernels(numba: bool, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The kernels as they are compiled, or the same function objects run by the interpreter."""
+    if numba:
+        yield
+        return
+    monkeypatch.setattr(compiled_controller, "find_spec", lambda name: "plain Python instead")
+    for file in KERNEL_FILES:
+        module = import_module("manip_learn." + file.removesuffix(".py").replace("/", "."))
+        for name, value in list(vars(module).items()):
+            monkeypatch.setattr(module, name, getattr(value, "py_func", value))
+    with np.errstate(all="ignore"):  # as compiled code, which overflows to infinity in silence
+        yield
+
+
+def agree(got: Command, expected: Command, slack: Command | None = None, at_limits: float = 1e-10) -> None:
+    """All fields; `slack` is the original's command a rounding error beside, which says what rounding does to it."""
+    if expected.task_scale == 0.0 and not np.any(expected.null_part) and np.any(got.null_part):
+        return  # the original's solver has given up
+    # A is known to 1e-16: where it is small as a whole, so is what A^+ can be known to
+    scale = max(1.0, float(np.max(np.abs(expected.velocity))))
+    scale *= max(1.0, 0.01 / max(expected.smallest_singular_value, 1e-300))
+    exact = expected.status in ("ok", "singular", "damped")
+    for name in ("velocity", "task_velocity", "task_part", "null_part", "escape_part"):
+        a, b = getattr(got, name), getattr(expected, name)
+        assert (a is None) == (b is None), name
+        if b is not None:
+            rounding = 0.0 if slack is None else 20.0 * float(np.max(np.abs(getattr(slack, name) - b), initial=0.0))
+            atol = scale * (1e-12 if exact and slack is None else at_limits) + rounding
+            np.testing.assert_allclose(a, b, rtol=0, atol=atol, err_msg=name)
+    for name in ("manipulability", "smallest_singular_value"):
+        assert getattr(got, name) == pytest.approx(getattr(expected, name), rel=1e-11, abs=1e-12), name
+    if slack is None or slack.status == expected.status:
+        assert got.status == expected.status
+    for name in ("progress", "outside", "task_scale"):
+        rounding = 0.0 if slack is None else 20.0 * abs(getattr(slack, name) - getattr(expected, name))
+        relative = scale * 1e-10 / max(float(np.linalg.norm(expected.task_velocity)), 1e-6)
+        assert getattr(got, name) == pytest.approx(getattr(expected, name), abs=relative + 1e-7 + rounding), name
+    if slack is not None and slack.limiting_joint == expected.limiting_joint:
+        assert got.limiting_joint == expected.limiting_joint
+    if slack is None and min(float(np.linalg.norm(expected.null_part)), expected.smallest_singular_value) > 1e-6:
+        assert got.null_scale == pytest.approx(expected.null_scale, abs=1e-7)
