@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -24,9 +23,6 @@ from manip_learn.errors import ConstraintError, MissingExtraError
 from manip_learn.robot.robot import Robot
 
 __all__ = ["CompiledController", "CompiledRollout", "compiled_if_possible", "why_not"]
-
-FIRST_COMPILE = "compiling the controller, once per machine and version of the library: about a minute"
-_LOGGER = logging.getLogger("manip_learn")
 
 _DOUBLE = np.dtype(np.float64)  # in the byte order of the machine
 # looked up at every step
@@ -52,8 +48,9 @@ class CompiledController:
     """The commands of a `ResolvedRateController`, computed by compiled code.
 
     For rows of a frame's Jacobian, a chain of revolute, continuous and prismatic joints, the tasks `Hold` and
-    `PointAttractor` (along x, y, z of the base), and a policy of the library; in every state, at limits and at
-    singularities too. The original controller computes the command only where the posture or the velocity is not
+    `PointAttractor` (positions, poses and whole rotations, along the axes of the base or of the frame), and a
+    `ManipulabilityAscent` of the same constraint, a `JointAttractor` or no policy; in every state, at limits and at
+    singularities too. For all others there is the solver `"compiled"` of the original. The original controller computes the command only where the posture or the velocity is not
     finite, where a direction is lost that the inverse `"exact"` cannot invert, and where several are lost at once under
     a policy without a bound. The numbers are the same everywhere (to 1e-12 of the largest, to 1e-9 at limits).
 
@@ -77,7 +74,7 @@ class CompiledController:
             raise MissingExtraError("a compiled controller", "fast")
         from manip_learn.control.compiled.control_step import command_of
         from manip_learn.control.compiled.rollout import rollout
-        from manip_learn.robot.batch.kernel_cache import entry_point, is_on_disk
+        from manip_learn.robot.batch.kernel_cache import announce_compilation, entry_point
 
         self.controller = controller
         self.robot: Robot = controller.robot  # type: ignore[assignment]
@@ -87,8 +84,7 @@ class CompiledController:
         self._unknown = np.full(self.nv, np.nan)  # the velocity before, where no acceleration is bounded
         self._constants, self._rollout = packed(controller), rollout
         self._size, self._shape = (self.nv,), (table.PARTS, self.nv)
-        if not is_on_disk(command_of):
-            (report or _LOGGER.warning)(FIRST_COMPILE)
+        announce_compilation(command_of, report)
         # compiled, or read from the cache, now and not in the loop
         example = (np.zeros(self.nv), self._dt, self._unknown, 0.0, np.empty(self._shape))
         self._step = entry_point(command_of, self._constants, *example)
@@ -182,7 +178,8 @@ def compiled_if_possible(
 
     Args:
         controller: Any controller.
-        compiled: False: as it is; None: compiled where numba is installed and it can be; True: compiled.
+        compiled: False: as it is; True: compiled. None: where numba is installed, compiled if it can be, and otherwise
+            with compiled limits behind a law in Python (`ResolvedRateController`'s solver `"compiled"`).
         report: As for `CompiledController`.
 
     Raises:
@@ -195,6 +192,8 @@ def compiled_if_possible(
         if compiled:
             raise ConstraintError(f"only a ResolvedRateController can be compiled, not {type(controller).__name__}")
         return controller
-    if compiled is None and (find_spec("numba") is None or why_not(controller) is not None):
+    if compiled is None and find_spec("numba") is None:
         return controller
+    if compiled is None and why_not(controller) is not None:
+        return controller.with_solver("compiled", report) if controller.solver == "qp" else controller
     return CompiledController(controller, report)

@@ -23,7 +23,7 @@ REORTHOGONAL = 1e-2
 # the same for DAQP, whose answer may be off by as much: commands are compared to 1e-12
 FINE = 1e-13
 SOLVED, INFEASIBLE = 1, -1  # exit flags of DAQP
-Solver = Literal["qp", "active-set"]
+Solver = Literal["qp", "active-set", "compiled"]
 Projection = Callable[
     [Float[np.ndarray, " k"], Float[np.ndarray, "m k"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]],
     "Float[np.ndarray, ' k'] | None",
@@ -31,13 +31,13 @@ Projection = Callable[
 
 
 def projection_by(solver: Solver) -> Projection:
-    """A solver by its name.
+    """A solver by its name; "compiled" (see `CompiledLimits`) has DAQP where it does not serve.
 
     Raises:
         ConstraintError: Unknown name.
     """
-    if solver not in ("qp", "active-set"):
-        raise ConstraintError(f"solver must be 'qp' or 'active-set', not {solver!r}")
+    if solver not in ("qp", "active-set", "compiled"):
+        raise ConstraintError(f"solver must be 'qp', 'active-set' or 'compiled', not {solver!r}")
     return project_by_active_set if solver == "active-set" else project_by_daqp
 
 

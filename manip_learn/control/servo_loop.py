@@ -60,8 +60,9 @@ class ServoLoop:
             it above the latter. The force goes on rising while the arm brakes.
         latency: Time by which a measurement may lag behind the command that it is compared with [s].
         robot: Whose limits count; the controller's own by default.
-        compiled: None compiles the controller where numba is installed and it can be (see `CompiledController`); later
-            changes of it and of its task are then not seen. False takes it as it is; True compiles it.
+        compiled: None compiles the controller where numba is installed and it can be (see `CompiledController`), and
+            for other controllers of the library what keeps the limits; later changes of it and of its task are then
+            not seen. False takes it as it is; True compiles it.
 
     Attributes:
         acceleration_limit: shape (nv,) [rad/s2 or m/s2], in force.

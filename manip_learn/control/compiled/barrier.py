@@ -60,6 +60,14 @@ def barrier(constants, A, Ut, sigma, Vt, weights, dt, u, space, work):
                 decompose(A, s, Ut, sigma, Vt)
             outer_product(Ut[s - 1], Vt[s - 1], weights)
         vjp(constants, dofs + nv, s, joints, weights, work, MATRICES + 3 * s, gradient)
+    return bounded_approach(constants, smallest, dt, space)
+
+
+@compiled_inside
+def bounded_approach(constants, smallest, dt, space):
+    """Write the bound for the gradient in row SLOPE of the space, `approach_bound`; False if there is none."""
+    nv = space.shape[1] - 2
+    dofs, gradient = CHAIN + JOINTS + int(constants[0, N_JOINTS]), space[SLOPE, :nv]
     bound = approach_bound(constants, dofs, smallest, gradient, norm(gradient), dt)
     space[LOW, nv], space[HIGH, nv] = -bound, math.inf
     return bound < math.inf

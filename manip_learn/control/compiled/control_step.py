@@ -11,34 +11,20 @@ import math
 
 import numpy as np
 
-from manip_learn.control.compiled.barrier import barrier, is_singular
+from manip_learn.control.compiled.barrier import barrier
 from manip_learn.control.compiled.bounded_step import (
-    FOUND,
-    HIGH,
-    HIGH_CAUSE,
-    LOW,
-    LOW_CAUSE,
     SLOPE,
-    bounded_step,
     space_rows,
 )
 from manip_learn.control.compiled.constrained_rows import public_rows
-from manip_learn.control.compiled.decomposition import complete, decompose, row_space
+from manip_learn.control.compiled.decomposition import row_space
 from manip_learn.control.compiled.free_step import free_step, scratch
-from manip_learn.control.compiled.joint_limits import binding, bounds_of, within
-from manip_learn.control.compiled.outcome import bounded_outcome, plain_outcome, split_parts
 from manip_learn.control.compiled.singular_parts import posed_policy, singular_parts
 from manip_learn.control.compiled.step_table import (
-    CHAIN,
-    DAMPED,
-    DAMPING,
-    ESCAPE_PART,
     FACTS,
     HAS_ESCAPE,
     ILL_CONDITIONED,
     ILL_POSED,
-    INVERSE,
-    LIMIT,
     LIMITING_JOINT,
     LIMITS,
     MATRICES,
@@ -53,13 +39,10 @@ from manip_learn.control.compiled.step_table import (
     REFUSED,
     SMALLEST,
     TASK,
-    TASK_PART,
     TASK_SCALE,
-    TASK_VELOCITY,
-    THRESHOLD,
     VELOCITY,
 )
-from manip_learn.robot.batch.compiled_kinematics import JOINTS
+from manip_learn.control.compiled.within_limits import within_limits
 from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 
 
@@ -110,29 +93,9 @@ def control_step(constants, q, dt, previous, slide, parts, work):
             return REFUSED
     else:
         row_space(A, s, Vt)
-    singular = is_singular(sigma)
-    damped = int(constants[0, INVERSE]) == DAMPED and work[FACTS, SMALLEST] < constants[0, THRESHOLD]
-    if constants[0, LIMITS] == 0.0:
-        return plain_outcome(A, singular, damped, 0.0, parts, work[FACTS])
-    barred = not posed and barrier(constants, A, Ut, sigma, Vt, weights, dt, parts[VELOCITY], space, work)
-    dofs = CHAIN + JOINTS + joints
-    causes = space[LOW_CAUSE : HIGH_CAUSE + 1]
-    outside = bounds_of(constants, dofs, nv, q, dt, previous, space[LOW], space[HIGH], causes[0], causes[1])
-    if within(parts[VELOCITY], space[LOW], space[HIGH], nv, 0.0) and not (barred and _too_fast(parts, space)):
-        return plain_outcome(A, singular, damped, outside, parts, work[FACTS])
-    if not singular:
-        complete(Vt, s)
-    if sigma[0] < 0.0 and slide > 0.0:
-        decompose(A, s, Ut, sigma, Vt)
-    # an explicit step of dt follows sliding that is damped that much
-    blur = max(constants[1, DAMPING], math.sqrt(2.0 * dt * _length(parts[TASK_VELOCITY], s)))
-    escape, escapes = parts[ESCAPE_PART], work[FACTS, HAS_ESCAPE] != 0.0
-    fastest = constants[dofs : dofs + nv, LIMIT]
-    scale = bounded_step(A, parts, escape, escapes, fastest, sigma, Vt, rank, space, barred, slide, blur)
-    fits = within(parts[TASK_PART], space[LOW], space[HIGH], nv, 0.0)
-    joint, cause = binding(space[FOUND], parts, space[LOW], space[HIGH], causes, nv)
-    split_parts(space[FOUND], Vt, rank, scale >= 0.0, parts, work[FACTS])
-    return bounded_outcome(A, singular, damped, outside, joint, cause, max(scale, 0.0), fits, parts, work[FACTS])
+    barred = not posed and constants[0, LIMITS] != 0.0
+    barred = barred and barrier(constants, A, Ut, sigma, Vt, weights, dt, parts[VELOCITY], space, work)
+    return within_limits(constants, q, dt, previous, slide, A, Ut, sigma, Vt, rank, barred, space, parts, work[FACTS])
 
 
 @compiled_inside
@@ -141,20 +104,3 @@ def _finite(parts):
     for j in range(parts.shape[1]):
         total += parts[VELOCITY, j]
     return math.isfinite(total)
-
-
-@compiled_inside
-def _length(b, s):
-    square = 0.0
-    for i in range(s):
-        square += b[i] * b[i]
-    return math.sqrt(square)
-
-
-@compiled_inside
-def _too_fast(parts, space):
-    """Whether the velocity approaches a singularity faster than the barrier allows."""
-    rate, nv = 0.0, parts.shape[1]
-    for j in range(nv):
-        rate += space[SLOPE, j] * parts[VELOCITY, j]
-    return rate < space[LOW, nv]

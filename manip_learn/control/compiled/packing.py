@@ -8,14 +8,13 @@ from jaxtyping import Float
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.pose_error import goal_rotation
 from manip_learn.control.compiled import step_table as table
+from manip_learn.control.compiled.limits_table import packed_limits
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.resolved_rate_law import ESCAPE_WIDTH
 from manip_learn.control.tasks import Hold, PointAttractor
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.rotations import rotation_matrix
-
-LARGEST_ACCELERATION = 1e12  # [rad/s2] stands for none in the kernel, which must stay finite
 
 
 def why_not(controller: ResolvedRateController) -> str | None:
@@ -58,17 +57,9 @@ def packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
     chain = batch_kinematics(features.robot, features.frame).chain_table(features.reference)
     rows = np.zeros((constraint.n_constraints, chain.shape[1]))
     rows[:, :6] = features.padded(constraint.selection)
-    dofs = np.zeros((constraint.nv, chain.shape[1]))
-    limits = controller.limits
-    if limits is not None:
-        dofs[:, :3] = np.stack((limits.velocity, limits.lower, limits.upper), axis=1)
-        dofs[:, table.ACCELERATION] = np.minimum(limits.acceleration, LARGEST_ACCELERATION)
-    header = np.zeros((table.CHAIN, chain.shape[1]))
+    header, dofs = packed_limits(controller.limits, constraint.nv, controller.inverse, controller.threshold)
     header[0, table.N_JOINTS] = chain.shape[0] - JOINTS
     header[0, table.NV], header[0, table.N_CONSTRAINTS] = constraint.nv, constraint.n_constraints
-    header[0, table.INVERSE] = table.INVERSES.index(controller.inverse)
-    header[0, table.THRESHOLD] = controller.threshold
-    header[0, table.LIMITS] = limits is not None
     header[1, table.DAMPING], header[1, table.ESCAPE_WIDTH] = controller.damping, ESCAPE_WIDTH * controller.threshold
     if isinstance(task, PointAttractor):
         header[0, table.GAIN] = task.gain

@@ -7,6 +7,7 @@ from manip_learn.control.status import STATUSES, Status
 # The constants of a controller are one table of twelve columns: two rows of settings, the chain's table, one row per
 # degree of freedom (velocity limit, lower, upper, rest posture, whether it wraps, acceleration limit), and one per row
 # of Lambda (padded to six).
+WIDTH = 12
 N_JOINTS, NV, N_CONSTRAINTS, POLICY, POLICY_GAIN, INVERSE, THRESHOLD, LIMITS, TASK, GAIN, MAX_SPEED, LONGEST = range(12)
 DAMPING, ESCAPES, ESCAPE_WIDTH, GOAL = range(4)  # columns of the second row, the last of them nine of a rotation
 CHAIN = 2

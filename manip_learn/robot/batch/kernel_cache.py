@@ -8,6 +8,7 @@ all kernel files. Without numba the kernels are plain Python functions: slow, an
 from __future__ import annotations
 
 import hashlib
+import logging
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +22,9 @@ except ImportError:
 
 # numba fills its settings in while it runs: no type checker can know them
 _SETTINGS: Any = None if numba is None else numba.config  # pyright: ignore[reportPrivateImportUsage]
+
+FIRST_COMPILE = "compiling the controller, once per machine and version of the library: about a minute"
+_LOGGER = logging.getLogger("manip_learn")
 
 PACKAGE = Path(__file__).resolve().parents[2]
 KERNEL_FILES = (
@@ -40,6 +44,7 @@ KERNEL_FILES = (
     "control/compiled/barrier.py",
     "control/compiled/pose_target.py",
     "control/compiled/free_step.py",
+    "control/compiled/within_limits.py",
     "control/compiled/singular_parts.py",
     "control/compiled/control_step.py",
     "control/compiled/rollout.py",
@@ -111,6 +116,12 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any
             return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
         finally:
             _SETTINGS.CACHE_DIR = before
+
+
+def announce_compilation(function: Callable[..., Any], report: Callable[[str], object] | None = None) -> None:
+    """Say that a function has to be compiled first, where it has not been on this machine."""
+    if not is_on_disk(function):
+        (report or _LOGGER.warning)(FIRST_COMPILE)
 
 
 def entry_point(function: Callable[..., Any], *arguments: object) -> Callable[..., Any]:
