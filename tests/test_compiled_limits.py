@@ -47,6 +47,25 @@ def test_random_laws_are_bounded_alike(numba: bool, tmp_path: Path) -> None:
     assert len(told) >= 7
 
 
+@both_ways
+@pytest.mark.usefixtures("kernels", "without_numba")
+def test_a_singularity_is_approached_no_faster(numba: bool, robot_of: RobotOf) -> None:
+    """A target out of reach stretches the arm: each step of the way has the original's bound on the approach."""
+    robot = robot_of("planar3")
+    constraint = Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y"))
+    task = PointAttractor([9.0, 1.0], 5.0)
+    law = ResolvedRateController(constraint, task, ManipulabilityAscent(constraint))
+    compiled = law.with_solver("compiled")
+    slowed = escaping = 0
+    for bend in np.geomspace(1e-4, 0.6, 25):
+        q = np.array([0.3, bend, 0.5 * bend])
+        got, expected = compiled(q, 0.0, 0.01), law(q, 0.0, 0.01)
+        agree(got, expected)
+        slowed += expected.limiting_joint < 0 and expected.task_scale < 1.0  # by no joint's limit
+        escaping += expected.escape_part is not None
+    assert slowed > 5 and escaping > 5
+
+
 def laws(robot_of: RobotOf, rng: np.random.Generator) -> list[ResolvedRateController]:
     """One for each kind of features, tasks and policies that `CompiledController` does not take."""
     arm, hand, wrist = robot_of("sawyer"), robot_of("panda"), robot_of("wrist")

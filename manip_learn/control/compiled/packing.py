@@ -82,15 +82,17 @@ def _is_packed(features: FrameJacobian, n_constraints: int, target: np.ndarray) 
 def _pack_target(
     features: FrameJacobian, selection: np.ndarray, target: np.ndarray, header: np.ndarray, chain: np.ndarray
 ) -> None:
-    """Place and rotation of the target as `pose_target` takes them, in the frame in which the chain is walked."""
-    placed = turned = True
+    """Place and rotation of the target as `pose_target` takes them, in the frame in which the chain is walked.
+
+    What a target of numbers leaves open is taken as 0: no row of Lambda sees it.
+    """
     if target.shape == (4, 4):
         place, rotation = target[:3, 3], goal_rotation(target[:3, :3])
     else:
         numbers = target if target.shape == (features.n_rows,) else selection.T.dot(target)
         given = dict(zip(features.row_names, numbers.tolist(), strict=True))
         place, turn = (np.array([given.get(name, 0.0) for name in names]) for names in (AXES[:3], AXES[3:]))
-        placed, turned, rotation = "x" in given, "rx" in given, rotation_matrix(turn)
+        rotation = rotation_matrix(turn)
     header[0, table.TASK] = table.POINT
     if not features.only_linear:
         header[0, table.TASK] = table.POSE
@@ -99,8 +101,7 @@ def _pack_target(
             place = walked.tool_position + walked.tool_rotation.dot(place)
             rotation = walked.tool_rotation.dot(rotation)
         else:
-            placed, rotation = True, rotation.dot(walked.tool_rotation.T)
-        chain[1, table.PLACED], chain[1, table.TURNED] = placed, turned
+            rotation = rotation.dot(walked.tool_rotation.T)
         header[1, table.GOAL :] = rotation.reshape(-1)
     chain[1, table.TARGET_POINT : table.TARGET_POINT + 3] = place
 

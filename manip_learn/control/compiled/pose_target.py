@@ -9,9 +9,7 @@ from manip_learn.control.compiled.step_table import (
     GAIN,
     GOAL,
     MAX_SPEED,
-    PLACED,
     TARGET_POINT,
-    TURNED,
 )
 from manip_learn.robot.batch.compiled_kinematics import END_ORIGIN, LOCAL
 from manip_learn.robot.batch.compiled_vjp import six
@@ -26,9 +24,9 @@ def pose_velocity(constants, rows, s, p0, p1, p2, work, at, b):
     The s rows of scratch behind row `at`, which holds the end of the chain (`columns_of`), take Lambda M, with
     d/dt e = -M (v, w), for the rows E = Lambda M J of the error; the next one is scratch.
     """
-    own_axes, turned = constants[CHAIN + 1, LOCAL] != 0.0, constants[CHAIN + 1, TURNED] != 0.0
+    own_axes = constants[CHAIN + 1, LOCAL] != 0.0
     e0, e1, e2 = place_error(constants, own_axes, p0, p1, p2, work[at])
-    r0, r1, r2 = turn_error(constants, own_axes, work[at], work[at + 1 + s]) if turned else (0.0, 0.0, 0.0)
+    r0, r1, r2 = turn_error(constants, own_axes, work[at], work[at + 1 + s])
     sign, error = 1.0 if own_axes else -1.0, 0.0
     for i in range(s):
         x, y, z, u, v, w = six(constants, rows + i, 0)
@@ -52,8 +50,6 @@ def pose_velocity(constants, rows, s, p0, p1, p2, work, at, b):
 def place_error(constants, own_axes, p0, p1, p2, end):
     """p* - p, along the axes of the base or of the frame, from which the chain is walked then."""
     k = CHAIN + 1
-    if constants[k, PLACED] == 0.0:
-        return 0.0, 0.0, 0.0
     t0, t1, t2 = constants[k, TARGET_POINT], constants[k, TARGET_POINT + 1], constants[k, TARGET_POINT + 2]
     if not own_axes:
         return t0 - p0, t1 - p1, t2 - p2

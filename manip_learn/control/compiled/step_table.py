@@ -11,9 +11,7 @@ WIDTH = 12
 N_JOINTS, NV, N_CONSTRAINTS, POLICY, POLICY_GAIN, INVERSE, THRESHOLD, LIMITS, TASK, GAIN, MAX_SPEED, LONGEST = range(12)
 DAMPING, ESCAPES, ESCAPE_WIDTH, GOAL = range(4)  # columns of the second row, the last of them nine of a rotation
 CHAIN = 2
-# columns of the chain's second row, after the tool's position, sign and reference: where to, and whether a place and a
-# rotation are given
-TARGET_POINT, PLACED, TURNED = 6, 9, 10
+TARGET_POINT = 6  # column of the chain's second row, after the tool's position, sign and reference
 LIMIT, LOWER, UPPER, REST_AT, WRAPS, ACCELERATION = range(6)
 HOLD, POINT, POSE = range(3)  # kinds of tasks
 NO_POLICY, ASCENT, LOG_ASCENT, REST = range(4)
