@@ -26,8 +26,8 @@ def kernels(numba: bool, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         yield
         return
     monkeypatch.setattr(compiled_controller, "find_spec", lambda name: "plain Python instead")
-    for file in KERNEL_FILES:
-        module = import_module("manip_learn." + file.removesuffix(".py").replace("/", "."))
+    # all of them first: one that is imported beside a replaced one would keep what it takes from it
+    for module in [import_module("manip_learn." + file.removesuffix(".py").replace("/", ".")) for file in KERNEL_FILES]:
         for name, value in list(vars(module).items()):
             monkeypatch.setattr(module, name, getattr(value, "py_func", value))
     with np.errstate(all="ignore"):  # as compiled code, which overflows to infinity in silence

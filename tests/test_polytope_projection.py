@@ -80,7 +80,7 @@ def test_a_point_within_the_bounds_stays(rng: np.random.Generator) -> None:
 
 def test_unknown_solver() -> None:
     """The names are listed."""
-    with pytest.raises(ConstraintError, match="'qp' or 'active-set'"):
+    with pytest.raises(ConstraintError, match="'qp', 'active-set' or 'compiled'"):
         projection_by("simplex")  # type: ignore[arg-type]
 
 

@@ -52,7 +52,8 @@ class CompiledController:
     `ManipulabilityAscent` of the same constraint, a `JointAttractor` or no policy; in every state, at limits and at
     singularities too. (For all others there is the original's solver `"compiled"`.) The original controller computes
     the command only where the posture or the velocity is not finite, where a direction is lost that the inverse
-    `"exact"` cannot invert, and where several are lost at once under a policy without a bound. The numbers are the same everywhere (to 1e-12 of the largest, to 1e-9 at limits).
+    `"exact"` cannot invert, and where several are lost at once under a policy without a bound. The numbers are the same
+    everywhere (to 1e-12 of the largest, to 1e-9 at limits).
 
     The first one on a machine takes about a minute, which it says through the logger `manip_learn`; the machine
     code is kept on disk.

@@ -78,7 +78,8 @@ def simulate(
             continuous system.
         compiled: None compiles from 5,000 commands on, where numba is installed and the controller can be compiled
             (see `CompiledController`; of other controllers of the library what keeps the limits): that depends on the
-            number of commands only, so that a call gives the same last bits whatever ran before it. False takes the controller as it is; True compiles it.
+            number of commands only, so that a call gives the same last bits whatever ran before it. False takes the
+            controller as it is; True compiles it.
         progress: Called with a title and the completed fraction, 0 to 1.
 
     Returns:
