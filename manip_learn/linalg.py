@@ -47,7 +47,7 @@ def inverse_singular_values(
 ) -> Float[np.ndarray, " k"]:
     """1/sigma in the chosen sense; see `pseudo_inverse`."""
     if inverse == "damped":  # plain numbers: for as few as a constraint has, NumPy's calls take longer
-        return np.array([_damped_inverse(value, threshold, damping) for value in sigma.tolist()])
+        return np.array([damped_inverse(value, threshold, damping) for value in sigma.tolist()])
     out = np.zeros_like(sigma)
     if inverse == "truncated":
         keep = sigma > matlab_tolerance(sigma, shape)
@@ -59,7 +59,7 @@ def inverse_singular_values(
     return out
 
 
-def _damped_inverse(value: float, threshold: float, damping: float) -> float:
+def damped_inverse(value: float, threshold: float, damping: float) -> float:
     """sigma / (sigma^2 + lambda^2); smooth at the threshold, where value and slope of lambda^2 vanish."""
     ratio = min(value / threshold, 1.0)
     damped = damping * (1.0 - ratio * ratio)

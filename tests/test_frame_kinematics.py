@@ -14,6 +14,7 @@ from manip_learn.robot import load_robot
 from manip_learn.robot.frame_kinematics import FrameKinematics
 from manip_learn.robot.kinematic_hessian import REFERENCES
 from manip_learn.robot.robot import Reference, Robot
+from manip_learn.robot.weighted_vjp import vjps
 
 RobotOf = Callable[[str], Robot]
 ROBOTS = ["planar3", "sawyer", "panda", "kinova", "gantry", "wrist", "tree", "mimic", "one"]
@@ -46,6 +47,20 @@ def test_the_joints_that_carry_a_frame_are_enough(
                 np.testing.assert_allclose(robot.jacobian(posture, frame, reference), J, rtol=0, atol=1e-13)
                 np.testing.assert_allclose(robot.pose(posture, frame), pose, rtol=0, atol=1e-13)
                 np.testing.assert_array_equal(robot.position(posture, frame), robot.pose(posture, frame)[:3, 3])
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_products_of_many_matrices_are_those_of_each(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Weights side by side give, row by row, what each of them gives by itself, for a product of any origin."""
+    robot = robot_of(name)
+    selection = np.linalg.qr(rng.normal(size=(6, 2)))[0].T
+    for frame in frames_of(robot, name):
+        _, product = robot.weighted_jacobian_vjp(robot.random_configuration(rng), frame, "world", selection)
+        weights = rng.normal(size=(4, 2, robot.nv))
+        each = [product(matrix) for matrix in weights]
+        for known in (product, lambda matrix, product=product: product(matrix)):
+            together = vjps(known, np.hstack(weights), len(weights))
+            np.testing.assert_allclose(together, each, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("name", ROBOTS)

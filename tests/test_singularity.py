@@ -141,8 +141,7 @@ def test_approach_is_slow_enough_to_stop():
 
 def test_damping_that_a_step_can_follow():
     """lambda^2 = 2 dt |beta| sigma_1 of the largest nearly lost part of the task; none where nothing is nearly lost."""
-    sigma = np.array([2.0, 0.05, 0.01])
-    along = np.array([9.0, 0.3, -0.4])
+    sigma, along = [2.0, 0.05, 0.01], [9.0, 0.3, -0.4]
     assert stable_damping(sigma, along, 0.1, 0.01) == pytest.approx(np.sqrt(2.0 * 0.01 * 0.4 * 2.0))
     assert stable_damping(sigma, along, 0.01, 0.01) == 0.0
 

@@ -24,10 +24,7 @@ from manip_learn.control.policies import (
 )
 from manip_learn.control.polytope_projection import Solver, projection_by
 from manip_learn.control.resolved_rate_law import ResolvedRateLaw
-from manip_learn.control.singularity import (
-    approach_allowed,
-    approach_bound,
-)
+from manip_learn.control.singularity import approach_bound
 from manip_learn.control.tasks import Hold, Task
 from manip_learn.errors import ConfigurationError, ConstraintError, advice
 from manip_learn.linalg import Inverse
@@ -193,7 +190,8 @@ class ResolvedRateController:
     def _limited(self, q: np.ndarray, dt: float, law: Law, previous: np.ndarray | None, slide: float) -> Command:
         """The parts of the law brought within the limits, and added."""
         task, null, escape = law.desired
-        velocity = task + null if escape is None else task + null + escape
+        wish = task + null
+        velocity = wish if escape is None else wish + escape
         if not isfinite(sum(velocity.tolist())):
             raise ConfigurationError(
                 f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {law.smallest:.1e}): "
@@ -202,25 +200,21 @@ class ResolvedRateController:
         limits, damped = self.limits, self.inverse == "damped" and law.smallest < self.threshold
         if limits is None:
             return plain_command(law, velocity, damped)
-        barrier, slope = None, self._law.approach(q, dt, law, velocity)
-        approach = 0.0 if slope is None else -float(slope.dot(velocity))
-        slow = slope is None or approach <= approach_allowed(law.smallest, slope, limits.weakest, dt)
-        if slow and limits.admit(q, dt, velocity, previous):
-            return plain_command(law, velocity, damped)
-        if self._compiled is not None:
-            return self._compiled(q, dt, law, velocity, slope, previous, slide)
+        barrier, slow, slope = None, True, self._law.approach(q, dt, law, velocity)
         if slope is not None and (bound := approach_bound(law.smallest, slope, limits.acceleration, dt)) < math.inf:
-            barrier, slow = (slope, -bound), approach <= bound
+            barrier, slow = (slope, -bound), -float(slope.dot(velocity)) <= bound
         bounds = limits.bounds(q, dt, previous)
         if slow and bounds.admit(velocity):
             return plain_command(law, velocity, damped, bounds.outside)
+        if self._compiled is not None:
+            return self._compiled(q, dt, law, velocity, slope, previous, slide)
         # an explicit step of dt follows sliding that is damped that much
         blur = 0.0 if slide == 0.0 else max(self.damping, math.sqrt(2.0 * dt * math.sqrt(law.b.dot(law.b))))
         found = bounded_velocity(
-            *(law.A, law.desired, law.null_space(), bounds, limits.velocity, barrier, self._project, slide, blur),
+            *(law.A, law.independent_rows(), law.desired, bounds, limits.velocity, barrier, self._project, slide, blur),
             decomposition=law.decomposition,
         )
-        return bounded_command(law, found, bounds, damped)
+        return bounded_command(law, wish, found, bounds, damped)
 
     def __repr__(self) -> str:
         return (

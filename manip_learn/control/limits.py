@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from operator import le, neg
 from typing import NamedTuple, final
 
 import numpy as np
@@ -49,19 +50,18 @@ class Bounds(NamedTuple):
 
     def admit(self, velocity: Float[np.ndarray, " nv"]) -> bool:
         """Whether a velocity is within the bounds."""
-        for u, low, high in zip(velocity.tolist(), self.low, self.high, strict=True):
-            if not low <= u <= high:
-                return False
-        return True
+        u = velocity.tolist()
+        return all(map(le, self.low, u)) and all(map(le, u, self.high))
 
     def binding(self, velocity: Float[np.ndarray, " nv"], desired: Float[np.ndarray, " nv"]) -> tuple[int, int]:
         """The joint at a bound whose desired velocity exceeds it most, and the limit that sets it; (-1, -1) if none."""
-        joint, cause, most = -1, -1, 0.0
-        rows = zip(velocity.tolist(), desired.tolist(), self.low, self.high, strict=True)
-        for j, (u, wish, low, high) in enumerate(rows):
-            if wish - high > most and u >= high - AT_BOUND * (1.0 + abs(u)):
+        joint, cause, most, u = -1, -1, 0.0, velocity.tolist()
+        for j, (wish, low, high) in enumerate(zip(desired.tolist(), self.low, self.high, strict=True)):
+            if low <= wish <= high:
+                continue
+            if wish - high > most and u[j] >= high - AT_BOUND * (1.0 + abs(u[j])):
                 joint, cause, most = j, self.high_cause[j], wish - high
-            elif low - wish > most and u <= low + AT_BOUND * (1.0 + abs(u)):
+            elif low - wish > most and u[j] <= low + AT_BOUND * (1.0 + abs(u[j])):
                 joint, cause, most = j, self.low_cause[j], low - wish
         return joint, cause
 
@@ -158,35 +158,9 @@ class Limits:
         velocity: Float[np.ndarray, " nv"],
         previous: Float[np.ndarray, " nv"] | None,
     ) -> bool:
-        """Whether a velocity is within `bounds` and no joint outside its limits, without making the bounds."""
-        if dt != self._approach.dt:
-            self._approach = self._approaches(dt)
-        x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
-        positions, velocities, near, (_, _, low, high) = x.tolist(), velocity.tolist(), False, self._approach
-        for y, u, v, bottom, top in zip(positions, velocities, self._columns[2], low, high, strict=True):
-            if not -v <= u <= v:
-                return False
-            if not bottom <= y <= top:
-                near = True
-        if near and not self._admit_approach(positions, velocities):
-            return False
-        return previous is None or self._admit_change(velocities, dt, previous)
-
-    def _admit_approach(self, positions: list[float], velocities: list[float]) -> bool:
-        """Whether all joints are inside their position limits, and approach them no faster than they can brake."""
-        rows = zip(positions, velocities, *self._columns[:2], self._approach.joints, strict=True)
-        for y, u, lower, upper, approach in rows:
-            below, above = y - lower, upper - y
-            if below < 0.0 or above < 0.0:
-                return False
-            distance = above if u > 0.0 else below
-            if distance < approach.free and abs(u) > approach.speed(distance):
-                return False
-        return True
-
-    def _admit_change(self, velocities: list[float], dt: float, previous: Float[np.ndarray, " nv"]) -> bool:
-        changes = zip(velocities, previous.tolist(), self._columns[3], strict=True)
-        return all(abs(u - before) <= a * dt for u, before, a in changes)
+        """Whether a velocity is within `bounds`, and no joint outside its position limits."""
+        bounds = self.bounds(q, dt, previous)
+        return bounds.outside == 0.0 and bounds.admit(velocity)
 
     def _approaches(self, dt: float) -> _Approaches:
         joints = [approach_of(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)]
@@ -201,22 +175,24 @@ class Limits:
             dt: Time that the next velocity is held [s].
             previous: Velocity commanded in the step before [rad/s or m/s]; None bounds no acceleration.
         """
-        if dt != self._approach.dt:
-            self._approach = self._approaches(dt)
+        approaches = self._approach
+        if dt != approaches.dt:
+            self._approach = approaches = self._approaches(dt)
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
         # loops over Python floats: NumPy calls on vectors as short as an arm's cost more
         lower, upper, speeds, accelerations = self._columns
-        low, high, outside = [-v for v in speeds], speeds.copy(), 0.0
+        low, high, outside = list(map(neg, speeds)), speeds.copy(), 0.0
         low_cause, high_cause = [VELOCITY] * len(speeds), [VELOCITY] * len(speeds)
-        for j, (y, bottom, top) in enumerate(zip(x.tolist(), self._approach.low, self._approach.high, strict=True)):
+        for j, (y, bottom, top) in enumerate(zip(x.tolist(), approaches.low, approaches.high, strict=True)):
             if bottom <= y <= top:  # far from its limits
                 continue
-            below, above, approach = y - lower[j], upper[j] - y, self._approach.joints[j]
+            below, above, approach = y - lower[j], upper[j] - y, approaches.joints[j]
             if above < approach.free and (fastest := approach.speed(above)) < high[j]:
                 high[j], high_cause[j] = fastest, POSITION
             if below < approach.free and (fastest := approach.speed(below)) < speeds[j]:
                 low[j], low_cause[j] = -fastest, POSITION
-            outside = max(outside, -below, -above)
+            if below < 0.0 or above < 0.0:
+                outside = max(outside, -below, -above)
         bounds = Bounds(low, high, low_cause, high_cause, outside if outside > OUTSIDE else 0.0)
         if previous is not None:
             _bound_changes(bounds, previous.tolist(), accelerations, dt)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from math import isfinite
+from operator import mul
 from typing import final
 
 import numpy as np
@@ -31,7 +32,7 @@ from manip_learn.control.singularity import (
 )
 from manip_learn.control.tasks import Hold, PointAttractor, Task
 from manip_learn.errors import TargetError
-from manip_learn.linalg import Inverse, inverse_singular_values, rank_of
+from manip_learn.linalg import Inverse, damped_inverse, inverse_singular_values, rank_of
 
 # width of the escape from a singularity, as a share of the singular value at which damping sets in
 ESCAPE_WIDTH = 0.6
@@ -136,7 +137,7 @@ class ResolvedRateLaw:
         """The law by the singular value decomposition, see the class."""
         U, sigma, Vt = decomposition = Decomposition(*svd(A))
         values, ascent, climb, slope, escape = sigma.tolist(), self._ascent, None, None, None
-        smallest, k = values[-1], len(values)
+        smallest, k, threshold = values[-1], len(values), self.threshold
         V, singular, fits = Vt[:k], smallest <= SINGULAR_RATIO * values[0], A.shape[0] <= A.shape[1]
         if pi is None and ascent is not None and vjp is not None:
             if singular and fits and ascent.logarithmic and ascent.max_speed is not None:
@@ -149,16 +150,17 @@ class ResolvedRateLaw:
                 pi = ascent.bounded(climb, smallest, dt)
         elif pi is None:
             pi = self._policy(q, t, dt)
-        along = b.dot(U[:, :k])
-        damping, stable = self.damping, stable_damping(sigma, along, self.threshold, dt)
-        task_part = (self._gains(sigma, A, damping) * along).dot(V)
-        if self._brakes and stable > damping and not singular:
+        along, damping = b.dot(U).tolist(), self.damping
+        task_part, stable = self._task_part(sigma, along, A, V, damping), stable_damping(values, along, threshold, dt)
+        presses = self._brakes and stable > damping
+        if not singular and (presses or (self._escapes and smallest < ESCAPE_WIDTH * threshold)):
             slope = smallest_gradient(decomposition, vjp or self.constraint.value_and_vjp(q)[1])
-            damping = pressed_damping(damping, stable, slope, task_part)
-            task_part = (self._gains(sigma, A, damping) * along).dot(V)
+            if presses:
+                damping = pressed_damping(damping, stable, slope, task_part)
+                task_part = self._task_part(sigma, along, A, V, damping)
         Z = Vt[rank_of(sigma, A.shape) :]
         if self._escapes and vjp is not None:
-            escape = escape_velocity(decomposition, vjp, dt, ESCAPE_WIDTH * self.threshold, climb, slope)
+            escape = escape_velocity(decomposition, vjp, dt, ESCAPE_WIDTH * threshold, climb, slope)
             if singular and self.limits is not None:
                 # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
                 escape = self.limits.freer_sense(q, escape)
@@ -166,8 +168,15 @@ class ResolvedRateLaw:
         mu = math.prod(values) if fits else 0.0
         return Law(A, b, desired, mu, smallest, singular, decomposition, vjp, None, slope)
 
-    def _gains(self, sigma: np.ndarray, A: np.ndarray, damping: float) -> np.ndarray:
-        return inverse_singular_values(sigma, A.shape, self.inverse, self.threshold, damping)
+    def _task_part(
+        self, sigma: np.ndarray, along: list[float], A: np.ndarray, V: np.ndarray, damping: float
+    ) -> np.ndarray:
+        """A^+ b = V diag(g) U^T b."""
+        if self.inverse == "damped":  # in plain numbers
+            gains = [damped_inverse(value, self.threshold, damping) for value in sigma.tolist()]
+        else:
+            gains = inverse_singular_values(sigma, A.shape, self.inverse).tolist()
+        return np.fromiter(map(mul, gains, along), np.float64, len(gains)).dot(V)
 
     def approach(
         self, q: Float[np.ndarray, " n"], dt: float, law: Law, u: Float[np.ndarray, " nv"]
@@ -194,7 +203,7 @@ class ResolvedRateLaw:
             return law.slope
         vjp = law.vjp or self.constraint.value_and_vjp(q)[1]
         if law.decomposition is None:
-            return smallest_gradient_of(A, smallest, vjp)
+            return smallest_gradient_of(A, law.X, law.mu, smallest, vjp)
         return smallest_gradient(law.decomposition, vjp)
 
     def _policy(self, q: np.ndarray, t: float, dt: float) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from operator import truediv
 from typing import NamedTuple, final
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.linalg.lapack import dsyev  # pyright: ignore[reportAttributeAccessIs
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
 from manip_learn.constraint.small_matrices import svd
+from manip_learn.robot.weighted_vjp import vjps
 
 # [rad/s] speed at which a singularity is left
 ESCAPE_SPEED = 0.2
@@ -28,6 +30,8 @@ CROSSING_SPEED = 5e-4
 # share of the joints' acceleration that is kept for braking before a singularity
 BRAKING_SHARE = 0.5
 
+# two singular values whose squares differ by less than this share of them have no gradients of their own
+DOUBLE = 1e-9
 # share of the task part along -grad sigma from which on it presses fully into a singularity
 FULLY_PRESSING = 0.1
 
@@ -48,20 +52,19 @@ def smallest_gradient(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarra
     return vjp(U[:, k - 1 : k].dot(Vt[k - 1 : k]))
 
 
-def smallest_gradient_of(A: Float[np.ndarray, "s nv"], smallest: float, vjp: Vjp) -> Float[np.ndarray, " nv"]:
-    """The same away from singularities, from A A^T: v_min = A^T u_min / sigma_min, weights u_min v_min^T."""
+def smallest_gradient_of(
+    A: Float[np.ndarray, "s nv"], X: Float[np.ndarray, "s nv"] | None, mu: float, smallest: float, vjp: Vjp
+) -> Float[np.ndarray, " nv"]:
+    """The same away from singularities, from A, A^{+T} and mu: weights u_min v_min^T, v_min = A^T u_min / sigma_min."""
     s = A.shape[0]
     if s == 1:
         return vjp(A) / smallest
-    G = A.dot(A.T)
-    if s == 2:  # u u^T = (largest I - G) / (largest - smallest), in plain numbers
-        (a, b), (_, c) = G.tolist()
-        radius = math.hypot(0.5 * (a - c), b)
-        first, second, both = (radius - 0.5 * (a - c), radius + 0.5 * (a - c), -b) if radius > 0.0 else (1.0, 0.0, 0.0)
-        scale = 1.0 / ((2.0 * radius if radius > 0.0 else 1.0) * smallest)
-        projector = np.array(((first * scale, both * scale), (both * scale, second * scale)))
-        return vjp(projector.dot(A))
-    _, vectors, failed = dsyev(G)
+    if s == 2 and X is not None:  # A^{+T} - A / sigma_1^2 has no part along v_1
+        square = (mu / smallest) ** 2
+        gap = square - smallest * smallest
+        if gap > DOUBLE * square:
+            return vjp(X - A * (1.0 / square)) * (smallest * square / gap)
+    _, vectors, failed = dsyev(A.dot(A.T))
     u = vectors[:, 0] if not failed else np.linalg.svd(A)[0][:, -1]
     return vjp(u[:, None] * (u.dot(A) / smallest))
 
@@ -132,7 +135,7 @@ def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarray,
     U, sigma, Vt = decomposition
     rank = int(np.count_nonzero(sigma > SINGULAR_RATIO * sigma[0]))
     Z = Vt[rank:]
-    M = np.array([vjp(u[:, None] * z) for u in U[:, rank:].T for z in Z])
+    M = np.concatenate([vjps(vjp, u[:, None] * Z.reshape(-1), Z.shape[0]) for u in U[:, rank:].T])
     flat = M.reshape(-1)
     square = float(flat.dot(flat))
     if square == 0.0:
@@ -165,25 +168,17 @@ def approach_bound(
         acceleration: Acceleration limits [rad/s2 or m/s2].
         dt: Time for which a velocity is held [s].
     """
-    length = math.sqrt(slope.dot(slope))
+    parts = slope.tolist()
+    length = math.hypot(*parts)
     if length == 0.0:
         return math.inf
-    shares = [abs(part) / limit for limit, part in zip(acceleration.tolist(), slope.tolist(), strict=True)]
-    largest = max(shares)
+    largest = max(map(truediv, map(abs, parts), acceleration.tolist()))
     deceleration = BRAKING_SHARE * length * length / largest if largest > 0.0 else math.inf
     rate = min(APPROACH_RATE, 0.5 / dt)
     return length * CROSSING_SPEED + min(rate * smallest, math.sqrt(2.0 * deceleration * smallest))
 
 
-def approach_allowed(smallest: float, slope: Float[np.ndarray, " nv"], weakest: float, dt: float) -> float:
-    """A rate that `approach_bound` allows in any case, from the smallest acceleration limit of a joint."""
-    deceleration = BRAKING_SHARE * math.sqrt(slope.dot(slope)) * weakest
-    return min(min(APPROACH_RATE, 0.5 / dt) * smallest, math.sqrt(2.0 * deceleration * smallest))
-
-
-def stable_damping(
-    sigma: Float[np.ndarray, " k"], along: Float[np.ndarray, " k"], threshold: float, dt: float
-) -> float:
+def stable_damping(sigma: list[float], along: list[float], threshold: float, dt: float) -> float:
     """Damping lambda at which an explicit step of dt follows a task that presses into a singularity.
 
     The joint velocity beta sigma / (sigma^2 + lambda^2) has the slope |grad sigma| beta / lambda^2 at the singularity,
@@ -191,13 +186,12 @@ def stable_damping(
 
     Args:
         sigma: Singular values of A.
-        along: U^T b.
+        along: U^T b; only as many of its numbers as there are singular values count.
         threshold: Singular value below which a direction counts as nearly lost.
         dt: Time for which a velocity is held [s].
     """
-    values = sigma.tolist()
-    beta = max([0.0, *(abs(x) for x, value in zip(along.tolist(), values, strict=True) if value < threshold)])
-    return math.sqrt(beta * values[0] * dt / (2.0 * STABLE_SLOPE))
+    beta = max([abs(x) for x, value in zip(along, sigma, strict=False) if value < threshold], default=0.0)
+    return math.sqrt(beta * sigma[0] * dt / (2.0 * STABLE_SLOPE))
 
 
 def pressed_damping(

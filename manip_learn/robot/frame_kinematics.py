@@ -23,6 +23,7 @@ from manip_learn.robot.kinematic_hessian import (
     pinocchio_order_is_known,
     reordered,
 )
+from manip_learn.robot.weighted_vjp import WeightedVjp
 
 DOUBLE = np.dtype(np.float64)  # of this machine's byte order
 
@@ -106,6 +107,7 @@ class FrameKinematics:
         self._plain = chain is not None and self._lift is None and self._columns is None
         self._fast_hessian = pinocchio_order_is_known(self.model)
         self._columns_to_joints = columns_to_joints(self.model)
+        self._hessian_shape = (self.model.nv, 6 * self.model.nv)
         self._local = threading.local()
 
     # ---- one posture ------------------------------------------------------------------------------------------------
@@ -210,23 +212,10 @@ class FrameKinematics:
         data = self._differentiated(q).data
         J = pin.getFrameJacobian(model, data, index, ref)
         # Pinocchio's buffer as it lies in memory is [k, j, i] (see `reordered`)
-        by_joint = pin.getFrameKinematicHessian(model, data, index, ref).reshape(model.nv, -1)
+        by_joint = pin.getFrameKinematicHessian(model, data, index, ref).reshape(self._hessian_shape)
         A = selection.dot(J) if J.ndim == 2 else selection.dot(J.reshape(6, 1))  # nv == 1
-        if self._plain:
-            return A, lambda weights: by_joint.dot(weights.T.dot(selection).reshape(-1))
-        if self._lift is not None:
-            lift = self._lift
-            return A.dot(lift), lambda w: by_joint.dot(lift.dot(w.T).dot(selection).reshape(-1)).dot(lift)
-        if self._columns is None:
-            return A, lambda weights: by_joint.dot(weights.T.dot(selection).reshape(-1))
-        columns, nv = self._columns, self.nv
-
-        def vjp(weights: np.ndarray) -> np.ndarray:
-            out = np.zeros(nv)
-            out[columns] = by_joint.dot(weights.T[columns].dot(selection).reshape(-1))
-            return out
-
-        return self._public(A), vjp
+        vjp = WeightedVjp(by_joint, selection, self._columns, self._lift, self.nv)
+        return A if self._plain else self._public(A), vjp
 
     # ---- internals --------------------------------------------------------------------------------------------------
 

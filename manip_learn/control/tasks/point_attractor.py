@@ -81,13 +81,13 @@ class PointAttractor(Task):
     ) -> tuple[Any, Float[np.ndarray, "s nv"] | None]:
         """b and E from one look at the pose."""
         features, shape = constraint.features, self.target.shape
-        if type(self) is PointAttractor and (shape == (features.n_rows,) or shape == (4, 4)):
+        if shape == (features.n_rows,) or shape == (4, 4):
             error, E = features.error_and_jacobian(self.target, q)
             return self._attraction(constraint.selection.dot(error)), None if E is None else constraint.selection.dot(E)
         return super().velocity_and_jacobian(constraint, q, t)
 
     def _attraction(self, displacement: Float[np.ndarray, " s"]) -> Float[np.ndarray, " s"]:
-        b = self.gain * displacement
+        b = displacement if self.gain == 1.0 else self.gain * displacement
         if self.max_speed is not None:
             speed = math.sqrt(b.dot(b))
             if speed > self.max_speed:
