@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manip_learn.control.polytope_projection import Solver, project_by_active_set, projection_by
+from manip_learn.control.polytope_projection import project_by_active_set, projection_by
 from manip_learn.errors import ConstraintError
-from manip_learn.linalg import null_projector
 
 KINDS = ["random", "duplicated", "zero", "equal", "nearly dependent", "badly scaled", "both"]
 Problem = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -35,25 +34,6 @@ def problem(kind: str, rng: np.random.Generator) -> Problem:
     if kind == "equal":
         low[i] = high[i] = C[i] @ inside
     return inside + 3.0 * rng.normal(size=k) / np.max(np.abs(C), axis=0), C, low, high
-
-
-@pytest.mark.parametrize("solver", ["qp", "active-set"])
-def test_rows_whose_bounds_are_one_number_are_met(solver: Solver, rng: np.random.Generator) -> None:
-    """The nearest point in the space that they leave; other rows bound it there, on either side of them."""
-    for _ in range(50):
-        x, C = 2.0 * rng.normal(size=6), rng.normal(size=(5, 6))
-        b = 3.0 * rng.normal(size=2)
-        inside = np.linalg.lstsq(C[:2], b, rcond=None)[0]
-        low, high = C @ inside - rng.exponential(size=5), C @ inside + rng.exponential(size=5)
-        low[:2] = high[:2] = b
-        y = projection_by(solver)(x, C, low, high, 2)
-        assert y is not None
-        np.testing.assert_allclose(C[:2] @ y, b, rtol=0, atol=1e-10)
-        free = inside + null_projector(C[:2]) @ (x - inside)
-        reached = C[2:] @ free
-        if np.all((reached >= low[2:]) & (reached <= high[2:])):
-            np.testing.assert_allclose(y, free, rtol=0, atol=1e-10)
-        assert np.all((C @ y >= low - 1e-10) & (C @ y <= high + 1e-10))
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import cache
 from operator import truediv
 from typing import NamedTuple, final
 
@@ -13,7 +12,6 @@ from jaxtyping import Float
 from manip_learn.constraint.small_matrices import svd
 from manip_learn.control.limits import Bounds
 from manip_learn.control.polytope_projection import Projection
-from manip_learn.linalg import rank_of
 
 # weight of the task's scale against the null-space policy, in multiples of the task part
 TASK_WEIGHT = 100.0
@@ -58,8 +56,8 @@ class Desired(NamedTuple):
 
 def bounded_velocity(
     A: Float[np.ndarray, "s nv"],
-    rows: Float[np.ndarray, "r nv"],
     desired: Desired,
+    null: Float[np.ndarray, "nv k"],
     bounds: Bounds,
     fastest: Float[np.ndarray, " nv"],
     barrier: tuple[Float[np.ndarray, " nv"], float] | None,
@@ -70,10 +68,9 @@ def bounded_velocity(
 ) -> BoundedVelocity:
     """The velocity within the bounds that keeps the direction of the task.
 
-    With v = A^+ b slowed down to the velocity limits and w = N pi, u = s v + n in the unknowns s and n, where
+    With the null basis Z of A, v = A^+ b slowed down to the velocity limits and w = N pi, in the unknowns y and s
 
-        min |n - w|^2 + TASK_WEIGHT^2 max(|v|, |w|)^2 (s* - s)^2
-        subject to  low <= s v + n <= high,  A n = 0,  0 <= s <= 1
+        min |Z y - w|^2 + TASK_WEIGHT^2 max(|v|, |w|)^2 (s* - s)^2  subject to  low <= s v + Z y <= high,  0 <= s <= 1
 
     This is saturation in the null space (Flacco, De Luca and Khatib, "Control of redundant robots under hard joint
     constraints: saturation in the null space", 2015) as a quadratic program: null-space motion makes room for the task
@@ -89,8 +86,8 @@ def bounded_velocity(
 
     Args:
         A: Constraint matrix.
-        rows: Independent rows that span those of A; orthonormal where there is an escape.
         desired: Parts of the command before bounds.
+        null: Z with Z Z^T = N, or the projector N itself, which serves as well.
         bounds: Lowest and highest velocities allowed.
         fastest: Velocity limits.
         barrier: (g, least) for the constraint g u >= least on the approach to a singularity; None without.
@@ -99,19 +96,17 @@ def bounded_velocity(
         damping: Singular value of A below which sliding is damped.
         decomposition: U, singular values and V^T of A, where they are known.
     """
-    r, nv = rows.shape
+    nv = null.shape[0]
     for barred in (barrier, None) if barrier is not None else (None,):
-        # rows of the programs: A n = 0, joints, barrier, and the task's scale
-        m, zeros, least, most = r + nv + 1, [0.0] * r, (0.0,), (1.0,)
-        if barred is not None:
-            m, least, most = m + 1, (barred[1], 0.0), (math.inf, 1.0)
-        low = np.fromiter([*zeros, *bounds.low, *least], np.float64, m)
-        high = np.fromiter([*zeros, *bounds.high, *most], np.float64, m)
-        found = _bounded(A, rows, desired, low, high, fastest, barred, project, slide, damping, decomposition)
+        # rows of the programs: joints, barrier, and the task's scale
+        m, least, most = (nv + 1, (0.0,), (1.0,)) if barred is None else (nv + 2, (barred[1], 0.0), (math.inf, 1.0))
+        low = np.fromiter([*bounds.low, *least], np.float64, m)
+        high = np.fromiter([*bounds.high, *most], np.float64, m)
+        found = _bounded(A, desired, null, low, high, fastest, barred, project, slide, damping, decomposition)
         if found is not None:
             reached = found.velocity.tolist()
-            rows_of_joints = zip(reached, bounds.low, bounds.high, strict=True)
-            within = [least if u < least else most if u > most else u for u, least, most in rows_of_joints]
+            joints = zip(reached, bounds.low, bounds.high, strict=True)
+            within = [least if u < least else most if u > most else u for u, least, most in joints]
             if math.dist(within, reached) <= ROUNDING:
                 return BoundedVelocity(np.array(within), found.task_scale, found.null_part)
     # a box always holds a point; this is for a solver that gave up
@@ -121,8 +116,8 @@ def bounded_velocity(
 
 def _bounded(
     A: np.ndarray,
-    rows: np.ndarray,
     desired: Desired,
+    Z: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
     fastest: np.ndarray,
@@ -133,39 +128,31 @@ def _bounded(
     decomposition: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
 ) -> BoundedVelocity | None:
     v, w, e = desired
-    too_fast = max(map(truediv, map(abs, v.tolist()), fastest.tolist()), default=1.0)
+    too_fast = max(1.0, *map(truediv, map(abs, v.tolist()), fastest.tolist()))
     if too_fast > 1.0:  # slowed down to the velocity limits, before null-space motion makes room for it
         v = v / too_fast
     rest = w if e is None else w + e
     scale = approach_scale(v, rest, barrier)
-    along = _along(v, scale, w, e, rows, low, high, barrier, project)
-    if along is not None and slide == 0.0:
-        u, s, null_part = along
-        return BoundedVelocity(u, s / max(too_fast, 1.0), null_part)
-    decomposition = decomposition or svd(A)
-    _, sigma, Vt = decomposition
-    bounds = (low[rows.shape[0] : -1], high[rows.shape[0] : -1], barrier, project)
-    wish = scale * v + rest
+    along = _along(v, scale, w, e, Z, low, high, barrier, project)
+    bounds = (low[:-1], high[:-1], barrier, project)
     if along is not None:
-        u, s, _ = along
+        u, s = along
     else:
+        wish = scale * v + rest
         b = A @ v
         length = math.sqrt(b.dot(b))
         across = A if length < NEGLIGIBLE else A - np.outer(b / length, (b / length) @ A)
-        u = _nearest(wish, svd(across), float(sigma[0]) / DEVIATION_WEIGHT, *bounds)
+        decomposition = decomposition or svd(A)
+        u = _nearest(wish, svd(across), float(decomposition[1][0]) / DEVIATION_WEIGHT, *bounds)
         if u is None:
             return None
         s = 0.0 if length < NEGLIGIBLE else max(0.0, float(b @ (A @ u)) / length**2)
     if slide > 0.0:
-        slid = _nearest(wish, decomposition, damping, *bounds)
+        slid = _nearest(scale * v + rest, decomposition or svd(A), damping, *bounds)
         if slid is not None:
             u = u + slide * (slid - u)
-    return BoundedVelocity(u, s / max(too_fast, 1.0), _across(Vt[: rank_of(sigma, A.shape)], u))
-
-
-def _across(rows: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """The part of u that orthonormal rows do not see."""
-    return u - rows.dot(u).dot(rows)
+    null_part = Z.dot(u) if Z.shape[0] == Z.shape[1] else Z.dot(u.dot(Z))
+    return BoundedVelocity(u, s / too_fast, null_part)
 
 
 def approach_scale(v: np.ndarray, rest: np.ndarray, barrier: tuple[np.ndarray, float] | None) -> float:
@@ -184,46 +171,37 @@ def _along(
     scale: float,
     w: np.ndarray,
     e: np.ndarray | None,
-    K: np.ndarray,
+    Z: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
     barrier: tuple[np.ndarray, float] | None,
     project: Projection,
-) -> tuple[np.ndarray, float, np.ndarray] | None:
-    """The first program: (u, s, N u), or None if the bounds allow no s >= 0."""
-    r, nv = K.shape
+) -> tuple[np.ndarray, float] | None:
+    """The first program: (u, s), or None if the bounds allow no s >= 0."""
+    nv, at = Z.shape
     length, speed = math.sqrt(v.dot(v)), 0.0 if e is None else math.sqrt(e.dot(e))
     moves, escapes = length > NEGLIGIBLE, speed > NEGLIGIBLE
     # a slow task comes first beside a fast policy, too
     weight = TASK_WEIGHT * max(length, min(math.sqrt(w.dot(w)), LARGEST_RATIO * length))
-    k, rows = nv + moves + escapes, low.shape[0] - (not moves)
-    # the unknowns are n, weight * s, and the escape's speed
-    C, start = _rows_of_null_motion(rows, k, r, nv).copy(), np.empty(k)
-    joints = C[r : r + nv]  # u = joints y
-    C[:r, :nv], start[:nv] = K, w
+    k, rows = at + moves + escapes, low.shape[0] - (not moves)
+    # the unknowns are y, weight * s, and the escape's speed
+    C, start = np.zeros((rows, k)), np.empty(k)
+    basis = C[:nv]
+    # the projector leaves a null-space motion as it is
+    basis[:, :at], start[:at] = Z, w if at == nv else w.dot(Z)
     if moves:
-        joints[:, nv], start[nv], C[-1, nv] = v / weight, weight * scale, 1.0 / weight
+        basis[:, at], start[at], C[-1, at] = v / weight, weight * scale, 1.0 / weight
     if e is not None and escapes:
-        joints[:, -1], start[-1] = e / speed, speed
+        basis[:, -1], start[-1] = e / speed, speed
     if barrier is not None:
-        C[r + nv] = barrier[0].dot(joints)
-    y = project(start, C, low[:rows], high[:rows], r)
+        C[nv] = barrier[0].dot(basis)
+    y = project(start, C, low[:rows], high[:rows])
     if y is None and moves:  # too fast to brake: farther along b is better than beside it
         high[-1] = math.inf
-        y = project(start, C, low, high, r)
+        y = project(start, C, low, high)
     if y is None:
         return None
-    u = joints.dot(y)
-    return u, float(y[nv]) / weight if moves else 1.0, _across(K, u) if escapes else y[:nv]
-
-
-@cache
-def _rows_of_null_motion(rows: int, k: int, r: int, nv: int) -> np.ndarray:
-    """Zeros, but for the ones by which n is part of u."""
-    matrix = np.zeros((rows, k))
-    matrix[r : r + nv, :nv] = np.eye(nv)
-    matrix.setflags(write=False)
-    return matrix
+    return basis.dot(y), float(y[at]) / weight if moves else 1.0
 
 
 def _nearest(
@@ -243,5 +221,5 @@ def _nearest(
     C = np.divide(Vt.T, root, out=rows[:nv])  # u = C x
     if barrier is not None:
         rows[nv] = barrier[0].dot(C)
-    x = project(root * Vt.dot(wish), rows, low, high, 0)
+    x = project(root * Vt.dot(wish), rows, low, high)
     return None if x is None else C.dot(x)

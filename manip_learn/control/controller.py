@@ -211,7 +211,7 @@ class ResolvedRateController:
         # an explicit step of dt follows sliding that is damped that much
         blur = 0.0 if slide == 0.0 else max(self.damping, math.sqrt(2.0 * dt * math.sqrt(law.b.dot(law.b))))
         found = bounded_velocity(
-            *(law.A, law.independent_rows(), law.desired, bounds, limits.velocity, barrier, self._project, slide, blur),
+            *(law.A, law.desired, law.null_space(), bounds, limits.velocity, barrier, self._project, slide, blur),
             decomposition=law.decomposition,
         )
         return bounded_command(law, wish, found, bounds, damped)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import Vjp
-from manip_learn.control.bounded_velocity import NEGLIGIBLE, BoundedVelocity, Desired
+from manip_learn.control.bounded_velocity import BoundedVelocity, Desired
 from manip_learn.control.command import Command
 from manip_learn.control.limits import ACCELERATION, POSITION, VELOCITY, Bounds
 from manip_learn.control.singularity import Decomposition
@@ -48,13 +49,20 @@ class Law(NamedTuple):
     slope: Float[np.ndarray, " nv"] | None = None  # grad of the smallest singular value, where it is known
     barred: bool = True  # whether the approach to the rows' singularities is bounded
 
-    def independent_rows(self) -> Float[np.ndarray, "r nv"]:
-        """Rows about as long as 1 that span those of A: of V^T near singularities, sigma_s A^{+T} elsewhere."""
-        if self.X is not None:
-            return self.X * self.smallest
-        if self.decomposition is None:
-            return self.A
-        return self.decomposition.Vt[: rank_of(self.decomposition.sigma, self.A.shape)]
+    def null_space(self) -> Float[np.ndarray, "nv k"]:
+        """Z with Z Z^T = N, the null basis near singularities and N itself elsewhere."""
+        unit = _unit(self.A.shape[1])
+        if self.decomposition is not None:
+            rank = rank_of(self.decomposition.sigma, self.A.shape)
+            return self.decomposition.Vt[rank:].T if rank else unit
+        return unit if self.X is None else unit - self.A.T.dot(self.X)
+
+
+@cache
+def _unit(size: int) -> Float[np.ndarray, "n n"]:
+    matrix = np.eye(size)
+    matrix.setflags(write=False)
+    return matrix
 
 
 def plain_command(law: Law, velocity: Float[np.ndarray, " nv"], damped: bool, outside: float = 0.0) -> Command:
@@ -85,7 +93,7 @@ def bounded_command(
         escape = escape * min(1.0, max(0.0, float(velocity.dot(escape)) / max(float(escape.dot(escape)), 1e-300)))
         task_part = task_part - escape
     square = float(null.dot(null))
-    null_scale = min(1.0, max(0.0, float(null.dot(null_part)) / square)) if square > NEGLIGIBLE**2 else 1.0
+    null_scale = min(1.0, max(0.0, float(null.dot(null_part)) / square)) if square > 0.0 else 1.0
     progress = _progress(law, velocity)
     joint, cause = bounds.binding(velocity, wish)
     if bounds.outside > 0.0:

@@ -23,10 +23,9 @@ REORTHOGONAL = 1e-2
 # the same for DAQP, whose answer may be off by as much: commands are compared to 1e-12
 FINE = 1e-13
 SOLVED, INFEASIBLE = 1, -1  # exit flags of DAQP
-INEQUALITY, EQUALITY = 0, 5  # its kinds of rows
 Solver = Literal["qp", "active-set", "compiled"]
 Projection = Callable[
-    [Float[np.ndarray, " k"], Float[np.ndarray, "m k"], Float[np.ndarray, " m"], Float[np.ndarray, " m"], int],
+    [Float[np.ndarray, " k"], Float[np.ndarray, "m k"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]],
     "Float[np.ndarray, ' k'] | None",
 ]
 
@@ -47,22 +46,19 @@ def project_by_daqp(
     C: Float[np.ndarray, "m k"],
     low: Float[np.ndarray, " m"],
     high: Float[np.ndarray, " m"],
-    equal: int = 0,
 ) -> Float[np.ndarray, " k"] | None:
     """argmin |y - x|^2 subject to low <= C y <= high, or None if no point meets the bounds.
-
-    The two bounds of each of the first `equal` rows are one number.
 
     By DAQP, a dual active-set solver in C (Arnstrom, Bemporad and Axehill, "A dual active-set solver for embedded
     quadratic programming using recursive LDL^T updates", 2022); where it gives up, by `project_by_active_set`.
     """
-    y, _, exit_flag, _ = daqp.solve(_unit(x.shape[0]), -x, C, high, low, _senses(low.shape[0], equal), primal_tol=FINE)
+    y, _, exit_flag, _ = daqp.solve(_unit(x.shape[0]), -x, C, high, low, _inequalities(low.shape[0]), primal_tol=FINE)
     if exit_flag == SOLVED:
         return np.asarray(y)
     # where 0 is the only point, or one of few, DAQP may not see it
     if exit_flag == INFEASIBLE and not (low.max() <= 0.0 <= high.min()):
         return None
-    return project_by_active_set(x, C, low, high, equal)
+    return project_by_active_set(x, C, low, high)
 
 
 @cache
@@ -71,8 +67,8 @@ def _unit(size: int) -> np.ndarray:
 
 
 @cache
-def _senses(size: int, equal: int) -> np.ndarray:
-    return np.array([EQUALITY] * equal + [INEQUALITY] * (size - equal), dtype=np.int32)
+def _inequalities(size: int) -> np.ndarray:
+    return np.zeros(size, dtype=np.int32)
 
 
 def project_by_active_set(
@@ -80,7 +76,6 @@ def project_by_active_set(
     C: Float[np.ndarray, "m k"],
     low: Float[np.ndarray, " m"],
     high: Float[np.ndarray, " m"],
-    equal: int = 0,
 ) -> Float[np.ndarray, " k"] | None:
     """The same by the dual active-set method of Goldfarb and Idnani (1983), without another library.
 
@@ -92,7 +87,6 @@ def project_by_active_set(
         C: One row per constraint.
         low: Lower bounds.
         high: Upper bounds.
-        equal: Number of equalities; they are treated as any row whose bounds are one number.
 
     Returns:
         The nearest point; None if no point meets the bounds.

@@ -81,7 +81,7 @@ class PointAttractor(Task):
     ) -> tuple[Any, Float[np.ndarray, "s nv"] | None]:
         """b and E from one look at the pose."""
         features, shape = constraint.features, self.target.shape
-        if shape == (features.n_rows,) or shape == (4, 4):
+        if type(self) is PointAttractor and (shape == (features.n_rows,) or shape == (4, 4)):
             error, E = features.error_and_jacobian(self.target, q)
             return self._attraction(constraint.selection.dot(error)), None if E is None else constraint.selection.dot(E)
         return super().velocity_and_jacobian(constraint, q, t)
