@@ -35,12 +35,24 @@ def turn_joints(constants, joints, q, work, base):
 
 
 @compiled_inside
+def chain_vjp(constants, rows, s, joints, weights, work, base):
+    """sum_ij weights_ij dA_ij / dq_k for weights in columns of the chain, into the joints' entries GRADIENT."""
+    for j in range(joints):
+        for k in range(6):
+            total = 0.0
+            for i in range(s):
+                total += weights[i, j] * constants[rows + i, k]
+            work[base + j, WEIGHTS + k] = total
+    jacobian_vjp(work, base, joints, constants[CHAIN + 1, LOCAL] != 0.0)
+
+
+@compiled_inside
 def vjp(constants, rows, s, joints, weights, work, base, gradient):
     """sum_ij weights_ij dA_ij / dq_k into `gradient`, weights (s, nv) and gradient (nv,) in public columns."""
     for k in range(gradient.shape[0]):
         gradient[k] = 0.0
     for j in range(joints):
-        column, place = _places(constants, j)
+        column, place = places(constants, j)
         for k in range(6):
             total = 0.0
             for i in range(s):
@@ -48,12 +60,12 @@ def vjp(constants, rows, s, joints, weights, work, base, gradient):
             work[base + place, WEIGHTS + k] = total
     jacobian_vjp(work, base, joints, constants[CHAIN + 1, LOCAL] != 0.0)
     for j in range(joints):
-        column, place = _places(constants, j)
+        column, place = places(constants, j)
         gradient[column] = work[base + place, GRADIENT]
 
 
 @compiled_inside
-def _places(constants, j):
+def places(constants, j):
     """Public column of a joint of the chain, and its place among them, base first."""
     k = CHAIN + JOINTS + j
     return int(constants[k, SOURCE]), int(constants[k, TARGET])
@@ -66,5 +78,5 @@ def public_rows(constants, s, joints, chain_rows, first, A):
         for j in range(A.shape[1]):
             A[i, j] = 0.0
         for j in range(joints):
-            column, place = _places(constants, j)
+            column, place = places(constants, j)
             A[i, column] = chain_rows[first + i, place]

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from manip_learn.control.compiled.constrained_rows import turn_joints
+from manip_learn.control.compiled.constrained_rows import chain_vjp, places, turn_joints
 from manip_learn.control.compiled.joint_limits import admitted
+from manip_learn.control.compiled.near_singularity import smallest_weights
 from manip_learn.control.compiled.null_policy import policy_velocity
 from manip_learn.control.compiled.pose_target import pose_velocity
 from manip_learn.control.compiled.row_inverse import row_inverse
@@ -51,8 +52,8 @@ from manip_learn.control.compiled.step_table import (
     VELOCITY,
 )
 from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE
-from manip_learn.robot.batch.compiled_kinematics import JOINTS, SOURCE, TARGET, columns_of
-from manip_learn.robot.batch.compiled_vjp import SLIDE
+from manip_learn.robot.batch.compiled_kinematics import JOINTS, columns_of
+from manip_learn.robot.batch.compiled_vjp import GRADIENT, SLIDE
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 
@@ -72,9 +73,11 @@ def free_step(constants, q, dt, previous, parts, work):
         facts[ERROR] = pose_velocity(constants, rows, s, p0, p1, p2, work, base + joints, parts[TASK_VELOCITY])
     else:
         facts[ERROR] = task_velocity(constants, rows, s, p0, p1, p2, parts[TASK_VELOCITY])
+    # parts of rows: LLVM would vectorise loops over whole ones, which are too short for that
     A, X = work[MATRICES : MATRICES + s, :joints], work[MATRICES + s : MATRICES + 2 * s, :joints]
     squares = work[MATRICES + 2 * s : MATRICES + 3 * s]
-    volume, smallest = row_inverse(A, X, squares[:, :s], squares[:, s : 2 * s])
+    G, L = squares[:, :s], squares[:, s : 2 * s]
+    volume, smallest = row_inverse(A, X, G, L)
     facts[MU], facts[SMALLEST], facts[HAS_ESCAPE] = volume, smallest, 0.0
     facts[TASK_SCALE] = facts[NULL_SCALE] = facts[PROGRESS] = 1.0
     facts[OUTSIDE], facts[LIMITING_JOINT] = 0.0, -1.0
@@ -84,10 +87,10 @@ def free_step(constants, q, dt, previous, parts, work):
     policy_velocity(constants, dofs, rows, nv, joints, s, q, dt, volume, X, work, base)
     if posed:  # the policy is that of A; those of the error take its place
         chain_rows(work, base + joints + 1, s, joints, work, base)
-        volume, facts[SMALLEST] = row_inverse(A, X, squares[:, :s], squares[:, s : 2 * s])
+        volume, facts[SMALLEST] = row_inverse(A, X, G, L)
         if volume == 0.0 or (damps and facts[SMALLEST] < constants[0, THRESHOLD]):
             return ILL_POSED
-    size = regular_parts(constants, joints, nv, s, A, X, work[PI], parts)
+    size = regular_parts(constants, joints, nv, s, A, X, L, work[PI], parts)
     square, weakest = 0.0, math.inf
     for j in range(nv):
         square += parts[VELOCITY, j] * parts[VELOCITY, j]
@@ -100,13 +103,14 @@ def free_step(constants, q, dt, previous, parts, work):
         # |grad sigma| is about as large as A itself: slow enough to stop at a singularity
         rate = min(APPROACH_RATE, 0.5 / dt) * smallest
         if square * size >= min(2.0 * BRAKING_SHARE * weakest * math.sqrt(size) * smallest, rate * rate):
-            return LIMITED
+            if s > 2 or _approaches(constants, rows, s, joints, A, X, smallest, weakest, rate, parts, work, base):
+                return LIMITED
     return OK if admitted(constants, dofs, nv, q, dt, parts[VELOCITY], previous) else LIMITED
 
 
 @compiled_inside
 def scratch(joints, nv, s):
-    """The work space of a step: numbers, A, its inverse and squares, the joints, the chain's end, a pose's error."""
+    """The work space of a step: numbers, A, its inverse, two squares, the joints, the chain's end, a pose's error."""
     return np.empty((MATRICES + 3 * s + joints + 1 + s + 1, max(LEAST_WIDTH, nv, 2 * s)))
 
 
@@ -146,23 +150,41 @@ def task_velocity(constants, rows, s, p0, p1, p2, b):
 
 
 @compiled_inside
-def regular_parts(constants, joints, nv, s, A, X, pi, parts):
+def _approaches(constants, rows, s, joints, A, X, smallest, weakest, rate, parts, work, base):
+    """Whether a singularity is approached faster than is slow enough in any case, `singularity.approach_allowed`.
+
+    For one or two rows; X is scratch.
+    """
+    smallest_weights(A, smallest, X)
+    chain_vjp(constants, rows, s, joints, X, work, base)
+    approach = square = 0.0
+    for j in range(joints):
+        column, place = places(constants, j)
+        slope = work[base + place, GRADIENT]
+        square += slope * slope
+        approach -= slope * parts[VELOCITY, column]
+    deceleration = BRAKING_SHARE * math.sqrt(square) * weakest
+    return approach > min(rate, math.sqrt(2.0 * deceleration * smallest))
+
+
+@compiled_inside
+def regular_parts(constants, joints, nv, s, A, X, scratch, pi, parts):
     """A^+ b and N pi from X = A^{+T}, and their sum; returns the sum of the squares of A."""
-    size = 0.0
-    for j in range(nv):
-        parts[TASK_PART, j], parts[NULL_PART, j] = 0.0, pi[j]
+    along, size = scratch[0], 0.0
     for i in range(s):
-        along = 0.0
-        for j in range(joints):
-            k = CHAIN + JOINTS + j
-            a = A[i, int(constants[k, TARGET])]
-            along += a * pi[int(constants[k, SOURCE])]
-            size += a * a
-        for j in range(joints):
-            k = CHAIN + JOINTS + j
-            x, column = X[i, int(constants[k, TARGET])], int(constants[k, SOURCE])
-            parts[TASK_PART, column] += parts[TASK_VELOCITY, i] * x
-            parts[NULL_PART, column] -= along * x
+        along[i] = 0.0
+    for j in range(joints):
+        column, place = places(constants, j)
+        for i in range(s):
+            along[i] += A[i, place] * pi[column]
+            size += A[i, place] * A[i, place]
     for j in range(nv):
-        parts[VELOCITY, j] = parts[TASK_PART, j] + parts[NULL_PART, j]
+        parts[TASK_PART, j], parts[NULL_PART, j], parts[VELOCITY, j] = 0.0, pi[j], pi[j]
+    for j in range(joints):
+        column, place = places(constants, j)
+        task, null = 0.0, pi[column]
+        for i in range(s):
+            task += parts[TASK_VELOCITY, i] * X[i, place]
+            null -= along[i] * X[i, place]
+        parts[TASK_PART, column], parts[NULL_PART, column], parts[VELOCITY, column] = task, null, task + null
     return size

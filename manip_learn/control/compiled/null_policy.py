@@ -7,11 +7,10 @@ import math
 import numpy as np
 
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
-from manip_learn.control.compiled.constrained_rows import vjp
+from manip_learn.control.compiled.constrained_rows import chain_vjp, places, vjp
 from manip_learn.control.compiled.decomposition import leading
 from manip_learn.control.compiled.near_singularity import lost_rates, norm, outer_sum, steepest_ascent
 from manip_learn.control.compiled.step_table import (
-    CHAIN,
     LOG_ASCENT,
     LONGEST,
     NO_POLICY,
@@ -23,8 +22,7 @@ from manip_learn.control.compiled.step_table import (
     WRAPS,
 )
 from manip_learn.control.singularity import SEED_SPEED, STABLE_SLOPE
-from manip_learn.robot.batch.compiled_kinematics import JOINTS, LOCAL, SOURCE, TARGET
-from manip_learn.robot.batch.compiled_vjp import GRADIENT, WEIGHTS, jacobian_vjp
+from manip_learn.robot.batch.compiled_vjp import GRADIENT
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 
@@ -62,13 +60,7 @@ def policy_velocity(constants, dofs, rows, nv, joints, s, q, dt, volume, X, work
         return
     for j in range(nv):
         work[PI, j] = 0.0
-    for j in range(joints):
-        for k in range(6):
-            total = 0.0
-            for i in range(s):
-                total += X[i, j] * constants[rows + i, k]
-            work[base + j, WEIGHTS + k] = total
-    jacobian_vjp(work, base, joints, constants[CHAIN + 1, LOCAL] != 0.0)
+    chain_vjp(constants, rows, s, joints, X, work, base)
     scale = constants[0, POLICY_GAIN] * volume
     if policy == LOG_ASCENT:
         steepness = 0.0
@@ -76,8 +68,8 @@ def policy_velocity(constants, dofs, rows, nv, joints, s, q, dt, volume, X, work
             steepness += work[base + j, GRADIENT] * work[base + j, GRADIENT]
         scale = bounded_gain(constants, math.sqrt(steepness), dt)
     for j in range(joints):
-        k = CHAIN + JOINTS + j
-        work[PI, int(constants[k, SOURCE])] = scale * work[base + int(constants[k, TARGET]), GRADIENT]
+        column, place = places(constants, j)
+        work[PI, column] = scale * work[base + place, GRADIENT]
 
 
 @compiled_inside
