@@ -84,7 +84,6 @@ lowest: $(LOWEST)/made
 # extras a user's first hour: own arm, foreign recordings, mistakes, a notebook (tests/first_hour)
 package: $(VENV)/dev
 	rm -rf dist
-	$(PIP) install --quiet 'build>=1.2'
 	$(BIN)/python -m build --outdir dist .
 	@folder=$$(mktemp -d) && wheel=$$(ls "$$PWD"/dist/*.whl) && trap 'rm -rf "$$folder"' EXIT && \
 	$(BIN)/python -m venv "$$folder/venv" && mkdir "$$folder/empty" && cd "$$folder/empty" && \
@@ -92,7 +91,7 @@ package: $(VENV)/dev
 	"$$folder/venv/bin/python" -m pip --disable-pip-version-check install --quiet "$$wheel" && \
 	env -u PYTHONPATH "$$folder/venv/bin/manip-learn" demo --no-browser --json >"$$folder/demo.json" && \
 	test -s demo_out/replay.html && echo "the wheel's own demo works" && \
-	"$$folder/venv/bin/python" -m pip --disable-pip-version-check install --quiet "$$wheel[robots,recordings,xacro]" \
+	"$$folder/venv/bin/python" -m pip --disable-pip-version-check install --quiet --no-compile "$$wheel[robots,recordings,xacro]" \
 		'nbclient>=0.10' 'ipykernel>=6.29' && \
 	env -u PYTHONPATH "$$folder/venv/bin/python" "$(CURDIR)/tests/first_hour/hour.py" "$$folder/hour"
 

@@ -38,16 +38,24 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     """Compile the control step before the first test that uses it, whose limit of time is not meant for that."""
     if find_spec("numba") is None or "PYTEST_XDIST_WORKER" in os.environ:
         return
-    if any(word in item.path.name for item in session.items for word in COMPILES):
+    if any(_compiles(item) for item in session.items):
         constraint = ml.Constraint(np.eye(2), ml.FrameJacobian(load_robot("planar3"), "tip", "x y"))
         ml.CompiledController(ml.ResolvedRateController(constraint)).rollout(np.array([0.1, 0.5, 0.5]), 1, 0.01)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Where tests run in several processes, any of these may be the first, which compiles: a minute or two."""
+    """What compiles comes first: of two processes that each begin with a half, one compiles, and the other need not.
+
+    The first test that does takes a minute or two.
+    """
     for item in items:
-        if any(word in item.path.name for word in COMPILES) and item.get_closest_marker("timeout") is None:
+        if _compiles(item) and item.get_closest_marker("timeout") is None:
             item.add_marker(pytest.mark.timeout(400))
+    items.sort(key=lambda item: not _compiles(item))
+
+
+def _compiles(item: pytest.Item) -> bool:
+    return any(word in item.path.name for word in COMPILES)
 
 
 def chain_urdf(name: str, joints: list[tuple[str, str, str, str]], extra: str = "") -> str:

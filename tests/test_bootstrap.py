@@ -25,16 +25,20 @@ def reaching(seed: int):
     [(held_arm, {"estimator": "null-space"}), (reaching, {"estimator": "joint", "policy_model": "affine"})],
     ids=["held arm", "reaching"],
 )
-def test_the_true_angle_lies_inside_about_two_times_in_three(make, settings):
-    """Over 30 noisy data sets the true angle is below the reported 68 % angle in 50 to 85 % of them."""
+@pytest.mark.parametrize("sets", [12, pytest.param(30, marks=pytest.mark.slow)])
+def test_the_true_angle_lies_inside_about_two_times_in_three(make, settings, sets):
+    """Over many noisy data sets the true angle is below the reported 68 % angle in 50 to 85 % of them.
+
+    A dozen tell an angle that is stated far too small or too large; 30, the proof, run with `make proofs`.
+    """
     inside, ratios = 0, []
-    for seed in range(30):
+    for seed in range(sets):
         demos, truth = make(7000 + seed)
         learner = ConstraintLearner(truth.features, n_constraints=2, **settings).fit(demos)
         angle, reported = angle_deg(learner.constraint_, truth), learner.report_.uncertainty_deg
         inside += angle <= reported
         ratios.append(angle / reported)
-    assert 0.5 <= inside / 30 <= 0.85
+    assert 0.5 <= inside / sets <= 0.85
     assert np.quantile(ratios, 0.95) < 3.0
 
 

@@ -40,6 +40,7 @@ def features() -> FrameJacobian:
 def client():
     """Two worker processes on this machine."""
     with dask_client("local", 2) as client:
+        assert len(client.scheduler_info(n_workers=-1)["workers"]) == 2
         yield client
 
 
@@ -50,26 +51,37 @@ def small_parts(monkeypatch):
     monkeypatch.setattr(learner, "IN_MEMORY_SAMPLES", 1000)
 
 
-@pytest.mark.parametrize(("held", "settings"), [(True, HELD), (False, JOINT)])
-def test_the_number_of_workers_does_not_matter(features, held, settings):
+def test_the_number_of_workers_does_not_matter(features):
     """One, two and three workers give the same Lambda bit by bit, and a single process the same to rounding."""
-    demos = motions(features, TWO, np.random.default_rng(1), 60, noise=0.02, held=held)
-    alone = ConstraintLearner(features, **settings).fit(demos)
+    cases = [
+        (motions(features, TWO, np.random.default_rng(1), 30, noise=0.02, held=s is HELD), s) for s in (HELD, JOINT)
+    ]
     found = []
-    for n in (1, 2, 3):
-        with dask_client("local", n) as client:
-            assert len(client.scheduler_info(n_workers=-1)["workers"]) == n
-            found.append(ConstraintLearner(features, **settings).fit(demos, client=client))
-    for learnt in found:
-        np.testing.assert_array_equal(learnt.constraint_.selection, found[0].constraint_.selection)
-        assert learnt.report_.uncertainty_deg == found[0].report_.uncertainty_deg
-        assert learnt.report_.n_trajectories == 60
-    np.testing.assert_allclose(alone.constraint_.selection, found[0].constraint_.selection, atol=1e-12)
+    with dask_client("local", 3) as client:
+        for n in (3, 2, 1):
+            client.cluster.scale(n)
+            wait_for(lambda n=n: len(client.scheduler_info(n_workers=-1)["workers"]) == n)
+            found.append([ConstraintLearner(features, **s).fit(demos, client=client) for demos, s in cases])
+    for (demos, settings), *learners in zip(cases, *found, strict=True):
+        for learnt in learners:
+            np.testing.assert_array_equal(learnt.constraint_.selection, learners[0].constraint_.selection)
+            assert learnt.report_.uncertainty_deg == learners[0].report_.uncertainty_deg
+            assert learnt.report_.n_trajectories == 30
+        alone = ConstraintLearner(features, **settings).fit(demos)
+        np.testing.assert_allclose(alone.constraint_.selection, learners[0].constraint_.selection, atol=1e-12)
+
+
+def wait_for(condition):
+    """What the scheduler does a moment later."""
+    deadline = time.monotonic() + 20.0
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert condition()
 
 
 def test_a_killed_worker_changes_nothing(client, features):
     """A worker that is killed in the middle of a pass is replaced, and the answer is the same bit by bit."""
-    demos = motions(features, TWO, np.random.default_rng(2), 60, noise=0.02, held=True)
+    demos = motions(features, TWO, np.random.default_rng(2), 30, noise=0.02, held=True)
     quiet = ConstraintLearner(features, **HELD).fit(demos, client=client).constraint_
     victims = list(client.run(os.getpid).values())
     killed: list[int] = []
@@ -112,10 +124,7 @@ def test_progress_is_told(client, features):
     for shares in told.values():
         assert shares == sorted(shares) and shares[-1] == 1.0 and len(shares) > 3
     # the scheduler tells the workers to forget a moment after the client has let go
-    deadline = time.monotonic() + 20.0
-    while held_keys(client) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not held_keys(client)
+    wait_for(lambda: not held_keys(client))
 
 
 def test_errors_of_workers_come_back(client, features):

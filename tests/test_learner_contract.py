@@ -26,10 +26,12 @@ def subject_of(name: str) -> Subject:
 
 
 # several fits each, about what all estimators share: where fits are slow or done twice already, only in long runs
-REPEATED = {"separate", "auto on held motions"}
-SLOW_WHEN_REPEATED = {"other_kinds_of_arrays", "integers", "trajectories_twice", "faster_motion", "stiction"}
+SHARED = {"other_kinds_of_arrays", "integers", "trajectories_twice", "faster_motion", "stiction"}
+# long searches, which "joint" and "auto on held motions" keep
+SEARCHED = {"joint_that_never_moved", "fewer_constraints_than_there_are"}
+SLOW = {"separate": SHARED, "auto on held motions": SHARED, "auto on moved motions": SHARED | SEARCHED}
 CASES = [
-    pytest.param(name, check, marks=[pytest.mark.slow] if name in REPEATED and check in SLOW_WHEN_REPEATED else [])
+    pytest.param(name, check, marks=[pytest.mark.slow] if check in SLOW.get(name, ()) else [])
     for name in ESTIMATORS
     for check in checks()
 ]
