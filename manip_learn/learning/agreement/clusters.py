@@ -93,12 +93,13 @@ def _refined(motion: PhaseMotion, among: Sequence[int], counts: Iterable[int]) -
     for s in counts:
         seen: list[np.ndarray] = []
         known: dict[tuple[int, ...], Cluster] = {}
+        ceiling = _ceiling(motion, s, FIRST_SCALE)
         for M, S in starts:
             rows = rows_of_moments(M, S, s)[0]
             if seen and np.any(np.linalg.svd(np.array(seen) @ rows.T, compute_uv=False)[:, -1] > np.cos(0.05)):
                 continue
             seen.append(rows)
-            out.append(_grown(motion, rows, among, known))
+            out.append(_grown(motion, rows, among, ceiling, known))
     return out
 
 
@@ -120,9 +121,10 @@ def _grown(
     motion: PhaseMotion,
     rows: Float[np.ndarray, "s r"],
     among: Sequence[int],
+    ceiling: Float[np.ndarray, " g"],
     known: dict[tuple[int, ...], Cluster],
 ) -> Cluster:
-    """Refitted to the trajectories that obey it, until they stay the same.
+    """Refitted to the trajectories that obey it, until they stay the same; `ceiling` is that of `FIRST_SCALE`.
 
     What comes of it depends on the trajectories that obey the first rows alone: `known` holds it for those seen before.
     """
@@ -131,9 +133,7 @@ def _grown(
     members: tuple[int, ...] = ()
     gains = np.zeros(motion.n_trajectories)
     for _ in range(REFITS):
-        energy = broken_energy(motion, rows[None])
-        gains = _totals(motion, evidence(motion, energy, s, [scale])[:, 0])
-        ceiling = _totals(motion, evidence(motion, np.zeros_like(energy), s, [scale])[:, 0])
+        gains = _totals(motion, evidence(motion, broken_energy(motion, rows[None]), s, [scale])[:, 0])
         obeyed = gains > OBEYED * ceiling
         now = tuple(i for i in among if obeyed[i] and ceiling[i] > 0.0)
         if first is None:
@@ -147,11 +147,17 @@ def _grown(
         held = _samples_of(motion, members)
         rows = refit(motion, held, s, scale)
         scale = scale_of(motion, rows, held)
+        ceiling = _ceiling(motion, s, scale)
     values = np.array([gains[i] for i in members])
     found = Cluster(rows, scale, members, float(values.sum()), float(values.sum() - values.max(initial=0.0)))
     if first:
         known[first] = found
     return found
+
+
+def _ceiling(motion: PhaseMotion, s: int, scale: HeldScale) -> Float[np.ndarray, " g"]:
+    """Evidence of each trajectory for s rows that it obeys to the last digit."""
+    return _totals(motion, evidence(motion, np.zeros((len(motion), 1)), s, [scale])[:, 0])
 
 
 def _totals(motion: PhaseMotion, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " g"]:
