@@ -43,7 +43,7 @@ def ratios_of(rounds: dict[str, list[float]]) -> dict[str, Ratio]:
 
 
 def measured(arm: states.Arm, state: str) -> dict[str, Ratio]:
-    """Ratios of one state: the controller, and the compiled one."""
+    """Ratios of one state: the controller, the same with compiled limits, and the compiled one."""
     cases = states.cases_of(arm, state)
     if not cases:
         return {}
@@ -53,6 +53,7 @@ def measured(arm: states.Arm, state: str) -> dict[str, Ratio]:
         "python": states.calls(law, cases),
     }
     if COMPILED:
+        candidates["limits compiled"] = states.calls(law.with_solver("compiled"), cases)
         candidates["compiled"] = states.calls(ml.CompiledController(law), cases)
     return ratios_of(rounds_of(candidates, 2, ROUNDS))
 
@@ -68,7 +69,7 @@ def cell(found: dict[str, Ratio], which: str) -> str:
 def test_every_state() -> None:
     """The table of states and robots; a ratio that has risen by a fifth fails."""
     flat: dict[str, Ratio] = {}
-    tables: dict[str, list[str]] = {which: [] for which in ("python", "compiled")}
+    tables: dict[str, list[str]] = {which: [] for which in ("python", "limits compiled", "compiled")}
     arms = {name: states.arm_of(name) for name in states.ROBOTS}
     for state in states.STATES:
         found = {name: measured(arm, state) for name, arm in arms.items()}
@@ -96,8 +97,12 @@ def test_pose_targets() -> None:
         )
         drawn = [states.Case(states.inside(robot, rng), None) for _ in range(200)]
         cases = [c for c in drawn if min(law(c.q).smallest_singular_value for law in (place, pose)) > 0.06][:24]
-        rounds = rounds_of({"bare": states.calls(place, cases), "pose": states.calls(pose, cases)}, 2, ROUNDS)
-        flat[f"pose over position, {name}"] = ratios_of(rounds)["pose"]
+        kinds = {"": (place, pose)}
+        if COMPILED:
+            kinds[", compiled"] = (ml.CompiledController(place), ml.CompiledController(pose))
+        for kind, (one, other) in kinds.items():
+            rounds = rounds_of({"bare": states.calls(one, cases), "pose": states.calls(other, cases)}, 2, ROUNDS)
+            flat[f"pose over position{kind}, {name}"] = ratios_of(rounds)["pose"]
     check("states", flat)
 
 
