@@ -97,11 +97,15 @@ def test_pose_targets() -> None:
         )
         drawn = [states.Case(states.inside(robot, rng), None) for _ in range(200)]
         cases = [c for c in drawn if min(law(c.q).smallest_singular_value for law in (place, pose)) > 0.06][:24]
-        kinds = {"": (place, pose)}
+        kinds: dict[str, tuple[Callable[..., object], Callable[..., object]]] = {"": (place, pose)}
         if COMPILED:
             kinds[", compiled"] = (ml.CompiledController(place), ml.CompiledController(pose))
         for kind, (one, other) in kinds.items():
-            rounds = rounds_of({"bare": states.calls(one, cases), "pose": states.calls(other, cases)}, 2, ROUNDS)
+            pair: dict[str, Callable[[], object]] = {
+                "bare": states.calls(one, cases),
+                "pose": states.calls(other, cases),
+            }
+            rounds = rounds_of(pair, 2, ROUNDS)
             flat[f"pose over position{kind}, {name}"] = ratios_of(rounds)["pose"]
     check("states", flat)
 
