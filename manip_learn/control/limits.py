@@ -231,7 +231,7 @@ class Limits:
 
     def freer_sense(self, q: Float[np.ndarray, " n"], direction: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
         """A direction, or its opposite where position limits leave that more room."""
-        x = self.robot.positions(q)
+        x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
         d = direction.tolist()
         fastest = max(map(abs, d), default=0.0)
         ahead = behind = math.inf

@@ -90,7 +90,8 @@ def bounded_command(
     velocity, task_scale, null_part = found
     task_part = velocity - null_part
     if escape is not None:
-        escape = escape * min(1.0, max(0.0, float(velocity.dot(escape)) / max(float(escape.dot(escape)), 1e-300)))
+        share = float(velocity.dot(escape)) / max(float(escape.dot(escape)), 1e-300)
+        escape = escape if share >= 1.0 else escape * max(0.0, share)
         task_part = task_part - escape
     square = float(null.dot(null))
     null_scale = min(1.0, max(0.0, float(null.dot(null_part)) / square)) if square > 0.0 else 1.0

@@ -133,9 +133,11 @@ def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarray,
     there, and the leading right singular vector of M its steepest ascent.
     """
     U, sigma, Vt = decomposition
-    rank = int(np.count_nonzero(sigma > SINGULAR_RATIO * sigma[0]))
+    largest, *others = sigma.tolist()
+    rank = 1 + sum(x > SINGULAR_RATIO * largest for x in others) if largest > 0.0 else 0
     Z = Vt[rank:]
-    M = np.concatenate([vjps(vjp, u[:, None] * Z.reshape(-1), Z.shape[0]) for u in U[:, rank:].T])
+    rows = [vjps(vjp, U[:, i : i + 1] * Z.reshape(-1), Z.shape[0]) for i in range(rank, U.shape[1])]
+    M = rows[0] if len(rows) == 1 else np.concatenate(rows)
     flat = M.reshape(-1)
     square = float(flat.dot(flat))
     if square == 0.0:
@@ -190,7 +192,10 @@ def stable_damping(sigma: list[float], along: list[float], threshold: float, dt:
         threshold: Singular value below which a direction counts as nearly lost.
         dt: Time for which a velocity is held [s].
     """
-    beta = max([abs(x) for x, value in zip(along, sigma, strict=False) if value < threshold], default=0.0)
+    beta = 0.0
+    for x, value in zip(along, sigma, strict=False):
+        if value < threshold:
+            beta = max(beta, abs(x))
     return math.sqrt(beta * sigma[0] * dt / (2.0 * STABLE_SLOPE))
 
 

@@ -35,23 +35,26 @@ class WeightedVjp:
 
     def __call__(self, weights: Float[np.ndarray, "s nv"]) -> Float[np.ndarray, " nv"]:
         """The product."""
-        if self._columns is None and self._lift is None:
+        lift, columns = self._lift, self._columns
+        if lift is not None:
+            return self._by_joint.dot(lift.dot(weights.T).dot(self._selection).reshape(-1)).dot(lift)
+        if columns is None:
             return self._by_joint.dot(weights.T.dot(self._selection).reshape(-1))
-        return self.many(weights)[0]
+        out = np.zeros(self._nv)
+        out[columns] = self._by_joint.dot(weights.T[columns].dot(self._selection).reshape(-1))
+        return out
 
     def many(self, weights: Float[np.ndarray, "s m"]) -> Float[np.ndarray, "k nv"]:
         """The products of matrices that stand side by side, one row for each, in one go."""
-        nv, lift, columns = self._nv, self._lift, self._columns
+        selection, by_joint, lift, columns = self._selection, self._by_joint, self._lift, self._columns
+        if lift is None and columns is None:
+            return weights.T.dot(selection).reshape(-1, by_joint.shape[1]).dot(by_joint.T)
+        nv = self._nv
         stack = weights.T.reshape(-1, nv, weights.shape[0])
-        if lift is not None:
-            stack = np.matmul(lift, stack)
-        elif columns is not None:
-            stack = stack[:, columns]
-        rows = stack.dot(self._selection).reshape(stack.shape[0], -1).dot(self._by_joint.T)
+        stack = stack[:, columns] if lift is None else np.matmul(lift, stack)
+        rows = stack.dot(selection).reshape(stack.shape[0], -1).dot(by_joint.T)
         if lift is not None:
             return rows.dot(lift)
-        if columns is None:
-            return rows
         out = np.zeros((rows.shape[0], nv))
         out[:, columns] = rows
         return out
