@@ -234,7 +234,7 @@ class FrameJacobian(FeatureMap):
         """Place and rotation of the target, and its six numbers where it was given as numbers."""
         if goal is self._known_goal[0]:
             return self._known_goal[1], self._known_goal[2], None
-        if goal.shape == (4, 4) and np.all(np.isfinite(goal)):
+        if goal.shape == (4, 4) and math.isfinite(sum(goal.reshape(-1).tolist())):
             place, turn = goal[:3, 3].copy(), goal_rotation(goal[:3, :3])
             if not goal.flags.writeable:  # a task's own, checked once
                 self._known_goal = (goal, place, turn)

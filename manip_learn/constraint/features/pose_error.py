@@ -42,8 +42,10 @@ def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
     Raises:
         TargetError: It is none.
     """
-    off = float(np.abs(R.dot(R.T) - np.eye(3)).max())
-    if not off < NEARLY or R[0] @ skew(R[1]) @ R[2] < 0.0:
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()  # in plain numbers: a moving goal is looked at in every step
+    squares = (a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0)
+    off = max(map(abs, (*squares, a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i)))
+    if not off < NEARLY or a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0:
         raise TargetError(f"the upper left 3 x 3 part of the pose is not a rotation matrix: {R.tolist()}")
     if off < EXACT:
         return R

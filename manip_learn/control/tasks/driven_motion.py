@@ -65,6 +65,12 @@ class DrivenMotion(ABC):
         """E of `Task.error_jacobian`; None where that is A(q)."""
         return None
 
+    def rates_and_jacobian(
+        self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
+        """`rates` and `error_jacobian` together, cheaper than one by one where a child shares work."""
+        return self.rates(origin, q, setpoint, gain), self.error_jacobian(origin, q, setpoint.distance)
+
 
 def nearest_turn(angle: float, near: float) -> float:
     """The angle [rad] that is the same but for whole turns and next to another one."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -122,6 +122,15 @@ class FreeDirection(Task):
         """E with d/dt (error along the rows) = -E u for a setpoint at rest; None where E = A(q) (see `Task`)."""
         origin, after = self._begin(q, t)
         return self._motion.error_jacobian(origin, q, self._profile.at(after)[0])
+
+    def velocity_and_jacobian(
+        self, constraint: Constraint, q: np.ndarray, t: float
+    ) -> tuple[Any, Float[np.ndarray, "s nv"] | None]:
+        """b and E from one look at the pose."""
+        origin, after = self._begin(q, t)
+        setpoint = Setpoint(*self._profile.at(after), self._profile.speed)
+        rates, E = self._motion.rates_and_jacobian(origin, q, setpoint, self.gain)
+        return self.constraint.selection.dot(rates), E
 
     def goal(self) -> Float[np.ndarray, "..."] | None:
         """Where the motion ends; None before the first call, unless `start` was given."""

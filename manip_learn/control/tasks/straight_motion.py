@@ -65,10 +65,25 @@ class StraightMotion(DrivenMotion):
         self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
     ) -> Float[np.ndarray, " p"]:
         """The rate of the error that the moving goal causes, and gain times the error; along f within the speed."""
-        error = self._error(origin, q, setpoint.distance)
+        error, along = self._error_and_along(origin, q, setpoint.distance)
+        return self._rates(error, along, setpoint, gain)
+
+    def rates_and_jacobian(
+        self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
+        """Both from one look at the pose."""
+        if self._features is None:
+            return super().rates_and_jacobian(origin, q, setpoint, gain)
+        goal = self._goal(origin, setpoint.distance)
+        error, E = self._features.error_and_jacobian(goal, q)
+        along = self._moved(goal, self._features.pose(q))
+        rates = self._rates(error, along, setpoint, gain)
+        return rates, None if E is None else self.constraint.selection.dot(E)
+
+    def _rates(self, error: np.ndarray, along: np.ndarray, setpoint: Setpoint, gain: float) -> np.ndarray:
         lag = self._lag(error)
         excess = setpoint.rate + gain * lag - setpoint.approached(lag, gain)
-        return self._along(origin, q, setpoint.distance) * setpoint.rate + gain * error - excess * self._f
+        return along * setpoint.rate + gain * error - excess * self._f
 
     def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
         """Error along the constrained rows."""
@@ -107,11 +122,16 @@ class StraightMotion(DrivenMotion):
             goal[:3, :3], goal[:3, 3] = turned @ origin[:3, :3], origin[:3, 3] + v
         return goal
 
-    def _along(self, origin: np.ndarray, q: ArrayLike, distance: float) -> np.ndarray:
-        """Rate of the error per unit rate of the distance, at a frame that stands still."""
+    def _error_and_along(self, origin: np.ndarray, q: ArrayLike, distance: float) -> tuple[np.ndarray, np.ndarray]:
+        """The error, and its rate per unit rate of the distance at a frame that stands still."""
         if self._features is None:
-            return self._f
-        goal, pose, out = self._goal(origin, distance), self._features.pose(q), np.empty(6)
+            return self._error(origin, q, distance), self._f
+        goal, pose = self._goal(origin, distance), self._features.pose(q)
+        return pose_error(pose, goal, self._own_axes)[self._rows], self._moved(goal, pose)
+
+    def _moved(self, goal: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        """Rate of the error per unit rate of the distance, at a frame that stands still."""
+        out = np.empty(6)
         turn = pose_error(pose, goal, self._own_axes)[3:]
         v, w = self._twist[:3], self._twist[3:]
         out[:3] = pose[:3, :3].T @ goal[:3, :3] @ v if self._own_axes else v
