@@ -74,7 +74,8 @@ format: $(VENV)/dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# the demo and the quick tests at the lowest versions
+# the demo and the quick tests at the lowest versions; their machine code is not to replace that of the newer compiler
+lowest: export NUMBA_CACHE_DIR := $(CURDIR)/$(LOWEST)/kernels
 lowest: $(LOWEST)/made
 	$(LOWEST)/bin/manip-learn demo --no-browser --out $(LOWEST)/demo
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/python -m pytest -n 2 --dist worksteal --benchmark-disable \
