@@ -146,6 +146,14 @@ def test_admitted_is_what_the_bounds_allow(robot_of: RobotOf, rng: np.random.Gen
     for share, admitted in ((0.999, True), (-0.999, True), (1.001, False), (-1.001, False)):
         u = previous + share * limits.acceleration * dt * np.eye(7)[4]
         assert limits.admit(middle, dt, u, previous) == limits.bounds(middle, dt, previous).admit(u) == admitted
+    for share, far in ((0.99, True), (-0.99, True), (1.01, False), (-1.01, False)):
+        assert limits.far(middle, dt, share * limits.velocity) == far
+        assert limits.admit(middle, dt, share * limits.velocity, None) == far
+    for edge in (low, high):  # within, but near: the bounds tell
+        near = middle.copy()
+        near[3] = edge[3]
+        assert not limits.far(near, dt, np.zeros(7))
+        assert limits.admit(near, dt, np.zeros(7), None)
     outside = middle.copy()
     outside[2] = high[2] + 1e-9
     assert not limits.admit(outside, dt, np.zeros(7), None)

@@ -203,6 +203,8 @@ class ResolvedRateController:
         barrier, slow, slope = None, True, self._law.approach(q, dt, law, velocity)
         if slope is not None and (bound := approach_bound(law.smallest, slope, limits.acceleration, dt)) < math.inf:
             barrier, slow = (slope, -bound), -float(slope.dot(velocity)) <= bound
+        if slow and previous is None and limits.far(q, dt, velocity):
+            return plain_command(law, velocity, damped)
         bounds = limits.bounds(q, dt, previous)
         if slow and bounds.admit(velocity):
             return plain_command(law, velocity, damped, bounds.outside)

@@ -159,8 +159,20 @@ class Limits:
         previous: Float[np.ndarray, " nv"] | None,
     ) -> bool:
         """Whether a velocity is within `bounds`, and no joint outside its position limits."""
+        if previous is None and self.far(q, dt, velocity):
+            return True
         bounds = self.bounds(q, dt, previous)
         return bounds.outside == 0.0 and bounds.admit(velocity)
+
+    def far(self, q: Float[np.ndarray, " n"], dt: float, velocity: Float[np.ndarray, " nv"]) -> bool:
+        """Whether no joint is near a position limit, or faster than its velocity limit: the short way to `admit`."""
+        approaches = self._approach
+        if dt != approaches.dt:
+            self._approach = approaches = self._approaches(dt)
+        x = (q if q.shape[0] == self.robot.nv else self.robot.positions(q)).tolist()
+        if not all(map(le, map(abs, velocity.tolist()), self._columns[2])):
+            return False
+        return all(map(le, approaches.low, x)) and all(map(le, x, approaches.high))
 
     def _approaches(self, dt: float) -> _Approaches:
         joints = [approach_of(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)]
