@@ -12,9 +12,9 @@ LOWEST_PYTHON ?= python3.11
 LOWEST := .venv-lowest
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
-# two workers with one thread each: BLAS threads on these tiny matrices cost more than they bring
 # the tests start Python hundreds of times: without compiled files each start would read the library's source again
 export PYTHONDONTWRITEBYTECODE :=
+# two workers with one thread each: BLAS threads on these tiny matrices cost more than they bring
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
 # what touches other libraries: files in and out, robots, the command line, compiled code; pytest refuses a missing file
