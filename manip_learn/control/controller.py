@@ -200,16 +200,19 @@ class ResolvedRateController:
         limits, damped = self.limits, self.inverse == "damped" and law.smallest < self.threshold
         if limits is None:
             return plain_command(law, velocity, damped)
-        barrier, slow, slope = None, True, self._law.approach(q, dt, law, velocity)
+        slope, far = self._law.approach(q, dt, law, velocity), previous is None and limits.far(q, dt, velocity)
+        if far and slope is None:
+            return plain_command(law, velocity, damped)
+        if self._compiled is not None:
+            return self._compiled(q, dt, law, velocity, slope, previous, slide)
+        barrier, slow = None, True
         if slope is not None and (bound := approach_bound(law.smallest, slope, limits.acceleration, dt)) < math.inf:
             barrier, slow = (slope, -bound), -float(slope.dot(velocity)) <= bound
-        if slow and previous is None and limits.far(q, dt, velocity):
+        if far and slow:
             return plain_command(law, velocity, damped)
         bounds = limits.bounds(q, dt, previous)
         if slow and bounds.admit(velocity):
             return plain_command(law, velocity, damped, bounds.outside)
-        if self._compiled is not None:
-            return self._compiled(q, dt, law, velocity, slope, previous, slide)
         # an explicit step of dt follows sliding that is damped that much
         blur = 0.0 if slide == 0.0 else max(self.damping, math.sqrt(2.0 * dt * math.sqrt(law.b.dot(law.b))))
         found = bounded_velocity(

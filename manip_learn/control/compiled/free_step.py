@@ -151,9 +151,9 @@ def task_velocity(constants, rows, s, p0, p1, p2, b):
 
 @compiled_inside
 def _approaches(constants, rows, s, joints, A, X, smallest, weakest, rate, parts, work, base):
-    """Whether a singularity is approached faster than is slow enough in any case, `singularity.approach_allowed`.
+    """Whether a singularity is approached faster than the weakest joint could brake before it, for one or two rows.
 
-    For one or two rows; X is scratch.
+    `singularity.approach_bound` allows no less. X is scratch.
     """
     smallest_weights(A, smallest, X)
     chain_vjp(constants, rows, s, joints, X, work, base)
