@@ -70,7 +70,10 @@ class CompiledController:
     def __init__(self, controller: ResolvedRateController, report: Callable[[str], object] | None = None):
         reason = why_not(controller)
         if reason is not None:
-            raise ConstraintError(f"this controller cannot be compiled: {reason}; use it as it is")
+            raise ConstraintError(
+                f"this controller cannot be compiled: {reason}; use it as it is, or "
+                "controller.with_solver('compiled'), which compiles what keeps the limits"
+            )
         if find_spec("numba") is None:
             raise MissingExtraError("a compiled controller", "fast")
         from manip_learn.control.compiled.control_step import command_of
