@@ -10,7 +10,7 @@ from manip_learn.control.compiled.constrained_rows import chain_vjp, places, tur
 from manip_learn.control.compiled.joint_limits import admitted
 from manip_learn.control.compiled.near_singularity import smallest_weights
 from manip_learn.control.compiled.null_policy import policy_velocity
-from manip_learn.control.compiled.pose_target import pose_velocity
+from manip_learn.control.compiled.pose_target import attracted, pose_velocity
 from manip_learn.control.compiled.row_inverse import row_inverse
 from manip_learn.control.compiled.step_table import (
     ACCELERATION,
@@ -18,7 +18,6 @@ from manip_learn.control.compiled.step_table import (
     DAMPED,
     ERROR,
     FACTS,
-    GAIN,
     HAS_ESCAPE,
     ILL_CONDITIONED,
     ILL_POSED,
@@ -28,7 +27,6 @@ from manip_learn.control.compiled.step_table import (
     LIMITING_JOINT,
     LIMITS,
     MATRICES,
-    MAX_SPEED,
     MU,
     N_CONSTRAINTS,
     N_JOINTS,
@@ -129,24 +127,16 @@ def chain_rows(weights, rows, s, joints, work, base):
 @compiled_inside
 def task_velocity(constants, rows, s, p0, p1, p2, b):
     """Write the task velocity b = gain Lambda (r* - r(q)), norm at most max_speed; return the error."""
-    error = 0.0
     if constants[0, TASK] != POINT:
         for i in range(s):
             b[i] = 0.0
-        return error
+        return 0.0
     at = CHAIN + 1
     d0, d1 = constants[at, TARGET_POINT] - p0, constants[at, TARGET_POINT + 1] - p1
     d2 = constants[at, TARGET_POINT + 2] - p2
     for i in range(s):
         b[i] = constants[rows + i, 0] * d0 + constants[rows + i, 1] * d1 + constants[rows + i, 2] * d2
-        error += b[i] * b[i]
-    error = math.sqrt(error)
-    gain, fastest = constants[0, GAIN], constants[0, MAX_SPEED]
-    if gain * error > fastest:
-        gain *= fastest / (gain * error)
-    for i in range(s):
-        b[i] *= gain
-    return error
+    return attracted(constants, s, b)
 
 
 @compiled_inside

@@ -27,16 +27,24 @@ def pose_velocity(constants, rows, s, p0, p1, p2, work, at, b):
     own_axes = constants[CHAIN + 1, LOCAL] != 0.0
     e0, e1, e2 = place_error(constants, own_axes, p0, p1, p2, work[at])
     r0, r1, r2 = turn_error(constants, own_axes, work[at], work[at + 1 + s])
-    sign, error = 1.0 if own_axes else -1.0, 0.0
+    sign = 1.0 if own_axes else -1.0
     for i in range(s):
         x, y, z, u, v, w = six(constants, rows + i, 0)
         b[i] = x * e0 + y * e1 + z * e2 + u * r0 + v * r1 + w * r2
-        error += b[i] * b[i]
         u, v, w = turned_row(u, v, w, sign * r0, sign * r1, sign * r2)
         if own_axes:  # the frame turns under the displacement: less Lambda_lin [e_lin]x
             u, v, w = u + e1 * z - e2 * y, v + e2 * x - e0 * z, w + e0 * y - e1 * x
         row = work[at + 1 + i]
         row[0], row[1], row[2], row[3], row[4], row[5] = x, y, z, u, v, w
+    return attracted(constants, s, b)
+
+
+@compiled_inside
+def attracted(constants, s, b):
+    """Scale a displacement to the task's velocity, norm at most max_speed; return its own norm."""
+    error = 0.0
+    for i in range(s):
+        error += b[i] * b[i]
     error = math.sqrt(error)
     gain, fastest = constants[0, GAIN], constants[0, MAX_SPEED]
     if gain * error > fastest:

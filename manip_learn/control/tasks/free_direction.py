@@ -114,9 +114,7 @@ class FreeDirection(Task):
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
         """b along the constrained rows and the driven one."""
-        origin, after = self._begin(q, t)
-        setpoint = Setpoint(*self._profile.at(after), self._profile.speed)
-        return self.constraint.selection @ self._motion.rates(origin, q, setpoint, self.gain)
+        return self.velocity_and_jacobian(constraint, q, t)[0]
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
         """E with d/dt (error along the rows) = -E u for a setpoint at rest; None where E = A(q) (see `Task`)."""
