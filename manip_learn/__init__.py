@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         manipulability_gradient,
     )
     from manip_learn.constraint.manipulability_batch import manipulability_batch
+    from manip_learn.constraint.mechanism import Mechanism
     from manip_learn.constraint.penalised_manipulability import (
         log_penalised_manipulability_gradient,
         penalised_manipulability,
@@ -55,7 +56,6 @@ if TYPE_CHECKING:
     from manip_learn.learning import ConstraintLearner
     from manip_learn.learning.audit import audit_episodes
     from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_mechanism
-    from manip_learn.learning.mechanisms.mechanism import Mechanism
     from manip_learn.playback import LiveViewer, replay
     from manip_learn.recordings import RecordingSource, iter_demonstrations, load_demonstrations
     from manip_learn.recordings.demonstrations import Demonstrations
@@ -98,7 +98,7 @@ _HOMES = {
     "JointAttractor": "control.policies",
     "LiveViewer": "playback",
     "ManipLearnError": "errors",
-    "Mechanism": "learning.mechanisms.mechanism",
+    "Mechanism": "constraint.mechanism",
     "MechanismFit": "learning.mechanisms.find_mechanism",
     "MechanismRows": "constraint.features",
     "find_mechanism": "learning.mechanisms.find_mechanism",

@@ -12,13 +12,13 @@ from mechanism_motions import T, about, along, ball, demonstrate, wave
 
 import manip_learn as ml
 from manip_learn.constraint.features.place_fields import across
+from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS
 from manip_learn.errors import NotIdentifiableError, UnknownNameError
 from manip_learn.learning.mechanisms.consensus import TRIED, cannot_hold
 from manip_learn.learning.mechanisms.evidence import HELD, Scales, margins
 from manip_learn.learning.mechanisms.find_mechanism import find_mechanism
 from manip_learn.learning.mechanisms.fits import fit_candidate
-from manip_learn.learning.mechanisms.kinds import MECHANISM_KINDS
-from manip_learn.learning.mechanisms.mechanism import Mechanism
 from manip_learn.learning.mechanisms.tip_paths import TipPaths, thinned
 
 AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])

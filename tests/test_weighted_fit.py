@@ -8,9 +8,9 @@ from mechanism_motions import about, ball, demonstrate
 from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
+from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS
 from manip_learn.learning.mechanisms.fits import fit_candidate
 from manip_learn.learning.mechanisms.joint_slopes import SLOPES
-from manip_learn.learning.mechanisms.kinds import MECHANISM_KINDS
 from manip_learn.learning.mechanisms.residuals import QUANTITIES, Place
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 from manip_learn.learning.mechanisms.weighted_fit import fit_weighted

@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # so that printing one command's answer does not load the oth
     from manip_learn.commands.learn import Learnt
     from manip_learn.commands.reproduce import Reproduction
     from manip_learn.commands.robots import KnownRobots
-    from manip_learn.learning.mechanisms.mechanism import Mechanism
+    from manip_learn.constraint.mechanism import Mechanism
     from manip_learn.playback import ReplayResult
     from manip_learn.robot.robot_summary import RobotSummary
 

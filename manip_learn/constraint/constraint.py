@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.features.described_features import described_features
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp
+from manip_learn.constraint.mechanism import Mechanism, read_mechanism
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, spoken
 from manip_learn.linalg import orthonormal_rows
 from manip_learn.robot import html_card
@@ -80,6 +81,16 @@ class Constraint:
         """The robot that the features belong to; None for those of a system without one."""
         # not every feature map has a robot, and those of users need not know of the attribute
         return getattr(self.features, "robot", None)
+
+    @property
+    def mechanism(self) -> Mechanism | None:
+        """What holds the hand, read from Lambda; None where nothing does (b varies) or it is nothing that has a name.
+
+        Place, radius and uncertainty are those that the learner found, if this constraint was learnt.
+        """
+        if self.provenance.get("kind") == "self-imposed":
+            return None
+        return read_mechanism(self.selection, self.features, self.provenance)
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "s nv"]:
         """A(q).

@@ -11,12 +11,12 @@ import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.learning.answer import Answer
 from manip_learn.learning.candidate import Candidate
 from manip_learn.learning.data_summary import DataSummary
 from manip_learn.learning.estimators.estimate import CLEAR_GAP
 from manip_learn.learning.excitation import energy_shares
-from manip_learn.learning.mechanisms.mechanism import Mechanism
 from manip_learn.learning.overview import OddTrajectory, Phase, RecordingOverview
 from manip_learn.learning.selection_in_words import describe, free_directions
 from manip_learn.robot import html_card

@@ -7,9 +7,9 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.learning.answer import Answer
 from manip_learn.learning.division import Part
-from manip_learn.learning.mechanisms.mechanism import Mechanism
 from manip_learn.learning.phases.result import Stretch
 from manip_learn.recordings.demonstrations import Demonstrations
 

@@ -7,6 +7,7 @@ from typing import final
 
 import numpy as np
 
+from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS
 from manip_learn.learning.mechanisms.evidence import (
     DISAGREE,
     ENOUGH,
@@ -23,7 +24,6 @@ from manip_learn.learning.mechanisms.evidence import (
     unevenness,
 )
 from manip_learn.learning.mechanisms.fits import SMALLEST, Fit, closed_form_starts, fit_candidate
-from manip_learn.learning.mechanisms.kinds import MECHANISM_KINDS
 from manip_learn.learning.mechanisms.residuals import QUANTITIES
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS, MechanismKind
 from manip_learn.learning.mechanisms.evidence import (
     DISAGREE,
     HELD,
@@ -17,7 +18,6 @@ from manip_learn.learning.mechanisms.evidence import (
     unevenness,
 )
 from manip_learn.learning.mechanisms.fits import SMALLEST, Fit, fit_candidate
-from manip_learn.learning.mechanisms.kinds import MECHANISM_KINDS, MechanismKind
 from manip_learn.learning.mechanisms.residuals import QUANTITIES
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 

@@ -13,12 +13,12 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.place_fields import across
+from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.mechanisms.choice import APART, REPEATED, Alternative, Choice, choose
 from manip_learn.learning.mechanisms.consensus import agreeing
 from manip_learn.learning.mechanisms.evidence import Scales, margins
 from manip_learn.learning.mechanisms.fits import Fit
-from manip_learn.learning.mechanisms.mechanism import Mechanism
 from manip_learn.learning.mechanisms.refined import refined
 from manip_learn.learning.mechanisms.residuals import QUANTITIES
 from manip_learn.learning.mechanisms.tip_paths import TipPaths, recombined, thinned

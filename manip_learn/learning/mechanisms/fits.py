@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.learning.mechanisms.kinds import MechanismKind
+from manip_learn.constraint.mechanism_kinds import MechanismKind
 from manip_learn.learning.mechanisms.residuals import QUANTITIES, Place
 from manip_learn.learning.mechanisms.starts import STARTS
 from manip_learn.learning.mechanisms.tip_paths import TipPaths

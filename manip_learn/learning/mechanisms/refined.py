@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.learning.mechanisms.choice import axes_apart, with_shared
 from manip_learn.learning.mechanisms.evidence import radius_of
 from manip_learn.learning.mechanisms.fits import Fit, fit_candidate
-from manip_learn.learning.mechanisms.mechanism import Mechanism
 from manip_learn.learning.mechanisms.residuals import angles_about, turn_about
 from manip_learn.learning.mechanisms.tip_paths import TipPaths, thinned
 from manip_learn.learning.mechanisms.weighted_fit import WeightedFit, fit_weighted

@@ -9,9 +9,9 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from manip_learn.constraint.mechanism_kinds import MechanismKind
 from manip_learn.learning.mechanisms.fits import Fit, clusters, tangents
 from manip_learn.learning.mechanisms.joint_slopes import SLOPES
-from manip_learn.learning.mechanisms.kinds import MechanismKind
 from manip_learn.learning.mechanisms.residuals import QUANTITIES, Place
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, final
 
-from manip_learn.learning.mechanisms.residuals import QUANTITIES
-
 MechanismType = Literal["line", "plane", "hinge", "ball", "screw", "held-orientation", "other"]
 Orientation = Literal["free", "about-axis", "fixed", "carried"]
 
@@ -21,7 +19,7 @@ class MechanismKind:
         type: What it is called in a report.
         orientation: What the hand may do: turn as it likes (`"free"`), turn about the mechanism's axis only
             (`"about-axis"`), not turn at all (`"fixed"`), or it turns with the mechanism (`"carried"`).
-        holds: Names of the quantities that are constant (see `QUANTITIES`).
+        holds: Names of the quantities that are constant (see `QUANTITIES` of the learner).
         unknowns: Which of `"axis"`, `"point-across"` (two numbers), `"point"` (three) and `"pitch"` are fitted.
         rows: Rows of `MechanismRows` that are then zero.
     """
@@ -36,7 +34,7 @@ class MechanismKind:
     @property
     def n_rows(self) -> int:
         """Number of rows held."""
-        return sum(QUANTITIES[name].rank for name in self.holds)
+        return len(self.rows)
 
     @property
     def n_unknowns(self) -> int:

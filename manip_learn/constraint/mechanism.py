@@ -1,0 +1,251 @@
+"""What holds the hand, in the terms of a machine: a line, a plane, a hinge, a ball, a screw, an orientation.
+
+The lower pairs of a machine are the subgroups of SE(3), and the motions that one of them allows are a constant space of
+twists; the type, the axis and the pitch of a mechanism are therefore read from Lambda itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS, MechanismType, Orientation
+from manip_learn.linalg import complement_rows
+
+Grip = Literal["loose", "firm"]
+# rows of translation and of rotation stand apart where each is held to this share, or free to it: a row of a learnt
+# Lambda leaks by its uncertainty, 1e-2 at 0.6 degrees, and a row that mixes the two for good does so by 0.3 and more
+CLEAR_SHARE = 0.1
+# [m/rad] a travel below this is that of a hinge: a tenth of the flattest thread in use (M6, 1 mm a turn, 0.16 mm/rad)
+LEAST_PITCH = 1.6e-5
+# the axis that the learner fitted belongs to these rows if it is nearer to theirs than this: 1 degree
+SAME_AXIS = 0.9998
+_TURNS: dict[Orientation, str] = {
+    "free": "the hand may turn",
+    "about-axis": "the hand may turn about {axis} only",
+    "fixed": "the hand does not turn",
+    "carried": "the hand turns with it",
+}
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Mechanism:
+    """A mechanism that holds the hand; places and directions in the robot's base frame.
+
+    Attributes:
+        type: `"line"`, `"plane"`, `"hinge"`, `"ball"`, `"screw"`, `"held-orientation"` or `"other"` (a cylinder).
+        axis: shape (3,), unit vector: along a line, normal to a plane, along the axis of a hinge, a screw or a
+            cylinder, the direction about which the hand may still turn. None for a ball, and where the hand does not
+            turn at all.
+        point: shape (3,) [m]: the centre of a ball, the point of an axis that is next to the hand, a point of a line
+            or a plane. None for an orientation.
+        radius: Distance of the hand from the axis or the centre, mean over the trajectories [m]; None where there is
+            no such thing.
+        pitch: Travel along the axis a radian of turning, right-handed screws positive [m/rad]; one full turn moves
+            2 pi times as far. None but for screws.
+        grip: `"firm"` if the mechanism holds the hand's orientation too, `"loose"` if the hand may turn.
+        orientation: What the hand may do: `"free"`, `"about-axis"`, `"fixed"` or `"carried"` (it turns with the
+            mechanism).
+        uncertainty: What the error of each parameter stays below in 68 % of cases: `"axis"` [deg], `"point"` [m],
+            `"radius"` [m], `"pitch"` [m/rad]; one standard deviation of a single number, the length of the error of an
+            axis (two directions) or a point. It speaks of errors of the joints, those that differ from sample to sample
+            and constant ones, and of what the trajectories scatter beyond these.
+        arc: By how much the path turns about the axis or the centre [rad]; None where nothing turns.
+        name: Which of the candidates it is, e.g. `"hinge, firm"`.
+    """
+
+    type: MechanismType
+    axis: Float[np.ndarray, " 3"] | None = None
+    point: Float[np.ndarray, " 3"] | None = None
+    radius: float | None = None
+    pitch: float | None = None
+    grip: Grip = "loose"
+    orientation: Orientation = "free"
+    uncertainty: Mapping[str, float] = field(default_factory=dict)
+    arc: float | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        for what in ("axis", "point"):
+            vector = getattr(self, what)
+            if vector is not None:
+                vector = np.array(vector, dtype=np.float64)
+                vector.setflags(write=False)
+                object.__setattr__(self, what, vector)
+        object.__setattr__(self, "uncertainty", MappingProxyType(dict(self.uncertainty)))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Mechanism) and self.to_dict() == other.to_dict()
+
+    def __hash__(self) -> int:
+        return hash((self.type, self.name))
+
+    def __reduce__(self):
+        # a read-only view of a dictionary cannot be pickled
+        values = (self.type, self.axis, self.point, self.radius, self.pitch, self.grip, self.orientation)
+        return Mechanism, (*values, dict(self.uncertainty), self.arc, self.name)
+
+    @property
+    def sentence(self) -> str:
+        """The mechanism in words and numbers, as for a report."""
+        if self.axis is None and self.grip == "firm" and self.type in ("hinge", "screw", "line"):
+            far = "" if self.radius is None else f" {self.radius:.3f} m from its origin"
+            return (
+                f"a {self.type} fixed to the hand, its axis{far}" if self.type != "line" else "a line of the hand's own"
+            )
+        words = {
+            "line": f"a line along {_numbers(self.axis)}",
+            "plane": f"a plane across {_numbers(self.axis)}",
+            "hinge": f"a hinge: axis {_numbers(self.axis)} through {_numbers(self.point)}",
+            "ball": f"a ball: centre {_numbers(self.point)}",
+            "screw": f"a screw: axis {_numbers(self.axis)} through {_numbers(self.point)}",
+            "other": f"a cylinder: axis {_numbers(self.axis)} through {_numbers(self.point)}",
+            "held-orientation": "a held orientation",
+        }[self.type]
+        if self.pitch is not None:
+            words += f", {1e3 * self.pitch:.2f} mm a radian"
+        if self.radius is not None:
+            words += f", {self.radius:.3f} m from the hand"
+        around = "its normal" if self.type == "plane" else "the axis"
+        if self.type == "held-orientation" and self.axis is not None:
+            around = _numbers(self.axis)
+        turns = _TURNS[self.orientation].format(axis=around)
+        if self.name.startswith("sleeve"):
+            turns += " and may slide along it"
+        return f"{words}; {turns}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Type, axis, point, radius, pitch and uncertainty, and how the hand is held, ready for JSON."""
+        return {
+            "type": self.type,
+            "axis": None if self.axis is None else self.axis.tolist(),
+            "point": None if self.point is None else self.point.tolist(),
+            "radius": self.radius,
+            "pitch": self.pitch,
+            "grip": self.grip,
+            "orientation": self.orientation,
+            "arc": self.arc,
+            "uncertainty": dict(self.uncertainty),
+            "name": self.name,
+            "sentence": self.sentence,
+        }
+
+    @staticmethod
+    def from_dict(described: Mapping[str, Any]) -> Mechanism:
+        """What `to_dict` wrote."""
+        kept = ("type", "axis", "point", "radius", "pitch", "grip", "orientation", "uncertainty", "arc", "name")
+        return Mechanism(**{name: described[name] for name in kept if name in described})
+
+    def __str__(self) -> str:
+        return self.sentence
+
+
+def _numbers(vector: np.ndarray | None) -> str:
+    if vector is None:
+        return "unknown"
+    return "(" + ", ".join(f"{x + 0.0:.2f}" for x in np.round(vector, 2)) + ")"
+
+
+def read_mechanism(
+    selection: Float[np.ndarray, "s p"], features: FeatureMap, learnt: Mapping[str, Any]
+) -> Mechanism | None:
+    """The mechanism whose motions Lambda leaves free; None if it is none that a machine has, or features of no frame.
+
+    Args:
+        selection: Lambda, with orthonormal rows.
+        features: Phi.
+        learnt: What is known of how Lambda was learnt, empty if it was not: the mechanism fitted to positions adds the
+            place, the radius and the uncertainty, if it is the mechanism of these rows.
+    """
+    read, fitted = None, learnt.get("mechanism")
+    if isinstance(features, MechanismRows):
+        read = _of_place_rows(selection, features)
+    elif isinstance(features, FrameJacobian | RelativeFrameJacobian):
+        spread = learnt.get("uncertainty_deg")
+        read = _of_twist_rows(selection, features, math.radians(spread) if isinstance(spread, int | float) else 0.0)
+    if read is None or not isinstance(fitted, Mapping):
+        return read
+    try:
+        known = Mechanism.from_dict(fitted)
+    except (KeyError, TypeError, ValueError):
+        return read  # of another version, or damaged: Lambda has said what it says
+    same = known.type == read.type and known.orientation == read.orientation
+    if same and known.axis is not None and read.axis is not None:
+        same = known.axis.shape == (3,) and abs(float(known.axis @ read.axis)) > SAME_AXIS * np.linalg.norm(known.axis)
+    return known if same else read
+
+
+def _of_place_rows(selection: np.ndarray, features: MechanismRows) -> Mechanism | None:
+    shares = np.einsum("sp,sp->p", selection, selection)
+    if np.any(np.abs(shares - np.round(shares)) > CLEAR_SHARE):
+        return None
+    held = {name for name, share in zip(features.row_names, shares, strict=True) if share > 0.5}
+    kind = next((k for k in MECHANISM_KINDS if set(k.rows) == held), None)
+    if kind is None:
+        return None
+    g, firm = features.geometry, kind.orientation == "carried"
+    return Mechanism(
+        kind.type,
+        None if kind.type == "ball" else g.axis,
+        None if kind.type == "held-orientation" else g.point,
+        pitch=g.pitch if kind.type == "screw" else None,
+        grip="firm" if firm else "loose",
+        orientation=kind.orientation,
+        name=kind.name,
+    )
+
+
+def _of_twist_rows(
+    selection: np.ndarray, features: FrameJacobian | RelativeFrameJacobian, spread: float
+) -> Mechanism | None:
+    """From constant rows of a frame's twist (v, w) of its origin, known to an angle [rad]."""
+    in_hand = isinstance(features, FrameJacobian) and features.reference == "local"
+    in_base = isinstance(features, FrameJacobian) and not in_hand
+    watched = [AXES.index(name) for name in features.row_names]
+    held = np.zeros((len(selection), len(AXES)))
+    held[:, watched] = selection
+    if in_hand and len(held) == 5 and len(watched) == len(AXES):
+        return _of_one_twist(complement_rows(held)[0], spread)
+    ranks = []
+    for block in (held[:, :3], held[:, 3:]):
+        sigma = np.linalg.svd(block, compute_uv=False)
+        if np.any((sigma > CLEAR_SHARE) & (sigma < 1.0 - CLEAR_SHARE)):
+            return None
+        ranks.append(int(np.count_nonzero(sigma > 0.5)))
+    turns: Orientation = {0: "free", 2: "about-axis", 3: "fixed"}.get(ranks[1], "other")  # type: ignore[assignment]
+    all_linear = set(range(3)) <= set(watched)
+    types: dict[int, MechanismType] = {0: "held-orientation", 1: "plane", 2: "line"}
+    if turns == "other" or ranks[0] not in types or (ranks[0] and not all_linear) or ranks == [0, 0]:
+        return None
+    if in_hand and ranks[0] and turns != "fixed":
+        return None  # directions of a hand that turns are no line and no plane
+    _, _, Vt = np.linalg.svd(held[:, :3] if ranks[0] else held[:, 3:])
+    axis = Vt[0] if ranks[0] == 1 else Vt[2] if ranks[0] == 2 or ranks[1] == 2 else None
+    if axis is not None:
+        axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
+    kind: MechanismType = types[ranks[0]]
+    name = next((k.name for k in MECHANISM_KINDS if (k.type, k.orientation) == (kind, turns)), kind)
+    return Mechanism(kind, axis if in_base else None, orientation=turns, name=name)
+
+
+def _of_one_twist(twist: Float[np.ndarray, " 6"], spread: float) -> Mechanism:
+    """A hinge, a screw or a line that is fixed to the hand: the one twist that is left free, in the hand's axes."""
+    v, w = twist[:3], twist[3:]
+    turn = float(w @ w)
+    if turn < CLEAR_SHARE**2:
+        return Mechanism("line", orientation="fixed", grip="firm", name="line, not turning")
+    pitch, radius = float(v @ w) / turn, float(np.linalg.norm(np.cross(w, v))) / turn
+    if abs(pitch) < max(LEAST_PITCH, 3.0 * spread * math.hypot(1.0, radius)):  # three standard deviations
+        return Mechanism("hinge", radius=radius, grip="firm", orientation="carried", name="hinge, firm")
+    return Mechanism("screw", radius=radius, pitch=pitch, grip="firm", orientation="carried", name="screw, firm")
