@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from manip_learn.control.servo_loop import ServoLoop
     from manip_learn.control.simulation import simulate
     from manip_learn.control.status import Status
-    from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, Track
+    from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, Track, motion
     from manip_learn.errors import ManipLearnError
     from manip_learn.learning import ConstraintLearner
     from manip_learn.learning.audit import audit_episodes
@@ -125,6 +125,7 @@ _HOMES = {
     "log_manipulability_gradient": "constraint.manipulability",
     "manipulability": "constraint.manipulability",
     "manipulability_gradient": "constraint.manipulability",
+    "motion": "control.tasks",
     "optimise_path": "control.paths.optimise_path",
     "replay": "playback",
     "resample": "recordings.preprocessing",
@@ -185,6 +186,7 @@ __all__ = [
     "manipulability",
     "manipulability_batch",
     "manipulability_gradient",
+    "motion",
     "optimise_path",
     "penalised_manipulability",
     "penalised_manipulability_gradient",

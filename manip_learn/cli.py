@@ -17,6 +17,7 @@ from manip_learn.commands.refusal import nobody_reads, refuse
 from manip_learn.commands.robot_options import RobotOptions
 from manip_learn.commands.shared_options import flags_of, takes_shared_options
 from manip_learn.commands.typed_command import typed
+from manip_learn.commands.vectors import direction as direction_of
 from manip_learn.commands.vectors import joined_vectors, vector
 from manip_learn.errors import ManipLearnError, advice_for_command
 
@@ -152,29 +153,38 @@ def control(
     robot: shared.RobotName,
     constraint: shared.ConstraintFile,
     start: shared.Start = None,
+    along: Annotated[float | None, typer.Option(help="Way along a line or a plane [m].")] = None,
+    turn: Annotated[float | None, typer.Option(help="Angle about a hinge, a screw or a ball [degrees].")] = None,
+    direction: Annotated[str | None, typer.Option(help="Which way, where several are free: x,y,z.")] = None,
+    speed: Annotated[float | None, typer.Option(help="Of the hand [m/s], or of a turn [degrees/s].")] = None,
+    keep_orientation: Annotated[bool, typer.Option("--keep-orientation", help="The hand does not turn.")] = False,
     target: shared.Target = None,
+    rows: Annotated[str, typer.Option(help="all: go to the target; held: its held rows only (the paper).")] = "all",
     policy: Annotated[str, typer.Option(help="manipulability, zero or attractor.")] = "manipulability",
     rest: Annotated[str | None, typer.Option(help="Rest posture of the attractor [rad].")] = None,
     gain: Annotated[float, typer.Option(help="Gain of the policy.")] = 3.0,
     task_gain: Annotated[float, typer.Option(help="Gain of the task [1/s].")] = 1.0,
-    duration: Annotated[float, typer.Option(help="Duration [s].")] = 5.0,
+    duration: Annotated[float | None, typer.Option(help="Duration [s]; default: of the way, else 5.")] = None,
     dt: Annotated[float, typer.Option(help="Time step [s].")] = 0.01,
     inverse: Annotated[str, typer.Option(help="damped, exact or truncated.")] = "damped",
-    tolerance: Annotated[float, typer.Option(help="Final error that counts as reached [m or rad].")] = 0.01,
+    tolerance: Annotated[float, typer.Option(help="Distance to the target that counts as reached [m or rad].")] = 0.01,
+    check: Annotated[bool, typer.Option("--check", help="Write nothing and refuse if it gets less far.")] = False,
     out: Annotated[Path | None, typer.Option(help="Rollout file to write: .npz, .csv, .jsonl or .mcap.")] = None,
     *,
     robot_options: RobotOptions,
     explain: shared.Explain = False,
     as_json: shared.Json = False,
 ) -> None:
-    """Simulate a controller that performs the task and increases its manipulability."""
+    """Do the task that was learnt: along what is free, or to a point, clear of the task's singularities."""
     from manip_learn.commands.control import control as run
 
     with progress(as_json) as report:
         result = run(
-            robot, constraint, start=vector("--start", start), target=vector("--target", target), policy=policy,
-            rest=vector("--rest", rest), gain=gain, task_gain=task_gain, duration=duration, dt=dt,
-            inverse=inverse, tolerance=tolerance, out=out, robot_options=robot_options, progress=report
+            robot, constraint, start=vector("--start", start), target=vector("--target", target), along=along,
+            turn=turn, direction=direction_of(direction), speed=speed, keep_orientation=keep_orientation, rows=rows,
+            check=check, policy=policy, rest=vector("--rest", rest), gain=gain, task_gain=task_gain,
+            duration=duration, dt=dt, inverse=inverse, tolerance=tolerance, out=out, robot_options=robot_options,
+            progress=report
         )  # fmt: skip
     answer(as_json, result.to_dict(), "print_controlled", result, explain=explain)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
 
@@ -12,20 +13,27 @@ from numpy.typing import ArrayLike
 from manip_learn.commands.robot_loading import robot_of_constraint
 from manip_learn.commands.robot_options import RobotOptions
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import MechanismRows
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.control.policies.manipulability_ascent import ASCENT_GAIN
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.status import Status
-from manip_learn.control.tasks import Hold, PointAttractor, Task
+from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, motion
+from manip_learn.control.tasks.motion import motion_to
 from manip_learn.control.tasks.straight_motion import in_words
+from manip_learn.control.way import WayDone, simulate_way
 from manip_learn.errors import ManipLearnError, TargetError
 from manip_learn.linalg import complement_rows
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import Robot
 
 POLICIES = ("manipulability", "zero", "attractor")
+ROWS = ("all", "held")
+# what a hand that follows the held rows is on
+PLACES = {"line": "line", "plane": "plane", "hinge": "circle", "ball": "sphere", "screw": "helix", "other": "cylinder"}
+OPENS = ("line", "hinge")  # drawers and doors: a way along them opens them
 
 
 @final
@@ -34,13 +42,18 @@ class Aim:
     """How a typed target and the end of a motion compare.
 
     Attributes:
-        distance: Full distance from the tip to the target, over the directions that the constraint ignores too [m];
-            None if the target has no position.
-        ignored: Directions of the target that the constraint leaves free, in words; reaching does not count them.
+        distance: Full distance from the tip to the target [m]; None if the target has no position.
+        error: Distance to the target along all rows that it has numbers for [m or rad].
+        off: Distance from the target along the held rows [m or rad]: 0 on the line, the plane, ... through the target.
+        ignored: Directions of the target that are not driven, in words.
+        crossed: How far the held rows had to move to come to the target's [m or rad]; 0 where they may (b varies).
     """
 
     distance: float | None
+    error: float
+    off: float
     ignored: tuple[str, ...]
+    crossed: float
 
 
 @final
@@ -52,40 +65,72 @@ class Controlled:
         rollout: The motion.
         out: File that it was written to.
         tolerance: Final error that counts as reached [m or rad].
+        place: What the held rows keep the hand on, e.g. `"line"`; empty if that has no name.
         aim: What became of the typed target; None without one.
+        way: What became of a way along the mechanism; None without one.
+        start: Where the start posture came from, if it was not given.
     """
 
     rollout: Rollout
     out: Path | None
     tolerance: float
+    place: str = ""
     aim: Aim | None = None
+    way: WayDone | None = None
+    start: str = ""
 
     @property
     def final_error(self) -> float:
-        """Distance to the target at the end, along the constrained rows [m or rad]."""
+        """Distance to the target at the end, along the rows that are driven [m or rad]."""
         return float(self.rollout.task_error[-1])
 
     @property
     def reached(self) -> bool:
-        """Whether the final error along the constrained rows is within the tolerance."""
-        return self.final_error <= self.tolerance
+        """Whether the way was done, or the tip is at the target, all of it, within the tolerance."""
+        if self.way is not None:
+            return self.way.is_done
+        return (self.final_error if self.aim is None else self.aim.error) <= self.tolerance
 
     @property
     def stalled(self) -> bool:
-        """Whether the arm ended at rest, or nearly, short of the target."""
+        """Whether the arm ended at rest, or nearly, short of where it was to go."""
         last = self.rollout.status[-max(1, len(self.rollout) // 20) :]
-        return not self.reached and last.count(Status.STALLED) + last.count(Status.SINGULAR) > 0.5 * len(last)
+        short = self.final_error > self.tolerance and not (self.way is not None and self.way.is_done)
+        return short and last.count(Status.STALLED) + last.count(Status.SINGULAR) > 0.5 * len(last)
+
+    @property
+    def sentence(self) -> str:
+        """What was done, in words."""
+        way, aim = self.way, self.aim
+        if way is not None:
+            verb = "opened" if self.place in (PLACES[kind] for kind in OPENS) else "moved"
+            size, unit, digits = (1.0, "m", 3) if way.unit == "m" else (math.degrees(1.0), "degrees", 1)
+            if way.unit == "rad" and verb == "moved":
+                verb = "turned"
+            return f"{verb} {abs(size * way.done):.{digits}f} of {abs(size * way.wanted):.{digits}f} {unit}"
+        if aim is None:
+            return "held what is held"
+        if self.reached:
+            return "at the target"
+        where = f"on the {self.place}" if self.place else "where the held rows are to be"
+        if aim.off > self.tolerance:
+            where = f"{aim.off:.3g} off " + (f"the {self.place}" if self.place else "along the held rows")
+        far = f"{aim.error:.3g} from the target" if aim.distance is None else f"{aim.distance:.3g} m from the point"
+        return f"{where}, {far}"
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer."""
         r = self.rollout
+        way = {"wanted": None, "done": None, "deviation": None, "seconds": None, "stopped_by": None}
         return {
+            "sentence": self.sentence,
             "reached": self.reached,
             "stalled": self.stalled,
             "tip_to_target": None if self.aim is None else self.aim.distance,
             "ignored_target_axes": [] if self.aim is None else list(self.aim.ignored),
             "final_error": self.final_error,
             "tolerance": self.tolerance,
+            **(way if self.way is None else self.way.to_dict()),
             "min_manipulability": float(r.manipulability.min()),
             "mean_manipulability": float(r.manipulability.mean()),
             "max_velocity": float(np.abs(r.u).max()),
@@ -102,11 +147,18 @@ def control(
     *,
     start: list[float] | None = None,
     target: list[float] | None = None,
+    along: float | None = None,
+    turn: float | None = None,
+    direction: list[float] | str | None = None,
+    speed: float | None = None,
+    keep_orientation: bool = False,
+    rows: str = "all",
+    check: bool = False,
     policy: str = "manipulability",
     rest: list[float] | None = None,
     gain: float = ASCENT_GAIN,
     task_gain: float = 1.0,
-    duration: float = 5.0,
+    duration: float | None = None,
     dt: float = 0.01,
     inverse: str = "damped",
     tolerance: float = 0.01,
@@ -117,35 +169,62 @@ def control(
     """Simulate a controller and write the rollout to a file if one is named.
 
     Raises:
-        ManipLearnError: Anything that is wrong with the robot, the constraint file, the numbers or the output.
+        ManipLearnError: Anything that is wrong with the robot, the constraint file, the numbers or the output; with
+            `check`, a way or a target that is not reached, before anything is written.
     """
     robot = robot_of_constraint(robot_name, constraint_file, robot_options or RobotOptions())
     constraint = Constraint.load(constraint_file, robot)
-    q0 = robot.neutral() if start is None else robot.checked_posture(start)
-    _check_start(robot, q0)
-    task: Task = Hold() if target is None else PointAttractor(target, task_gain)
-    if isinstance(task, PointAttractor):
-        task.displacement(constraint, q0)  # a wrong size is refused before the simulation
+    if target is not None and not (along is None and turn is None):
+        raise TargetError("--target names the point, --along and --turn the way: give one of them")
+    if rows not in ROWS:
+        raise TargetError(f"--rows must be {' or '.join(ROWS)}, not {rows!r}")
+    moves = along is not None or turn is not None
+    q0, whence = _start(robot, constraint, start, moves)
+    task: Task = Hold()
+    if moves:
+        angle = None if turn is None else math.radians(turn)
+        rate = speed if turn is None or speed is None else math.radians(speed)
+        task = motion(constraint, along, angle, direction=direction, speed=rate, keep_orientation=keep_orientation)
+    elif target is not None and rows == "all" and isinstance(constraint.features, MechanismRows):
+        task = motion_to(constraint, target, q0, speed=speed, keep_orientation=keep_orientation)
+    elif target is not None:
+        task = PointAttractor(target, task_gain, speed, driven="all" if rows == "all" else "held")
+        task.displacement(task.rows(constraint), q0)  # a wrong size is refused before the simulation
     controller = ResolvedRateController(
         constraint,
         task,
-        null_policy(policy, constraint, robot, gain, rest),
+        null_policy(policy, task.rows(constraint), robot, gain, rest),
         inverse,  # type: ignore[arg-type]  # checked by the controller
         dt=dt,
     )
-    rollout = simulate(robot, controller, q0, duration, dt, progress=progress)
-    written = rollout.save(out) if out is not None else None
-    aim = aim_of(constraint, task, rollout.q[-1]) if isinstance(task, PointAttractor) else None
-    return Controlled(rollout, written, tolerance, aim)
+    way, known = None, constraint.mechanism
+    if isinstance(task, FreeDirection):
+        rollout, way = simulate_way(robot, controller, q0, dt, duration, progress=progress)
+    else:
+        rollout = simulate(robot, controller, q0, 5.0 if duration is None else duration, dt, progress=progress)
+    aim = aim_of(constraint, task, rollout) if isinstance(task, PointAttractor) else None
+    place = "" if known is None else PLACES.get(known.type, "")
+    done = Controlled(rollout, None, tolerance, place, aim, way, whence)
+    if check and not done.reached:
+        because = "" if way is None else f": stopped by {way.stopped_by}"
+        raise TargetError(f"{done.sentence}{because}; ask for less, or start elsewhere (--start)", code="not-reached")
+    return replace(done, out=rollout.save(out) if out is not None else None)
 
 
-def aim_of(constraint: Constraint, task: PointAttractor, q: np.ndarray) -> Aim:
-    """What became of a target at posture q."""
-    features = constraint.features
+def aim_of(constraint: Constraint, task: PointAttractor, rollout: Rollout) -> Aim:
+    """What became of a target at the end of a motion."""
+    features, q = constraint.features, rollout.q[-1]
     if task.target.shape != (features.n_rows,):  # given along the constrained rows: nothing of it is ignored
-        return Aim(task.error(constraint, q, 0.0), ())
+        error = task.error(constraint, q, 0.0)
+        return Aim(None, error, error, (), 0.0)
     error = features.error_to(task.target, q)
     linear = [i for i, name in enumerate(features.row_names) if name in ("x", "y", "z")]
+    distance = float(np.linalg.norm(error[linear])) if linear else None
+    off, size = (float(np.linalg.norm(x)) for x in (constraint.selection @ error, error))
+    if task.driven == "all":
+        at_first = features.error_to(task.target, rollout.q[0])
+        blocked = constraint.provenance.get("kind") == "motion-constrained"
+        return Aim(distance, size, off, (), float(np.linalg.norm(constraint.selection @ at_first)) if blocked else 0.0)
     free = complement_rows(constraint.selection)
     weights = np.linalg.norm(free, axis=0)
     whole = weights > 1.0 - 1e-6
@@ -153,7 +232,7 @@ def aim_of(constraint: Constraint, task: PointAttractor, q: np.ndarray) -> Aim:
         ignored = tuple(name for name, counts in zip(features.row_names, whole, strict=True) if counts)
     else:
         ignored = tuple(in_words(row, features.row_names) for row in free)
-    return Aim(float(np.linalg.norm(error[linear])) if linear else None, ignored)
+    return Aim(distance, size, off, ignored, 0.0)
 
 
 def null_policy(
@@ -171,6 +250,19 @@ def null_policy(
     if name == "attractor":
         return JointAttractor(robot.neutral() if rest is None else rest, gain, robot)
     raise ManipLearnError(f"unknown policy {name!r}: use one of {', '.join(POLICIES)}")
+
+
+def _start(robot: Robot, constraint: Constraint, start: list[float] | None, moves: bool) -> tuple[np.ndarray, str]:
+    """The start posture, and where it comes from if it was not given."""
+    shown = constraint.provenance.get("postures")
+    if start is not None:
+        q0, whence = robot.checked_posture(start), ""
+    elif moves and shown:
+        q0, whence = robot.checked_posture(shown[0]), "the first posture in which the task was shown"
+    else:
+        q0, whence = robot.neutral(), "the robot's neutral posture"
+    _check_start(robot, q0)
+    return q0, whence
 
 
 def _check_start(robot: Robot, q0: np.ndarray) -> None:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # so that printing one command's answer does not load the oth
 
 MOST_ROWS = 20  # of an audit on a terminal
 NOT_AN_ANGLE = 45.0  # an uncertainty beyond says nothing [deg]
+WAY_TERMS = ("off", "fastest", "least mu")
 ROLLOUT_TERMS = ("error", "mu", "peak", "unhindered")
 AUDIT_TERMS = ("score", "sigma", "broken", "mm, deg", "margin", "speed", "jerk", "rest")
 
@@ -157,34 +158,43 @@ def _print_warnings(console: Console, warnings: Sequence[str]) -> None:
 
 
 def print_controlled(console: Console, controlled: Controlled, explain: bool = False) -> None:
-    """One rollout."""
+    """One rollout: what was done in a sentence, the numbers, and what stood in the way."""
+    way, r = controlled.way, controlled.rollout
+    console.print(f"[bold]{escape(controlled.sentence)}[/bold]", highlight=False)
+    if controlled.start:
+        console.print(f"start: {escape(controlled.start)} (another: --start)", highlight=False)
     console.print(rollout_table({"rollout": controlled}, console.width))
-    print_words(console, ROLLOUT_TERMS, explain)
-    counts = ", ".join(f"{status} {n}" for status, n in controlled.rollout.status_counts.items())
-    console.print(f"steps: {counts}", highlight=False)
-    aim = controlled.aim
-    if aim is not None and aim.distance is not None:
-        console.print(f"from the tip to the target: {aim.distance:.4g} m", highlight=False)
-    if aim is not None and aim.ignored:
-        console.print(
-            f"[yellow]the constraint leaves {escape(', '.join(aim.ignored))} of the target free: only the distance "
-            "along its rows counts as the error[/yellow]",
-            highlight=False,
-        )
-    if controlled.stalled:
-        console.print(
-            f"[yellow]stalled: {controlled.final_error:.3g} left, and limits or a singularity block the rest; "
-            "the target may be out of reach, or try another --start[/yellow]",
-            highlight=False,
-        )
-    elif not controlled.reached:
-        console.print(
-            f"[yellow]the target was not reached: {controlled.final_error:.3g} left after "
-            f"{controlled.rollout.time[-1]:g} s, still moving; try a longer --duration[/yellow]",
-            highlight=False,
-        )
+    print_words(console, ROLLOUT_TERMS if way is None else WAY_TERMS, explain)
+    console.print(f"steps: {', '.join(f'{status} {n}' for status, n in r.status_counts.items())}", highlight=False)
+    for sentence in _obstacles(controlled):
+        console.print(f"[yellow]{escape(sentence)}[/yellow]", highlight=False)
     if controlled.out is not None:
         console.print(f"written: {escape(str(controlled.out))}", highlight=False, soft_wrap=True)
+
+
+def _obstacles(controlled: Controlled) -> list[str]:
+    """What kept a rollout from its goal, or should make one careful, in sentences."""
+    way, aim, out = controlled.way, controlled.aim, []
+    if way is not None and way.stopped_by is not None:
+        out.append(f"stopped by {way.stopped_by}")
+    if aim is not None and aim.crossed > controlled.tolerance:
+        out.append(
+            f"the hand moved {aim.crossed:.3g} along what the recordings show to be blocked, to come to the target: a "
+            "hand that holds the thing needs a target on its way, or --along"
+        )
+    if aim is not None and aim.ignored and not controlled.reached:
+        out.append(f"--rows held leaves {', '.join(aim.ignored)} of the target free")
+    if way is None and controlled.stalled:
+        out.append(
+            f"stalled with {controlled.final_error:.3g} left: limits or a singularity block the rest; the target may "
+            "be out of reach, or try another --start"
+        )
+    elif way is None and controlled.final_error > controlled.tolerance:
+        out.append(
+            f"{controlled.final_error:.3g} left after {controlled.rollout.time[-1]:g} s, still moving: try a longer "
+            "--duration"
+        )
+    return out
 
 
 def print_audit(console: Console, audited: Audited, explain: bool = False) -> None:

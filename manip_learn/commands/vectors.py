@@ -6,7 +6,7 @@ import math
 
 from manip_learn.errors import ManipLearnError
 
-VECTORS = ("--start", "--target", "--rest")
+VECTORS = ("--start", "--target", "--rest", "--direction")
 
 
 def joined_vectors(arguments: list[str]) -> list[str]:
@@ -30,6 +30,13 @@ def _is_vector(text: str) -> bool:
     except ValueError:
         return False
     return bool(text.strip())
+
+
+def direction(text: str | None) -> list[float] | str | None:
+    """The numbers of a direction, or the name of the row of a mechanism."""
+    if text is None or text.strip().isidentifier():
+        return text if text is None else text.strip()
+    return vector("--direction", text)
 
 
 def vector(option: str, text: str | None) -> list[float] | None:

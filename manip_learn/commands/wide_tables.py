@@ -23,31 +23,43 @@ SHOWN_ORDER = ("score", "sigma", "broken", "mm", "deg", "margin", "speed", "jerk
 
 
 def rollout_table(rollouts: dict[str, Controlled], width: int) -> Table:
-    """Policies side by side: a line each, or on a narrow terminal a column each."""
-    header = ("policy", "reached", "error", "min mu", "mean mu", "peak", "unhindered")
-    rows = [_rollout_cells(name, controlled) for name, controlled in rollouts.items()]
-    if width < WIDE:
+    """Policies side by side: a line each, or on a narrow terminal, or of one alone, a column each."""
+    measures = [_measures(controlled) for controlled in rollouts.values()]
+    header = ("policy", *measures[0])
+    rows = [(escape(name), *values.values()) for name, values in zip(rollouts, measures, strict=True)]
+    if width < WIDE or len(rows) == 1:
         header, *rows = zip(header, *rows, strict=True)
-    table = Table(header_style="bold", box=SIMPLE_HEAD, padding=(0, 1))
+    if len(measures) == 1:  # no policy is compared
+        header, *rows = rows
+    table = Table(header_style="bold" if len(measures) > 1 else "", box=SIMPLE_HEAD, padding=(0, 1))
+    table.show_header = len(measures) > 1
     for i, name in enumerate(header):
         table.add_column(str(name), justify="left" if i == 0 else "right", no_wrap=True)
-    for row in rows:
+    for row in rows if len(measures) > 1 else [header, *rows]:
         table.add_row(*row)
     return table
 
 
-def _rollout_cells(name: str, controlled: Controlled) -> tuple[str, ...]:
-    r = controlled.rollout
+def _measures(controlled: Controlled) -> dict[str, str]:
+    """Name -> value of what is told of a rollout."""
+    r, way = controlled.rollout, controlled.way
+    if way is not None:
+        unit, size, digits = ("m", 1.0, 3) if way.unit == "m" else ("deg", math.degrees(1.0), 1)
+        return {
+            controlled.sentence.split()[0]: f"{abs(size * way.done):.{digits}f} {unit}",
+            "time": "-" if way.seconds is None else f"{way.seconds:.1f} s",
+            "off": f"{1e3 * way.deviation:.1f} mm",
+            "fastest": f"{100 * way.fastest[1]:.0f} %",
+            "least mu": f"{way.least_manipulability:.3f}",
+        }
     mu = r.manipulability[r.time >= min(UNDER_WAY, r.time[-1])]
-    return (
-        escape(name),
-        "yes" if controlled.reached else "[red]no[/red]",
-        f"{controlled.final_error:.4f}",
-        f"{mu.min():.4f}",
-        f"{r.manipulability.mean():.3f}",
-        f"{abs(r.u).max():.2f}/s",
-        f"{100 * r.status.count('ok') / len(r):.0f} %",
-    )
+    return {
+        "error": f"{controlled.final_error:.4f}",
+        "min mu": f"{mu.min():.4f}",
+        "mean mu": f"{r.manipulability.mean():.3f}",
+        "peak": f"{abs(r.u).max():.2f}/s",
+        "unhindered": f"{100 * r.status.count('ok') / len(r):.0f} %",
+    }
 
 
 def audit_table(episodes: Sequence[EpisodeAudit], width: int) -> tuple[Table, tuple[str, ...]]:

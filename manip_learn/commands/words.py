@@ -45,6 +45,21 @@ WORDS: dict[str, tuple[str, str]] = {
         "The volume of velocities along the held rows that joint velocities of length 1 reach: the product of the "
         "singular values of A(q). At 0 the arm cannot follow the task in some direction.",
     ),
+    "off": (
+        "farthest that the hand left the line, the plane or the circle on the way",
+        "The held rows, integrated: a drawer pushes back as soon as the hand leaves its line. Near a singularity the "
+        "arm cannot follow in every direction, and the hand strays.",
+    ),
+    "fastest": (
+        "the joint that came nearest to its speed limit",
+        "Of all joints and moments of the motion, the largest share of a velocity limit. At 100 % the arm was as fast "
+        "as it may be and the hand had to wait for it.",
+    ),
+    "least mu": (
+        "smallest manipulability of what is held and driven, 0 at its singularity",
+        "The product of the singular values of A(q), the rows that the task holds and the direction that it drives. "
+        "The smaller it is, the faster the joints must move for the same motion of the hand.",
+    ),
     "error": (
         "distance to the target along the held rows at the end [m or rad]",
         "Directions that the constraint leaves free do not count, so the tip may end elsewhere along them.",

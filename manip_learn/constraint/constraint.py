@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.features.described_features import described_features
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp
+from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.mechanism import Mechanism, read_mechanism
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, spoken
 from manip_learn.linalg import orthonormal_rows
@@ -22,6 +25,7 @@ from manip_learn.robot.robot import Robot
 
 FORMAT = "manip_learn.constraint"
 SCHEMA = 1
+TURNS = ("turn-1", "turn-2", "turn")  # the rows of a mechanism that make up an angular velocity
 
 
 class Motion(Protocol):
@@ -91,6 +95,35 @@ class Constraint:
         if self.provenance.get("kind") == "self-imposed":
             return None
         return read_mechanism(self.selection, self.features, self.provenance)
+
+    def with_orientation(self) -> Constraint:
+        """The same rows, and below them those that hold the orientation of the frame too, as far as these do not.
+
+        Raises:
+            ConstraintError: Features without a frame that could turn.
+        """
+        f = self.features
+        if isinstance(f, MechanismRows):
+            added = tuple(name for name in TURNS if name not in f.row_names)
+            g = f.geometry
+            features: FeatureMap = MechanismRows(
+                f.robot, f.frame.name, (*f.row_names, *added), axis=g.axis, point=g.point, pitch=g.pitch
+            )
+            turning = [i for i, name in enumerate(features.row_names) if name in TURNS]
+            columns = list(range(f.n_rows))
+        elif isinstance(f, FrameJacobian | RelativeFrameJacobian):
+            if isinstance(f, FrameJacobian):
+                features = FrameJacobian(f.robot, f.frame.name, AXES, f.reference)
+            else:
+                features = RelativeFrameJacobian(f.robot, f.frame.name, f.relative_to.name, AXES)
+            turning, columns = [3, 4, 5], [AXES.index(name) for name in f.row_names]
+        else:
+            raise ConstraintError(f"{f!r} belong to no frame whose orientation could be held")
+        held = np.zeros((self.n_constraints, features.n_rows))
+        held[:, columns] = self.selection
+        turns = np.eye(features.n_rows)[turning]
+        _, sigma, Vt = np.linalg.svd(turns - turns @ held.T @ held)
+        return Constraint(np.vstack([held, Vt[: int(np.count_nonzero(sigma > 0.5))]]), features, self.provenance)
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "s nv"]:
         """A(q).

@@ -239,7 +239,7 @@ def build_report(
         mechanism=mechanism,
     )
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
-    return Constraint(selection, features, provenance), report
+    return Constraint(selection, features, provenance | {"postures": data.postures()}), report
 
 
 def _doubts(answer: Answer | None) -> tuple[str, ...]:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import NamedTuple, final
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
+
+Unit = Literal["m", "rad"]
 
 
 @final
@@ -35,7 +37,7 @@ class DrivenMotion(ABC):
     """
 
     constraint: Constraint
-    unit: str
+    unit: Unit
 
     @abstractmethod
     def origin(self, q: ArrayLike) -> Float[np.ndarray, "..."]:
@@ -70,6 +72,15 @@ class DrivenMotion(ABC):
     ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
         """`rates` and `error_jacobian` together, cheaper than one by one where a child shares work."""
         return self.rates(origin, q, setpoint, gain), self.error_jacobian(origin, q, setpoint.distance)
+
+
+def between(start: Float[np.ndarray, "..."], end: Float[np.ndarray, "..."], share: float) -> Float[np.ndarray, "..."]:
+    """An origin on the straight way from one to another: of poses the place moves and the orientation stays."""
+    out = start.copy()
+    if start.ndim == 1:
+        return out + share * (end - start)
+    out[:3, 3] += share * (end[:3, 3] - start[:3, 3])
+    return out
 
 
 def nearest_turn(angle: float, near: float) -> float:

@@ -11,12 +11,17 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
-from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint
+from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint, Unit, between
 from manip_learn.control.tasks.mechanism_motion import MechanismMotion
 from manip_learn.control.tasks.motion_profile import MotionProfile
+from manip_learn.control.tasks.shown_places import ShownPlaces, apart
 from manip_learn.control.tasks.straight_motion import StraightMotion
 from manip_learn.control.tasks.task import Task
 from manip_learn.errors import ConstraintError, TargetError
+
+APPROACH_SPEED = 0.25  # [m/s] of a hand on its way to the mechanism: the reduced speed of ISO 10218-1 beside people
+SETTLING = 0.5  # [s] at most until the hand is there after its way to the mechanism: e^-5 of a lag, at gain 10 /s
+TAKEN = 2e-4  # [m] the hand is at the mechanism: a tenth of the 2 mm that it may be off it, twice the encoders' noise
 
 
 @final
@@ -30,6 +35,9 @@ class FreeDirection(Task):
 
     The motion starts with the first call: its posture and time are the start. A call at or before that time after
     later ones is a new run and starts again. `reset` forgets the start.
+
+    With `take_hold` the hand first goes straight to where the mechanism is, if it is not there: to the nearest place at
+    which the task was shown and from which the way stays within what was shown (see `hold`).
 
     Args:
         constraint: What holds the hand; the controller gets the same. Constant rows (the rows of one frame's Jacobian,
@@ -45,6 +53,11 @@ class FreeDirection(Task):
         gain: Rate at which deviations are taken back [1/s].
         ramp: Time from rest to the speed [s].
         start: Posture at which the motion starts, where it is not that of the first call.
+        unit: `"m"` or `"rad"`: which free directions are meant, where the constraint leaves both free.
+        straight: The hand's place moves along the way only: free translations beside it stand still too, rather than
+            being left to the null-space policy.
+        keep_orientation: The hand does not turn either, as of a gripper that has closed on a handle.
+        take_hold: Go to the mechanism first. Only constraints that were learnt with a loose grip know where it is.
 
     Raises:
         ConstraintError: The constraint leaves nothing free, or several directions without `direction`; lists them.
@@ -62,15 +75,23 @@ class FreeDirection(Task):
         gain: float = 10.0,
         ramp: float = 0.5,
         start: ArrayLike | None = None,
+        unit: Unit | None = None,
+        straight: bool = False,
+        keep_orientation: bool = False,
+        take_hold: bool = False,
     ):
         numbers = {"distance": distance, "speed": speed, "gain": gain, "ramp": ramp}
         for name, value in numbers.items():
             numbers[name] = _number(name, value, positive=name != "distance")
         self.learnt = constraint
         is_mechanism = isinstance(constraint.features, MechanismRows)
-        self._motion: DrivenMotion = (MechanismMotion if is_mechanism else StraightMotion)(constraint, direction)
+        motion_of = MechanismMotion if is_mechanism else StraightMotion
+        held = constraint.with_orientation() if keep_orientation else constraint
+        self._motion: DrivenMotion = motion_of(held, direction, unit, straight)
+        self._n_held = constraint.n_constraints
         self._profile = MotionProfile(numbers["distance"], numbers["speed"], numbers["ramp"])
         self.gain = numbers["gain"]
+        self._shown = ShownPlaces.of(constraint, self._motion) if take_hold else None
         self._given = None if start is None else self._motion.origin(start)
         self.reset()
 
@@ -80,27 +101,60 @@ class FreeDirection(Task):
         return self._motion.constraint
 
     @property
-    def unit(self) -> str:
+    def unit(self) -> Unit:
         """Unit of the distance, `"m"` or `"rad"`."""
         return self._motion.unit
 
     @property
+    def wanted(self) -> float:
+        """The whole way [m or rad]."""
+        return self._profile.distance
+
+    @property
     def duration(self) -> float:
-        """How long the motion takes where no limit slows it down [s]."""
-        return self._profile.duration
+        """How long the motion takes where no limit slows it down, with the way to the mechanism if known [s]."""
+        return self._profile.duration + (0.0 if self._approach is None else self._approach.duration)
+
+    @property
+    def way_begins(self) -> float | None:
+        """Time at which the hand was at the mechanism and the way began [s]; None as long as it is not there."""
+        return self._way_begun
 
     def reset(self) -> None:
         """Forget the start: the next call is the first one again."""
-        self._origin: np.ndarray | None = self._given
+        self._start = self._origin = self._given
         self._begun: float | None = None
+        self._way_begun: float | None = None
+        self._approach: MotionProfile | None = None
         self._latest = -math.inf
 
+    def hold(self, q: ArrayLike) -> float:
+        """How far a hand at posture q has to go to the mechanism [m]; 0 if it is on it, or if that is not known."""
+        here = self._motion.origin(q)
+        return 0.0 if self._shown is None else apart(here, self._shown.nearest(here, self.wanted))
+
+    def duration_from(self, q: ArrayLike) -> float:
+        """How long the motion takes from posture q where no limit slows it down [s]."""
+        far = self.hold(q)
+        to_hold = 0.0 if far <= TAKEN else MotionProfile(far, APPROACH_SPEED, self._profile.ramp).duration + SETTLING
+        return self._profile.duration + to_hold
+
     def progress(self, q: ArrayLike) -> float:
-        """How far the motion has come at posture q [m or rad]; 0 before the first call, unless `start` was given."""
+        """How far the way has come at posture q [m or rad]; 0 before it began, unless `start` was given."""
+        if self._origin is None or (self._way_begun is None and self._begun is not None):
+            return 0.0
+        near = 0.0 if self._way_begun is None else self._profile.at(self._latest - self._way_begun)[0]
+        return self._motion.progress(self._origin, q, near)
+
+    def progress_near(self, q: ArrayLike, near: float) -> float:
+        """The same of a posture on the way; of angles a turn apart the one next to `near` [rad]."""
+        return 0.0 if self._origin is None else self._motion.progress(self._origin, q, near)
+
+    def deviation(self, q: ArrayLike, progress: float = 0.0) -> float:
+        """How far the rows of the constraint are from where they are held, that much of the way done [m or rad]."""
         if self._origin is None:
             return 0.0
-        near = 0.0 if self._begun is None else self._profile.at(self._latest - self._begun)[0]
-        return self._motion.progress(self._origin, q, near)
+        return float(np.linalg.norm(self._motion.deviation(self._origin, q, progress)[: self._n_held]))
 
     def rows(self, constraint: Constraint) -> Constraint:
         """The constrained rows and the driven one.
@@ -118,15 +172,14 @@ class FreeDirection(Task):
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
         """E with d/dt (error along the rows) = -E u for a setpoint at rest; None where E = A(q) (see `Task`)."""
-        origin, after = self._begin(q, t)
-        return self._motion.error_jacobian(origin, q, self._profile.at(after)[0])
+        origin, setpoint = self._now(q, t)
+        return self._motion.error_jacobian(origin, q, setpoint.distance)
 
     def velocity_and_jacobian(
         self, constraint: Constraint, q: np.ndarray, t: float
     ) -> tuple[Any, Float[np.ndarray, "s nv"] | None]:
         """b and E from one look at the pose."""
-        origin, after = self._begin(q, t)
-        setpoint = Setpoint(*self._profile.at(after), self._profile.speed)
+        origin, setpoint = self._now(q, t)
         rates, E = self._motion.rates_and_jacobian(origin, q, setpoint, self.gain)
         return self.constraint.selection.dot(rates), E
 
@@ -136,22 +189,43 @@ class FreeDirection(Task):
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Way that is left, and the deviation of the constrained coordinates, as one norm [m or rad]."""
-        origin, after = self._begin(q, t)
-        now = self._profile.at(after)[0]
-        left = self._profile.distance - self._motion.progress(origin, q, now)
-        return float(np.hypot(left, np.linalg.norm(self._motion.deviation(origin, q, now))))
+        origin, setpoint = self._now(q, t)
+        left = self._profile.distance - self._motion.progress(origin, q, setpoint.distance)
+        return float(np.hypot(left, np.linalg.norm(self._motion.deviation(origin, q, setpoint.distance))))
 
-    def _begin(self, q: ArrayLike, t: float) -> tuple[np.ndarray, float]:
-        """What is known of the start, and the time since then [s]."""
-        begun = self._begun
-        if begun is not None and t <= begun < self._latest:
+    def _now(self, q: ArrayLike, t: float) -> tuple[np.ndarray, Setpoint]:
+        """From where the way counts, and how far along it the hand should be."""
+        if self._begun is not None and t <= self._begun < self._latest:
             self.reset()
-            begun = None
-        if begun is None or self._origin is None:
-            begun = self._begun = t
-            self._origin = self._motion.origin(q) if self._given is None else self._given
+        if self._begun is None or self._start is None or self._origin is None:
+            self._begin(q, t)
+        assert self._begun is not None and self._start is not None and self._origin is not None
         self._latest = t
-        return self._origin, t - begun
+        if self._way_begun is None and self._approach is not None:
+            gone, _ = self._approach.at(t - self._begun)
+            if t - self._begun < self._approach.duration or not self._is_there(q):
+                share = min(gone / self._approach.distance, 1.0)
+                return between(self._start, self._origin, share), Setpoint(0.0, 0.0, math.inf)
+            self._way_begun = t
+        after = t - (self._begun if self._way_begun is None else self._way_begun)
+        return self._origin, Setpoint(*self._profile.at(after), self._profile.speed)
+
+    def _begin(self, q: ArrayLike, t: float) -> None:
+        """The start, and where the way begins: at the mechanism if that is elsewhere."""
+        self._begun = t
+        self._start = self._origin = self._motion.origin(q) if self._given is None else self._given
+        if self._shown is not None:
+            self._origin = self._shown.nearest(self._start, self.wanted)
+        far = apart(self._start, self._origin)
+        if far > TAKEN:
+            self._approach = MotionProfile(far, APPROACH_SPEED, self._profile.ramp)
+        else:
+            self._way_begun = t
+
+    def _is_there(self, q: ArrayLike) -> bool:
+        """Whether the hand has come to where the way begins."""
+        assert self._origin is not None
+        return apart(self._motion.origin(q), self._origin) <= TAKEN
 
     def __repr__(self) -> str:
         p = self._profile

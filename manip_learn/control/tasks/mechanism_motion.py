@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.place_fields import Geometry
-from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint, nearest_turn
-from manip_learn.errors import ConstraintError, TargetError
+from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint, Unit, nearest_turn
+from manip_learn.errors import ConstraintError, TargetError, spoken
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector, skew
 
 # what may be driven, in words
@@ -39,13 +39,22 @@ class MechanismMotion(DrivenMotion):
     Args:
         constraint: The learnt constraint, of rows of a mechanism.
         direction: Name of the row that is driven; for a ball the axis of the turn in the base frame (right-handed).
+        unit: `"m"` or `"rad"`: a row that slides or one that turns is meant; None for whatever is free.
+        straight: The other free places of the hand's origin stand still too, so that it stays on one circle or on one
+            line; False leaves them to the null-space policy.
 
     Raises:
         ConstraintError: Nothing is free, several are and none was named, or combinations of rows are held.
         TargetError: A direction that is not free, or no direction.
     """
 
-    def __init__(self, constraint: Constraint, direction: ArrayLike | str | None):
+    def __init__(
+        self,
+        constraint: Constraint,
+        direction: ArrayLike | str | None,
+        unit: Unit | None = None,
+        straight: bool = False,
+    ):
         rows: MechanismRows = constraint.features  # type: ignore[assignment]
         g = rows.geometry
         held = _held(constraint, rows)
@@ -54,18 +63,19 @@ class MechanismMotion(DrivenMotion):
         if "spherical" in held or {"slide", "slide-1", "slide-2"} == set(held):
             axis, driven = _axis_of_turn(direction), "turn" if firm else "tangential"
         else:
-            driven = _chosen(held, firm, direction)
+            driven = _chosen(held, firm, direction, unit)
+        beside = _beside(held, driven) if straight and not firm else ()
         self._rows = MechanismRows(
             rows.robot,
             rows.frame.name,
-            (*held, driven),
+            (*held, *beside, driven),
             axis=axis,
             point=rows.geometry.point,
             pitch=rows.geometry.pitch,
         )
-        self.constraint = Constraint(np.eye(len(held) + 1), self._rows, constraint.provenance)
+        self.constraint = Constraint(np.eye(self._rows.n_rows), self._rows, constraint.provenance)
         self.unit = "rad" if driven in ("turn", "tangential") else "m"
-        self._held, self._driven = held, driven
+        self._held, self._kept, self._driven = held, (*held, *beside), driven
         self._turns = any(name.startswith(("turn", "slide", "screw")) for name in (*held, driven))
 
     def origin(self, q: ArrayLike) -> Float[np.ndarray, "..."]:
@@ -84,7 +94,10 @@ class MechanismMotion(DrivenMotion):
         rate = setpoint.approached(setpoint.distance - now[self._driven], gain)
         if self._driven == "tangential":
             rate *= now["distance from the axis"]
-        return np.array([*(-gain * now[name] for name in self._held), rate])
+        rates = [-gain * now[name] for name in self._kept]
+        if "tangential" in self._kept:  # of an angle: its row is a speed
+            rates[self._kept.index("tangential")] *= now["distance from the axis"]
+        return np.array([*rates, rate])
 
     def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
         """The held coordinates, less what they were at the start."""
@@ -164,18 +177,29 @@ def _held(constraint: Constraint, rows: MechanismRows) -> tuple[str, ...]:
     return tuple(name for name, weight in zip(rows.row_names, np.diag(projector), strict=True) if weight > 0.5)
 
 
-def _chosen(held: tuple[str, ...], firm: bool, direction: ArrayLike | str | None) -> str:
+def _beside(held: tuple[str, ...], driven: str) -> tuple[str, ...]:
+    """The cylindrical coordinates of the hand's origin that a way along one of them leaves out, beside what is held.
+
+    A ball and a screw hold a combination of two: with it and the driven one, one of the two is left.
+    """
+    combined = {"spherical": "radial", "helical": "axial"}
+    taken = {driven, *held, *(combined[name] for name in held if name in combined)}
+    return tuple(name for name in ("radial", "axial", "tangential") if name not in taken)
+
+
+def _chosen(held: tuple[str, ...], firm: bool, direction: ArrayLike | str | None, unit: Unit | None) -> str:
     taken = {*held, "slide" if "screw" in held else "", "axial" if "helical" in held else ""}
     names = ("turn", "slide") if firm else ("tangential", "axial", "radial")
-    free = [name for name in names if name not in taken]
+    free = [name for name in names if name not in taken and (unit is None or f"[{unit}]" in DRIVEN[name])]
     words = "; ".join(DRIVEN[name] for name in free)
     if not free:
-        raise ConstraintError(f"the mechanism's rows {' '.join(held)} leave nothing free to move along")
+        how = {"m": "move along", "rad": "turn about", None: "move along"}[unit]
+        raise ConstraintError(f"the mechanism's rows {' '.join(held)} leave nothing free to {how}")
     if direction is None:
         if len(free) > 1:
             raise ConstraintError(
                 f"the mechanism leaves {len(free)} directions free ({words}): say which one to move along with "
-                f"direction={free[0]!r}"
+                + spoken(f"direction={free[0]!r}", f"--direction {free[0]}")
             )
         return free[0]
     if not (isinstance(direction, str) and direction in free):
@@ -186,7 +210,8 @@ def _chosen(held: tuple[str, ...], firm: bool, direction: ArrayLike | str | None
 def _axis_of_turn(direction: ArrayLike | str | None) -> Float[np.ndarray, " 3"]:
     if direction is None:
         raise ConstraintError(
-            "a ball leaves turns about every axis free: give the axis in the base frame, e.g. direction=(0, 0, 1)"
+            "a ball leaves turns about every axis free: give the axis in the base frame, e.g. "
+            + spoken("direction=(0, 0, 1)", "--direction 0,0,1")
         )
     refusal = f"the direction of a ball is the axis of the turn, three finite numbers not all zero; got {direction!r}"
     try:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, final
+from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.control.tasks.task import Task
-from manip_learn.errors import TargetError
+from manip_learn.errors import TargetError, spoken
 
 
 @final
@@ -25,12 +26,24 @@ class PointAttractor(Task):
             number per constrained row, along the rows of Lambda, where their number differs from that of the features.
         gain: Rate [1/s].
         max_speed: Largest norm of b [m/s or rad/s]; None for no bound.
+        driven: `"held"` drives the rows of Lambda, as the paper does, and leaves the tip's place along the others to
+            the null-space policy; `"all"` drives every row of the features, so that the tip comes to the point.
 
     Raises:
-        TargetError: Not finite numbers.
+        TargetError: Not finite numbers, or another word.
     """
 
-    def __init__(self, target: ArrayLike, gain: float = 1.0, max_speed: float | None = None):
+    def __init__(
+        self,
+        target: ArrayLike,
+        gain: float = 1.0,
+        max_speed: float | None = None,
+        *,
+        driven: Literal["held", "all"] = "held",
+    ):
+        if driven not in ("held", "all"):
+            raise TargetError(f"driven must be 'held' or 'all', not {driven!r}")
+        self.driven: Literal["held", "all"] = driven
         try:
             self.target = np.array(target, dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -40,6 +53,24 @@ class PointAttractor(Task):
         self.target.setflags(write=False)
         self.gain = float(gain)
         self.max_speed = max_speed
+
+    def rows(self, constraint: Constraint) -> Constraint:
+        """The constraint's rows, or all rows of its features.
+
+        Raises:
+            TargetError: All rows are to be driven, and the target has not a number for each of them.
+        """
+        if self.driven == "held":
+            return constraint
+        names = constraint.features.row_names
+        if self.target.shape not in ((len(names),), (4, 4)) or isinstance(constraint.features, MechanismRows):
+            raise TargetError(
+                f"the target must have {len(names)} numbers ({', '.join(names)}), got shape {self.target.shape}: "
+                + spoken(
+                    "a number per row of Lambda needs driven='held'", "a number per row of Lambda needs --rows held"
+                )
+            )
+        return Constraint(np.eye(len(names)), constraint.features, constraint.provenance)
 
     def displacement(self, constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " s"]:
         """Lambda (r* - r(q)).

@@ -12,12 +12,16 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.pose_error import pose_error
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
-from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint
-from manip_learn.errors import ConstraintError, TargetError
+from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint, Unit
+from manip_learn.errors import ConstraintError, TargetError, spoken
+from manip_learn.linalg import complement_rows
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix
 
 FREE = 0.1  # share of a direction that must be free for it to be meant
 NEGLIGIBLE = 1e-6
+PURE = (
+    0.995  # share of a direction that is translation, or rotation: a learnt one leaks by its uncertainty, 0.1 at most
+)
 
 
 @final
@@ -30,17 +34,28 @@ class StraightMotion(DrivenMotion):
     Args:
         constraint: The learnt constraint, of constant rows.
         direction: Along the features' rows, or three numbers for the linear ones; None where only one is free.
+        unit: `"m"` or `"rad"`: a translation or a rotation is meant; None for whatever is free.
+        straight: The other free translations stand still too; False leaves them to the null-space policy.
 
     Raises:
         ConstraintError: Nothing is free, or several directions are and none was named.
         TargetError: The direction has the wrong size, is not finite, or is held.
     """
 
-    def __init__(self, constraint: Constraint, direction: ArrayLike | None):
+    def __init__(
+        self,
+        constraint: Constraint,
+        direction: ArrayLike | None,
+        unit: Unit | None = None,
+        straight: bool = False,
+    ):
         features = constraint.features
-        f = _direction(constraint, direction)
-        self.constraint = Constraint(np.vstack([constraint.selection, f]), features, constraint.provenance)
         angular = np.array([unit == "rad/s" for unit in features.row_units])
+        f = _direction(constraint, direction, unit, angular)
+        driven = np.vstack([constraint.selection, f])
+        if straight:
+            driven = np.vstack([constraint.selection, _beside(driven, angular), f])
+        self.constraint = Constraint(driven, features, constraint.provenance)
         linear_size, angular_size = (float(np.linalg.norm(f[part])) for part in (~angular, angular))
         self.unit = "rad" if angular_size > linear_size else "m"
         self._f = f / max(linear_size, angular_size)  # a distance counts along the larger part
@@ -139,18 +154,34 @@ class StraightMotion(DrivenMotion):
         return out[self._rows]
 
 
-def _direction(constraint: Constraint, direction: ArrayLike | None) -> Float[np.ndarray, " p"]:
+def _beside(driven: Float[np.ndarray, "k p"], angular: np.ndarray) -> Float[np.ndarray, "m p"]:
+    """The translations that a straight way along the last row leaves out, beside what is held."""
+    linear = np.eye(len(angular))[~angular]
+    rest = linear - linear @ np.linalg.pinv(driven) @ driven
+    _, sigma, Vt = np.linalg.svd(rest)
+    return Vt[: int(np.count_nonzero(sigma > 0.5))]
+
+
+def _direction(
+    constraint: Constraint, direction: ArrayLike | None, unit: Unit | None, angular: np.ndarray
+) -> Float[np.ndarray, " p"]:
     features, Lambda = constraint.features, constraint.selection
     p, free = features.n_rows, features.n_rows - constraint.n_constraints
     projector = np.eye(p) - Lambda.T @ Lambda
     if free < 1:
         raise ConstraintError(f"the constraint leaves none of {' '.join(features.row_names)} free to move along")
+    if unit is not None and direction is None:
+        projector, free = _of_one_unit(Lambda, angular if unit == "rad" else ~angular)
+        if free < 1:
+            what = "turn about" if unit == "rad" else "move along"
+            raise ConstraintError(f"the constraint leaves nothing of {' '.join(features.row_names)} free to {what}")
     if direction is None:
         basis = free_directions(projector, free)
         if free > 1:
             words = "; ".join(in_words(row, features.row_names) for row in basis)
             raise ConstraintError(
-                f"the constraint leaves {free} directions free ({words}): say along which one to move with direction="
+                f"the constraint leaves {free} directions free ({words}): say along which one to move with "
+                + spoken("direction=", "--direction, e.g. " + ",".join(f"{c:.3g}" for c in basis[0]))
             )
         return basis[0]
     try:
@@ -171,6 +202,20 @@ def _direction(constraint: Constraint, direction: ArrayLike | None) -> Float[np.
         words = "; ".join(in_words(row, features.row_names) for row in free_directions(projector, free))
         raise TargetError(f"the constraint holds the direction {given.tolist()}; free is {words}")
     return moved / np.linalg.norm(moved)
+
+
+def _of_one_unit(Lambda: Float[np.ndarray, "s p"], wanted: np.ndarray) -> tuple[Float[np.ndarray, "p p"], int]:
+    """The projector onto the free directions that only translate, or only rotate, and how many there are.
+
+    A learnt Lambda leaks a little from one to the other: a direction counts from `PURE` of it on. A single free twist
+    that does both, of a hinge or a screw in the hand's axes, counts as what it mostly is.
+    """
+    free = complement_rows(Lambda).T  # (p, k)
+    _, sigma, Vt = np.linalg.svd(free[wanted], full_matrices=True)
+    pure = free @ Vt[: int(np.count_nonzero(sigma > PURE))].T
+    if pure.shape[1] == 0 and free.shape[1] == 1 and np.sum(free[wanted] ** 2) > 0.5:
+        pure = free
+    return pure @ pure.T, pure.shape[1]
 
 
 def free_directions(projector: Float[np.ndarray, "p p"], number: int) -> Float[np.ndarray, "k p"]:

@@ -1,0 +1,167 @@
+"""A way along what was learnt, simulated to its end: how far it came, how straight, how fast, and what stopped it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.rollout import Rollout
+from manip_learn.control.simulation import simulate
+from manip_learn.control.status import Status
+from manip_learn.control.tasks.driven_motion import Unit
+from manip_learn.control.tasks.free_direction import FreeDirection
+from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.robot.robot import Robot
+
+DONE = {"m": 1e-3, "rad": np.radians(0.2)}  # what may be missing of a way that is done: a millimetre, 0.2 degrees
+AT_LIMIT = (
+    2e-3  # [rad or m] a joint this near to its position limit stands at it: the braking distance of 0.1 s at 0.04
+)
+SLACK = 1.5  # [s] beyond the time that the way takes where nothing slows it down
+AT_REST = 0.3  # [s] that a motion is shown after its end
+LONGEST = 4.0  # times the time that the way takes where nothing slows it down: then it counts as stopped
+
+
+@final
+@dataclass(frozen=True)
+class WayDone:
+    """What became of a way.
+
+    Attributes:
+        wanted: The whole way [m or rad].
+        done: How far it came [m or rad], with the sign of `wanted` if it went the right way.
+        unit: `"m"` or `"rad"`.
+        begins: Time at which the hand was at the mechanism [s]; None if it never was.
+        seconds: Time from there until the way was done [s]; None if it was not.
+        deviation: Largest distance off the held rows on the way [m or rad].
+        least_manipulability: Of the rows held and driven, on the way.
+        fastest: Name of the joint that came nearest to its velocity limit, and its speed as a share of that limit.
+        stopped_by: What ended it before it was done, in words; None if it was done.
+    """
+
+    wanted: float
+    done: float
+    unit: Unit
+    begins: float | None
+    seconds: float | None
+    deviation: float
+    least_manipulability: float
+    fastest: tuple[str, float]
+    stopped_by: str | None
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the whole way was done, to a millimetre or 0.2 degrees."""
+        return self.stopped_by is None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON answer: lengths in m, angles in degrees."""
+        size = 1.0 if self.unit == "m" else float(np.degrees(1.0))
+        return {
+            "wanted": size * self.wanted,
+            "done": size * self.done,
+            "unit": "m" if self.unit == "m" else "deg",
+            "deviation": self.deviation,
+            "begins": self.begins,
+            "seconds": self.seconds,
+            "least_manipulability": self.least_manipulability,
+            "fastest_joint": {"name": self.fastest[0], "share_of_limit": self.fastest[1]},
+            "stopped_by": self.stopped_by,
+        }
+
+
+def simulate_way(
+    robot: Robot,
+    controller: ResolvedRateController,
+    q0: Sequence[float] | Float[np.ndarray, " n"],
+    dt: float = 0.01,
+    duration: float | None = None,
+    *,
+    progress: Progress | None = None,
+) -> tuple[Rollout, WayDone]:
+    """Simulate a controller whose task is a `FreeDirection`, until its way is done or no more of it comes.
+
+    Args:
+        robot: The robot.
+        controller: Its task is the way.
+        q0: Start posture.
+        dt: Step [s].
+        duration: [s]; None for as long as the way needs.
+        progress: As for `simulate`.
+
+    Returns:
+        The rollout, cut shortly after the way was done, and what became of the way.
+
+    Raises:
+        ConfigurationError: As `simulate` does.
+    """
+    task = controller.task
+    assert isinstance(task, FreeDirection)
+    nominal = task.duration_from(robot.checked_posture(q0))
+    length = nominal + SLACK if duration is None else duration
+    while True:
+        rollout = simulate(robot, controller, q0, length, dt, progress=progress)
+        way, places = _way_done(task, rollout, robot)
+        moving = len(places) and abs(places[-1] - places[-min(len(places), round(1.0 / dt) + 1)]) > DONE[task.unit]
+        if way.is_done or duration is not None or length >= LONGEST * nominal or not (moving or way.begins is None):
+            break
+        length = min(2.0 * length, LONGEST * nominal)
+    if duration is None and way.is_done and way.begins is not None and way.seconds is not None:
+        rollout = _until(rollout, way.begins + way.seconds + AT_REST)
+    return rollout, way
+
+
+def _way_done(task: FreeDirection, rollout: Rollout, robot: Robot) -> tuple[WayDone, Float[np.ndarray, " k"]]:
+    """What became of the way, and how far it had come at each sample since it began."""
+    begins, wanted, unit = task.way_begins, task.wanted, task.unit
+    first = len(rollout) if begins is None else int(np.searchsorted(rollout.time, begins - 1e-9))
+    places = np.zeros(len(rollout) - first)
+    for i, q in enumerate(rollout.q[first:]):
+        places[i] = task.progress_near(q, places[i - 1] if i else 0.0)
+    off = [task.deviation(q, s) for q, s in zip(rollout.q[first:], places, strict=True)]
+    done = float(places[-1]) if len(places) else 0.0
+    there = np.flatnonzero(np.abs(places - wanted) <= DONE[unit])
+    shares = np.max(np.abs(rollout.u) / robot.velocity_limit, axis=0)
+    fastest = int(np.argmax(shares))
+    is_done = abs(done - wanted) <= DONE[unit]
+    mu = rollout.manipulability[min(first, len(rollout) - 1) :]
+    return WayDone(
+        wanted,
+        done,
+        unit,
+        None if begins is None else float(rollout.time[first]),
+        float(rollout.time[first + there[0]] - rollout.time[first]) if is_done else None,
+        max(off, default=0.0),
+        float(np.min(mu)),
+        (robot.joint_names[fastest], float(shares[fastest])),
+        None if is_done else _reason(task, rollout, robot),
+    ), places
+
+
+def _reason(task: FreeDirection, rollout: Rollout, robot: Robot) -> str:
+    """What stops the arm at the end of a rollout, in words."""
+    last = rollout.status[-max(1, len(rollout) // 20) :]
+    at_end = robot.positions(rollout.q[-1])
+    units = ["m" if block.kind == "prismatic" else "rad" for block in robot.blocks for _ in block.coordinate_names]
+    short = "" if task.way_begins is not None else "on its way to the mechanism: "
+    blocked = {Status.STALLED, Status.POSITION_LIMITED, Status.REROUTED, Status.OUTSIDE_LIMITS, Status.NULL_SCALED}
+    if blocked.intersection(last):
+        for i, name in enumerate(robot.joint_names):
+            for side, limit in (("lower", robot.position_lower[i]), ("upper", robot.position_upper[i])):
+                if abs(at_end[i] - limit) < AT_LIMIT:
+                    return f"{short}joint {name!r} at its {side} limit of {limit:.4g} {units[i]}"
+    if {Status.SINGULAR, Status.DAMPED, Status.STALLED}.intersection(last):
+        return f"{short}a singularity, or the end of the arm's reach"
+    return f"{short}the time: still moving after {rollout.time[-1]:.4g} s"
+
+
+def _until(rollout: Rollout, end: float) -> Rollout:
+    """The samples up to a time [s]."""
+    n = int(np.searchsorted(rollout.time, end + 1e-9))
+    names = ("time", "q", "u", "manipulability", "status", "task_error")
+    return replace(rollout, **{name: getattr(rollout, name)[:n] for name in names})
