@@ -49,8 +49,15 @@ html_show_sphinx = False
 
 
 def escape_formulas(app, what, name, obj, options, lines):
-    """Docstrings write |A u| and constraint_ as a reader of the source expects; to Sphinx those are markup."""
+    """Docstrings write |A u| and constraint_ as a reader of the source expects; to Sphinx those are markup.
+
+    Examples, from their first prompt to the end of the paragraph, are left as they are.
+    """
+    code = False
     for i, line in enumerate(lines):
+        code = bool(line.strip()) and (code or line.lstrip().startswith(">>>"))
+        if code:
+            continue
         parts = line.split("`")
         parts[::2] = [re.sub(r"\||(?<=\w)_(?!\w)", lambda m: "\\" + m[0], part) for part in parts[::2]]
         lines[i] = "`".join(parts)

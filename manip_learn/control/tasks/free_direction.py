@@ -50,6 +50,16 @@ class FreeDirection(Task):
         ConstraintError: The constraint leaves nothing free, or several directions without `direction`; lists them.
         FeatureError: Features that have no coordinates.
         TargetError: Distance, speed, gain or ramp that is no such thing, or a direction that is held.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("planar3")
+        >>> constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+        >>> task = ml.FreeDirection(constraint, distance=0.3, speed=0.1)  # along x, y held [m], [m/s]
+        >>> controller = ml.ResolvedRateController(constraint, task)
+        >>> rollout = ml.simulate(robot, controller, [0.3, 0.8, 0.4], duration=task.duration + 1.0)
+        >>> round(task.progress(rollout.q[-1]), 3)
+        0.3
     """
 
     def __init__(
