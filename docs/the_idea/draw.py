@@ -135,7 +135,7 @@ def draw_spare_joints() -> None:
     base, across = np.array([114, 20]), ml.Constraint([[0, 1]], FEATURES)
     postures = [posture((handle - base) / scale, heading, -1.0) for heading in (1.8, 1.05, 0.3)]
     room = [ml.manipulability(across, q) for q in postures]
-    elbows = [picture.arm(q, base, scale, opacity)[1] for q, opacity in zip(postures, (0.25, 0.5, 1.0), strict=True)]
+    elbows = [picture.arm(q, base, scale, opacity)[1] for q, opacity in zip(postures, (0.35, 0.6, 1.0), strict=True)]
     start, end = (np.arctan2(*(elbow - base)[::-1]) for elbow in (elbows[0], elbows[-1]))
     swing = base + (scale + 16) * np.array([[np.cos(a), np.sin(a)] for a in np.linspace(start, end, 20)])
     picture.line(swing, width=2.0)
