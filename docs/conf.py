@@ -25,6 +25,7 @@ myst_heading_anchors = 3
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
+autodoc_type_aliases = {"ArrayLike": "ArrayLike"}
 autodoc_default_options = {"members": True, "show-inheritance": True}
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
@@ -48,12 +49,27 @@ html_title = f"manip_learn {release}"
 html_show_sphinx = False
 
 
+SECTION = re.compile(r"(Args|Attributes|Returns|Yields|Raises|Examples?|Notes?):$")
+
+
 def escape_formulas(app, what, name, obj, options, lines):
-    """Docstrings write |A u| and constraint_ as a reader of the source expects; to Sphinx those are markup."""
-    for i, line in enumerate(lines):
+    """Docstrings write |A u| and constraint_ as a reader of the source expects; to Sphinx those are markup.
+
+    Indented formulas before the first section keep their lines. They and the examples, from the first prompt to the end
+    of the paragraph, are left as they are.
+    """
+    out, code, sections = [], False, False
+    for line in lines:
+        sections = sections or bool(SECTION.match(line))
+        starts = not (out and out[-1].strip()) and line.startswith("    ") and not sections
+        code = bool(line.strip()) and (code or starts or line.lstrip().startswith(">>>"))
+        if starts and out and not any(before.endswith("::") for before in out[-2:]):
+            out += ["::", ""]
         parts = line.split("`")
-        parts[::2] = [re.sub(r"\||(?<=\w)_(?!\w)", lambda m: "\\" + m[0], part) for part in parts[::2]]
-        lines[i] = "`".join(parts)
+        if not code:
+            parts[::2] = [re.sub(r"\||(?<=\w)_(?!\w)", lambda m: "\\" + m[0], part) for part in parts[::2]]
+        out.append("`".join(parts))
+    lines[:] = out
 
 
 def setup(app):

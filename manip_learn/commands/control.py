@@ -169,8 +169,9 @@ def control(
     """Simulate a controller and write the rollout to a file if one is named.
 
     Raises:
-        ManipLearnError: Anything that is wrong with the robot, the constraint file, the numbers or the output; with
-            `check`, a way or a target that is not reached, before anything is written.
+        TargetError: A target beside a way, an unknown word for `rows`; with `check`, a way or a target that is not
+            reached, before anything is written.
+        ManipLearnError: Anything else that is wrong with the robot, the constraint file, the numbers or the output.
     """
     robot = robot_of_constraint(robot_name, constraint_file, robot_options or RobotOptions())
     constraint = Constraint.load(constraint_file, robot)

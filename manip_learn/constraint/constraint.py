@@ -61,6 +61,13 @@ class Constraint:
 
     Raises:
         ConstraintError: Wrong size, not finite, no row left, or dependent rows.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> features = ml.FrameJacobian(ml.load_robot("planar3"), "tip", axes="x y")
+        >>> constraint = ml.Constraint([[0, 1]], features)  # by hand: y is held, x is free
+        >>> constraint([0.3, 0.8, 0.4]).round(2)  # A(q), one row per held direction
+        array([[1.48, 0.52, 0.07]])
     """
 
     def __init__(self, selection: ArrayLike, features: FeatureMap, provenance: Mapping[str, Any] | None = None):

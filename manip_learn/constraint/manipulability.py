@@ -28,6 +28,14 @@ def manipulability(constraint: Constraint, q: ArrayLike) -> float:
 
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> constraint = ml.Constraint([[1, 0]], ml.FrameJacobian(ml.load_robot("planar3"), "tip", axes="x y"))
+        >>> round(ml.manipulability(constraint, [0.3, 0.8, 0.4]), 2)  # x is held, the arm is bent
+        3.05
+        >>> round(ml.manipulability(constraint, [0.0, 0.0, 0.0]), 2)  # stretched along x: the task is singular
+        0.0
     """
     return manipulability_of(constraint(q))
 

@@ -68,6 +68,15 @@ class ResolvedRateController:
 
     Raises:
         ConstraintError: The null policy belongs to another number of joints, or settings that are not positive.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(ml.load_robot("planar3"), "tip", axes="x y"))
+        >>> climb = ml.ManipulabilityAscent(constraint)
+        >>> controller = ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5]), climb)
+        >>> command = controller([0.3, 0.8, 0.4], 0.0)
+        >>> command.velocity.shape, command.status  # [rad/s]
+        ((3,), <Status.OK: 'ok'>)
     """
 
     def __init__(

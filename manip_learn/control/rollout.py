@@ -46,6 +46,17 @@ class Rollout:
             learnt from (`Constraint.from_dict` builds it); None if that is not known or cannot be written.
         following_error: shape (T,), largest distance between commanded and measured joint positions, as a `ServoLoop`'s
             commands give it [rad or m]; None if it is not known.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("planar3")
+        >>> constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+        >>> controller = ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5]))
+        >>> rollout = ml.simulate(robot, controller, [0.3, 0.8, 0.4])
+        >>> path = rollout.save("run.npz")
+        >>> again = ml.Rollout.load("run.npz", robot)
+        >>> bool((again.q == rollout.q).all())
+        True
     """
 
     time: Float[np.ndarray, " T"]

@@ -73,6 +73,18 @@ class ServoLoop:
         ConfigurationError: A setting that is not positive, or a controller that has no robot where none is given.
         ConstraintError: `compiled=True` for a controller that cannot be compiled.
         MissingExtraError: `compiled=True` without numba.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("planar3")
+        >>> constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+        >>> controller = ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5]))
+        >>> loop = ml.ServoLoop(controller, dt=0.001, compiled=False)  # leave `compiled` out on an arm
+        >>> for k in range(1000):  # one second
+        ...     measured = loop.position if k else [0.3, 0.8, 0.4]  # your arm's encoders
+        ...     command = loop.update(measured, 0.001 * k)
+        >>> command.status  # it never raises: a status says what is wrong
+        <Status.OK: 'ok'>
     """
 
     def __init__(

@@ -90,6 +90,15 @@ def simulate(
         ConfigurationError: The start has the wrong size or is not finite; a step or duration that is not positive.
         ConstraintError: `compiled=True` for a controller that cannot be compiled.
         MissingExtraError: `compiled=True` without numba.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("planar3")
+        >>> constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+        >>> controller = ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5]))
+        >>> rollout = ml.simulate(robot, controller, [0.3, 0.8, 0.4], duration=2.0, dt=0.01)
+        >>> rollout.q.shape, rollout.u.shape
+        ((201, 3), (201, 3))
     """
     if not (np.isfinite(dt) and dt > 0.0 and np.isfinite(duration) and duration >= 0.0):
         raise ConfigurationError(f"duration and dt must be positive numbers of seconds, got {duration!r} and {dt!r}")

@@ -15,6 +15,7 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.status import Status
 from manip_learn.control.tasks.driven_motion import Unit
 from manip_learn.control.tasks.free_direction import FreeDirection
+from manip_learn.errors import ConfigurationError
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.robot import Robot
 
@@ -98,10 +99,11 @@ def simulate_way(
         The rollout, cut shortly after the way was done, and what became of the way.
 
     Raises:
-        ConfigurationError: As `simulate` does.
+        ConfigurationError: Another task; or as `simulate` raises it.
     """
     task = controller.task
-    assert isinstance(task, FreeDirection)
+    if not isinstance(task, FreeDirection):
+        raise ConfigurationError(f"the task must be a way along what is free, as motion() makes it, not {task!r}")
     nominal = task.duration_from(robot.checked_posture(q0))
     length = nominal + SLACK if duration is None else duration
     while True:

@@ -66,6 +66,19 @@ class ConstraintLearner:
 
     Raises:
         FeatureError: No features, or settings out of range.
+
+    Example:
+        >>> import numpy as np
+        >>> import manip_learn as ml
+        >>> from manip_learn.commands.demo import shipped_recordings  # stands for a folder of your own
+        >>> robot = ml.load_robot("sawyer")
+        >>> demos = ml.load_demonstrations(shipped_recordings() / "sawyer_drawer", robot)[:6]
+        >>> features = ml.FrameJacobian(robot, "right_gripper_tip", axes="xyz")
+        >>> learner = ml.ConstraintLearner(features).fit(demos)
+        >>> learner.report_.n_constraints, learner.report_.gap > 10.0  # two directions are held, clearly
+        (2, True)
+        >>> np.abs(learner.report_.free_directions).round(2)  # the drawer opens along this one
+        array([[0.91, 0.42, 0.  ]])
     """
 
     constraint_: Constraint

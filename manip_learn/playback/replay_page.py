@@ -113,6 +113,15 @@ def replay(
         ConfigurationError: A posture of the wrong size.
         UnknownNameError: No such tip frame or colour.
         OutputError: The file cannot be written.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("planar3")
+        >>> constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+        >>> controller = ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5]))
+        >>> rollout = ml.simulate(robot, controller, [0.3, 0.8, 0.4])
+        >>> ml.replay(robot, {"to the line": rollout}, "replay.html").html.name  # open it in a browser
+        'replay.html'
     """
     named = named_recordings(rollouts)
     guided = {name: guidance_of(robot, name, r, constraint, target) for name, r in named.items()}

@@ -23,6 +23,15 @@ class Demonstrations(Sequence[Trajectory]):
 
     Raises:
         RecordingError: None given, or joint names that differ.
+
+    Example:
+        >>> import numpy as np
+        >>> import manip_learn as ml
+        >>> time = np.linspace(0.0, 2.0, 201)  # [s]
+        >>> motions = [ml.Trajectory(time, np.outer(np.sin(time), amplitude)) for amplitude in np.eye(3)]
+        >>> demos = ml.Demonstrations(motions)
+        >>> len(demos), len(demos[:2])
+        (3, 2)
     """
 
     trajectories: tuple[Trajectory, ...]

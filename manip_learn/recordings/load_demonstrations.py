@@ -93,6 +93,14 @@ def load_demonstrations(paths: Paths | Tables, robot: Robot, **options: Unpack[R
         RecordingError: A recording that cannot be trusted: says where, what was seen and what to do.
         UnknownNameError: No episode shows the task; lists near matches.
         MissingExtraError: The format needs a library that is not installed.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> from manip_learn.commands.demo import shipped_recordings  # stands for a folder of your own
+        >>> robot = ml.load_robot("planar3")
+        >>> demos = ml.load_demonstrations(shipped_recordings() / "planar3_reach", robot)
+        >>> len(demos), demos[0].q.shape  # recordings; samples and joints of the first
+        (20, (40, 3))
     """
     notes: list[str] = []
     trajectories = tuple(iter_demonstrations(paths, robot, notes=notes, **options))

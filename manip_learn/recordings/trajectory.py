@@ -26,6 +26,15 @@ class Trajectory:
 
     Raises:
         RecordingError: Shapes that do not fit, fewer than one row, time that does not increase, NaN or infinity.
+
+    Example:
+        >>> import numpy as np
+        >>> import manip_learn as ml
+        >>> time = np.linspace(0.0, 2.0, 201)  # [s]
+        >>> demo = ml.Trajectory(time, np.outer(np.sin(time), [0.3, 0.8, 0.4]))  # three joints [rad]
+        >>> cut = demo[0.5:1.5]  # by time
+        >>> cut.time[0], len(cut.time)
+        (np.float64(0.5), 101)
     """
 
     time: Float[np.ndarray, " T"]

@@ -54,6 +54,12 @@ def load_robot(
         UnknownNameError: No such robot, or a locked joint that does not exist; lists near matches.
         MissingExtraError: The robot or the file format needs a package that is not installed.
         RobotError: The description is refused: `code`, file, line, joint or link, the value seen and the fix.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("sawyer")  # or "my_arm.urdf"
+        >>> robot.nv, robot.joint_names[0]
+        (7, 'right_j0')
     """
     path = _path(name)
     given = [package_dirs] if isinstance(package_dirs, str | os.PathLike) else package_dirs

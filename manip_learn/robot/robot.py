@@ -54,6 +54,15 @@ class Robot:
         description: Text of the URDF as it was read, xacro expanded; None if there was none.
         locked: Joints that are held still, and where [rad or m].
         objects: Names of things that are no part of the robot and whose pose is recorded: floating joints.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("planar3")
+        >>> robot.joint_names
+        ('joint1', 'joint2', 'joint3')
+        >>> tip = robot.frame("tip")
+        >>> robot.pose([0.3, 0.8, 0.4], tip)[:2, 3].round(2)  # where the tip is [m]
+        array([1.48, 2.18])
     """
 
     def __init__(

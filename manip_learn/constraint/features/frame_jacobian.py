@@ -65,6 +65,13 @@ class FrameJacobian(FeatureMap):
     Raises:
         UnknownNameError: No such frame; lists near matches.
         FeatureError: Unknown axes or reference.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> features = ml.FrameJacobian(ml.load_robot("planar3"), "tip", axes="x y")
+        >>> features([0.3, 0.8, 0.4]).round(2)  # one row per axis, one column per joint [m]
+        array([[-2.18, -1.89, -1.  ],
+               [ 1.48,  0.52,  0.07]])
     """
 
     def __init__(self, robot: Robot, frame: str, axes: str | Sequence[str] = "xyz", reference: Reference = "world"):

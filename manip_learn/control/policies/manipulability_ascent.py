@@ -46,6 +46,15 @@ class ManipulabilityAscent(SampledPolicy):
 
     Raises:
         ConstraintError: `max_speed` is not positive.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("planar3")
+        >>> constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+        >>> climb = ml.ResolvedRateController(constraint, null_policy=ml.ManipulabilityAscent(constraint))
+        >>> rollout = ml.simulate(robot, climb, [0.3, 0.8, 0.4], duration=3.0)  # the tip keeps its y
+        >>> rollout.manipulability[[0, -1]].round(1)
+        array([1.6, 2.6])
     """
 
     def __init__(

@@ -63,6 +63,16 @@ class FreeDirection(Task):
         ConstraintError: The constraint leaves nothing free, or several directions without `direction`; lists them.
         FeatureError: Features that have no coordinates.
         TargetError: Distance, speed, gain or ramp that is no such thing, or a direction that is held.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("planar3")
+        >>> constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+        >>> task = ml.FreeDirection(constraint, distance=0.3, speed=0.1)  # along x, y held [m], [m/s]
+        >>> controller = ml.ResolvedRateController(constraint, task)
+        >>> rollout = ml.simulate(robot, controller, [0.3, 0.8, 0.4], duration=task.duration + 1.0)
+        >>> round(task.progress(rollout.q[-1]), 3)
+        0.3
     """
 
     def __init__(
@@ -197,35 +207,31 @@ class FreeDirection(Task):
         """From where the way counts, and how far along it the hand should be."""
         if self._begun is not None and t <= self._begun < self._latest:
             self.reset()
-        if self._begun is None or self._start is None or self._origin is None:
-            self._begin(q, t)
-        assert self._begun is not None and self._start is not None and self._origin is not None
+        begun, origin = self._begun, self._origin
+        if begun is None or origin is None:
+            begun, origin = self._begin(q, t)
         self._latest = t
-        if self._way_begun is None and self._approach is not None:
-            gone, _ = self._approach.at(t - self._begun)
-            if t - self._begun < self._approach.duration or not self._is_there(q):
+        if self._way_begun is None and self._start is not None and self._approach is not None:
+            gone, _ = self._approach.at(t - begun)
+            if t - begun < self._approach.duration or apart(self._motion.origin(q), origin) > TAKEN:
                 share = min(gone / self._approach.distance, 1.0)
-                return between(self._start, self._origin, share), Setpoint(0.0, 0.0, math.inf)
+                return between(self._start, origin, share), Setpoint(0.0, 0.0, math.inf)
             self._way_begun = t
-        after = t - (self._begun if self._way_begun is None else self._way_begun)
-        return self._origin, Setpoint(*self._profile.at(after), self._profile.speed)
+        after = t - (begun if self._way_begun is None else self._way_begun)
+        return origin, Setpoint(*self._profile.at(after), self._profile.speed)
 
-    def _begin(self, q: ArrayLike, t: float) -> None:
+    def _begin(self, q: ArrayLike, t: float) -> tuple[float, np.ndarray]:
         """The start, and where the way begins: at the mechanism if that is elsewhere."""
-        self._begun = t
-        self._start = self._origin = self._motion.origin(q) if self._given is None else self._given
+        start = origin = self._motion.origin(q) if self._given is None else self._given
         if self._shown is not None:
-            self._origin = self._shown.nearest(self._start, self.wanted)
-        far = apart(self._start, self._origin)
+            origin = self._shown.nearest(start, self.wanted)
+        far = apart(start, origin)
         if far > TAKEN:
             self._approach = MotionProfile(far, APPROACH_SPEED, self._profile.ramp)
         else:
             self._way_begun = t
-
-    def _is_there(self, q: ArrayLike) -> bool:
-        """Whether the hand has come to where the way begins."""
-        assert self._origin is not None
-        return apart(self._motion.origin(q), self._origin) <= TAKEN
+        self._begun, self._start, self._origin = t, start, origin
+        return t, origin
 
     def __repr__(self) -> str:
         p = self._profile

@@ -13,7 +13,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.place_fields import Geometry
 from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint, Unit, nearest_turn
-from manip_learn.errors import ConstraintError, TargetError, spoken
+from manip_learn.errors import ConstraintError, TargetError, advice
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector, skew
 
 # what may be driven, in words
@@ -198,8 +198,8 @@ def _chosen(held: tuple[str, ...], firm: bool, direction: ArrayLike | str | None
     if direction is None:
         if len(free) > 1:
             raise ConstraintError(
-                f"the mechanism leaves {len(free)} directions free ({words}): say which one to move along with "
-                + spoken(f"direction={free[0]!r}", f"--direction {free[0]}")
+                f"the mechanism leaves {len(free)} directions free ({words}): say along which one to move"
+                + advice(" with {}", f"direction={free[0]!r}", f"--direction {free[0]}")
             )
         return free[0]
     if not (isinstance(direction, str) and direction in free):
@@ -210,8 +210,8 @@ def _chosen(held: tuple[str, ...], firm: bool, direction: ArrayLike | str | None
 def _axis_of_turn(direction: ArrayLike | str | None) -> Float[np.ndarray, " 3"]:
     if direction is None:
         raise ConstraintError(
-            "a ball leaves turns about every axis free: give the axis in the base frame, e.g. "
-            + spoken("direction=(0, 0, 1)", "--direction 0,0,1")
+            "a ball leaves turns about every axis free: give the axis in the base frame"
+            + advice(", e.g. {}", "direction=(0, 0, 1)", "--direction 0,0,1")
         )
     refusal = f"the direction of a ball is the axis of the turn, three finite numbers not all zero; got {direction!r}"
     try:

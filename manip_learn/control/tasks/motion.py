@@ -12,7 +12,7 @@ from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.control.tasks.driven_motion import Unit
 from manip_learn.control.tasks.free_direction import FreeDirection
-from manip_learn.errors import ConstraintError, TargetError, spoken
+from manip_learn.errors import ConstraintError, TargetError, advice
 
 HAND_SPEED = 0.1  # [m/s] of the hand where none is asked for: a drawer of 0.3 m in 3.5 s, less than half of ISO 10218-1
 TURN_SPEED = 0.5  # [rad/s] at most, of a hand near the axis: 0.1 m/s at 0.2 m
@@ -61,8 +61,8 @@ def motion(
     """
     if (along is None) == (turn is None):
         raise TargetError(
-            "say how far to go, once: "
-            + spoken("along=0.3 [m] or turn=0.7 [rad]", "--along 0.3 (metres) or --turn 40 (degrees)")
+            "say how far to go, once"
+            + advice(": {}", "along=0.3 [m] or turn=0.7 [rad]", "--along 0.3 (metres) or --turn 40 (degrees)")
         )
     unit: Unit = "m" if turn is None else "rad"
     known = constraint.mechanism
@@ -70,11 +70,9 @@ def motion(
     if speed is None:
         lever = 0.0 if known is None or known.radius is None else known.radius
         speed = HAND_SPEED if unit == "m" else min(TURN_SPEED, HAND_SPEED / lever if lever > 0.0 else math.inf)
-    distance = along if turn is None else turn
-    assert distance is not None
     return FreeDirection(
         constraint,
-        distance,
+        along if along is not None else turn,  # type: ignore[arg-type]  # one of the two was given
         speed,
         direction=direction,
         unit=unit,
@@ -108,8 +106,8 @@ def motion_to(
     rows, known = constraint.features, constraint.mechanism
     if not isinstance(rows, MechanismRows) or known is None or known.type not in ("hinge", "screw"):
         raise ConstraintError(
-            "what was learnt turns about no axis that a point could be brought to: say how far to go with "
-            + spoken("motion(constraint, along=... | turn=...)", "--along or --turn")
+            "what was learnt turns about no one axis, towards a point: say how far to go"
+            + advice(" with {}", "motion(constraint, along=... | turn=...)", "--along or --turn")
         )
     try:
         place = np.array(point, dtype=np.float64)
@@ -125,8 +123,8 @@ def motion_to(
     task = motion(constraint, turn=angle, speed=speed, keep_orientation=keep_orientation)
     if task.hold(q) > 0.0:
         raise TargetError(
-            f"the hand is {task.hold(q):.3g} m away from the {known.type}: start on it, or say how far to turn with "
-            + spoken("motion(constraint, turn=...), which goes there first", "--turn, which goes there first")
+            f"the hand is {task.hold(q):.3g} m away from the {known.type}: start on it, or say how far to turn"
+            + advice(" with {}, which goes there first", "motion(constraint, turn=...)", "--turn")
         )
     return task
 
@@ -136,8 +134,8 @@ def _check_way(known: Mechanism | None, unit: Unit) -> None:
     if known is None or known.type not in (TURNS if unit == "m" else SLIDES):
         return
     does, fits = (
-        ("turns", spoken("give turn= [rad]", "use --turn DEGREES"))
+        ("turns", advice(": use {}", "turn= [rad]", "--turn DEGREES"))
         if unit == "m"
-        else ("slides", spoken("give along= [m]", "use --along METRES"))
+        else ("slides", advice(": use {}", "along= [m]", "--along METRES"))
     )
-    raise ConstraintError(f"what was learnt is {known.sentence}; it {does}: {fits}")
+    raise ConstraintError(f"what was learnt is {known.sentence}; it {does}{fits}")

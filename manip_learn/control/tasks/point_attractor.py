@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.control.tasks.task import Task
-from manip_learn.errors import TargetError, spoken
+from manip_learn.errors import TargetError, advice
 
 
 @final
@@ -31,6 +31,15 @@ class PointAttractor(Task):
 
     Raises:
         TargetError: Not finite numbers, or another word.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("planar3")
+        >>> constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+        >>> task = ml.PointAttractor([1.0, 1.5])  # x, y [m]; the held row picks y
+        >>> rollout = ml.simulate(robot, ml.ResolvedRateController(constraint, task), [0.3, 0.8, 0.4])
+        >>> float(rollout.task_error[-1].round(3))  # left along y [m]
+        0.005
     """
 
     def __init__(

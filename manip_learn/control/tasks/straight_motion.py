@@ -13,7 +13,7 @@ from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.pose_error import pose_error
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint, Unit
-from manip_learn.errors import ConstraintError, TargetError, spoken
+from manip_learn.errors import ConstraintError, TargetError, advice
 from manip_learn.linalg import complement_rows
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix
 
@@ -180,8 +180,8 @@ def _direction(
         if free > 1:
             words = "; ".join(in_words(row, features.row_names) for row in basis)
             raise ConstraintError(
-                f"the constraint leaves {free} directions free ({words}): say along which one to move with "
-                + spoken("direction=", "--direction, e.g. " + ",".join(f"{c:.3g}" for c in basis[0]))
+                f"the constraint leaves {free} directions free ({words}): say along which one to move"
+                + advice(" with {}", "direction=", "--direction " + ",".join(f"{c:.3g}" for c in basis[0]))
             )
         return basis[0]
     try:
