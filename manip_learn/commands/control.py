@@ -198,18 +198,23 @@ def control(
         inverse,  # type: ignore[arg-type]  # checked by the controller
         dt=dt,
     )
-    way, known = None, constraint.mechanism
+    way = None
     if isinstance(task, FreeDirection):
         rollout, way = simulate_way(robot, controller, q0, dt, duration, progress=progress)
     else:
         rollout = simulate(robot, controller, q0, 5.0 if duration is None else duration, dt, progress=progress)
     aim = aim_of(constraint, task, rollout) if isinstance(task, PointAttractor) else None
-    place = "" if known is None else PLACES.get(known.type, "")
-    done = Controlled(rollout, None, tolerance, place, aim, way, whence)
+    done = Controlled(rollout, None, tolerance, place_of(constraint), aim, way, whence)
     if check and not done.reached:
         because = "" if way is None else f": stopped by {way.stopped_by}"
         raise TargetError(f"{done.sentence}{because}; ask for less, or start elsewhere (--start)", code="not-reached")
     return replace(done, out=rollout.save(out) if out is not None else None)
+
+
+def place_of(constraint: Constraint) -> str:
+    """What the held rows keep the hand on, e.g. `"line"`; empty if that has no name."""
+    known = constraint.mechanism
+    return "" if known is None else PLACES.get(known.type, "")
 
 
 def aim_of(constraint: Constraint, task: PointAttractor, rollout: Rollout) -> Aim:
@@ -237,19 +242,20 @@ def aim_of(constraint: Constraint, task: PointAttractor, rollout: Rollout) -> Ai
 
 
 def null_policy(
-    name: str, constraint: Constraint, robot: Robot, gain: float, rest: ArrayLike | None
+    name: str, constraint: Constraint, robot: Robot, gain: float | None, rest: ArrayLike | None
 ) -> NullSpacePolicy:
-    """A null-space policy by its name on the command line.
+    """A null-space policy by its name on the command line, with its own gain if none is given.
 
     Raises:
         ManipLearnError: Unknown name.
     """
+    given = () if gain is None else (gain,)
     if name == "manipulability":
-        return ManipulabilityAscent(constraint, gain)
+        return ManipulabilityAscent(constraint, *given)
     if name == "zero":
         return ZeroPolicy(constraint.nv)
     if name == "attractor":
-        return JointAttractor(robot.neutral() if rest is None else rest, gain, robot)
+        return JointAttractor(robot.neutral() if rest is None else rest, *given, robot=robot)
     raise ManipLearnError(f"unknown policy {name!r}: use one of {', '.join(POLICIES)}")
 
 

@@ -11,7 +11,7 @@ from rich.markdown import Markdown
 from rich.markup import escape
 from rich.table import Table
 
-from manip_learn.commands.wide_tables import UNDER_WAY, audit_table, rollout_table
+from manip_learn.commands.wide_tables import audit_table, rollout_table
 from manip_learn.commands.words import print_words
 
 if TYPE_CHECKING:  # so that printing one command's answer does not load the others
@@ -99,10 +99,13 @@ def print_demo(console: Console, demo: Demo, explain: bool = False) -> None:
     """What was learnt, the comparison, and where the replay is."""
     print_learnt(console, demo.learnt, explain)
     console.print()
-    start = next(iter(demo.rollouts.values())).rollout.manipulability[0]
-    console.print(f"from a start with mu = {start:.1g} (min mu: after the first {UNDER_WAY:g} s)", highlight=False)
+    console.print(escape(demo.story), highlight=False)
     console.print(rollout_table(demo.rollouts, console.width))
-    print_words(console, ROLLOUT_TERMS, explain)
+    ways = [r for r in demo.rollouts.values() if r.way is not None]
+    print_words(console, WAY_TERMS if ways else ROLLOUT_TERMS, explain)
+    for name, controlled in demo.rollouts.items():
+        if controlled.way is not None and controlled.way.stopped_by is not None:
+            console.print(f"[yellow]{escape(name)}: stopped by {controlled.way.stopped_by}[/yellow]", highlight=False)
     console.print(
         f"replay: {escape(str(demo.page.html))} ({demo.page.bytes / 1e6:.1f} MB)", highlight=False, soft_wrap=True
     )

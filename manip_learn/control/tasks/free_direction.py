@@ -57,6 +57,8 @@ class FreeDirection(Task):
         straight: The hand's place moves along the way only: free translations beside it stand still too, rather than
             being left to the null-space policy.
         keep_orientation: The hand does not turn either, as of a gripper that has closed on a handle.
+        pause: Time for which the hand stands still at the mechanism before the way begins, as to close a gripper [s];
+            the null-space policy meanwhile brings the arm into a better posture.
         take_hold: Go to the mechanism first. Only constraints that were learnt with a loose grip know where it is.
 
     Raises:
@@ -88,6 +90,7 @@ class FreeDirection(Task):
         unit: Unit | None = None,
         straight: bool = False,
         keep_orientation: bool = False,
+        pause: float = 0.0,
         take_hold: bool = False,
     ):
         numbers = {"distance": distance, "speed": speed, "gain": gain, "ramp": ramp}
@@ -99,6 +102,7 @@ class FreeDirection(Task):
         held = constraint.with_orientation() if keep_orientation else constraint
         self._motion: DrivenMotion = motion_of(held, direction, unit, straight)
         self._n_held = constraint.n_constraints
+        self.pause = _number("pause", pause, positive=True) if pause else 0.0
         self._profile = MotionProfile(numbers["distance"], numbers["speed"], numbers["ramp"])
         self.gain = numbers["gain"]
         self._shown = ShownPlaces.of(constraint, self._motion) if take_hold else None
@@ -123,7 +127,7 @@ class FreeDirection(Task):
     @property
     def duration(self) -> float:
         """How long the motion takes where no limit slows it down, with the way to the mechanism if known [s]."""
-        return self._profile.duration + (0.0 if self._approach is None else self._approach.duration)
+        return self.pause + self._profile.duration + (0.0 if self._approach is None else self._approach.duration)
 
     @property
     def way_begins(self) -> float | None:
@@ -147,7 +151,7 @@ class FreeDirection(Task):
         """How long the motion takes from posture q where no limit slows it down [s]."""
         far = self.hold(q)
         to_hold = 0.0 if far <= TAKEN else MotionProfile(far, APPROACH_SPEED, self._profile.ramp).duration + SETTLING
-        return self._profile.duration + to_hold
+        return self.pause + self._profile.duration + to_hold
 
     def progress(self, q: ArrayLike) -> float:
         """How far the way has come at posture q [m or rad]; 0 before it began, unless `start` was given."""
@@ -216,7 +220,7 @@ class FreeDirection(Task):
             if t - begun < self._approach.duration or apart(self._motion.origin(q), origin) > TAKEN:
                 share = min(gone / self._approach.distance, 1.0)
                 return between(self._start, origin, share), Setpoint(0.0, 0.0, math.inf)
-            self._way_begun = t
+            self._way_begun = t + self.pause
         after = t - (begun if self._way_begun is None else self._way_begun)
         return origin, Setpoint(*self._profile.at(after), self._profile.speed)
 
@@ -229,7 +233,7 @@ class FreeDirection(Task):
         if far > TAKEN:
             self._approach = MotionProfile(far, APPROACH_SPEED, self._profile.ramp)
         else:
-            self._way_begun = t
+            self._way_begun = t + self.pause
         self._begun, self._start, self._origin = t, start, origin
         return t, origin
 

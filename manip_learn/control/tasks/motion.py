@@ -28,6 +28,7 @@ def motion(
     direction: ArrayLike | str | None = None,
     speed: float | None = None,
     keep_orientation: bool = False,
+    pause: float = 0.0,
 ) -> FreeDirection:
     """A task: the hand goes along what the constraint leaves free, and holds what it holds.
 
@@ -44,6 +45,8 @@ def motion(
             a ball the axis of the turn; of a cylinder the name of a row (`"tangential"`, `"axial"`).
         speed: Largest rate [m/s or rad/s]; by default the hand moves at 0.1 m/s.
         keep_orientation: The hand does not turn either, as of a gripper that has closed on a handle.
+        pause: Time at rest on the mechanism before the way begins, as to close a gripper [s]; the null-space policy
+            uses it to leave a bad posture.
 
     Returns:
         A `FreeDirection`.
@@ -78,6 +81,7 @@ def motion(
         unit=unit,
         straight=True,
         keep_orientation=keep_orientation,
+        pause=pause,
         take_hold=True,
     )
 

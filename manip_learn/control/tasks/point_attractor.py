@@ -75,9 +75,7 @@ class PointAttractor(Task):
         if self.target.shape not in ((len(names),), (4, 4)) or isinstance(constraint.features, MechanismRows):
             raise TargetError(
                 f"the target must have {len(names)} numbers ({', '.join(names)}), got shape {self.target.shape}: "
-                + spoken(
-                    "a number per row of Lambda needs driven='held'", "a number per row of Lambda needs --rows held"
-                )
+                + advice("a number per row of Lambda needs {}", "driven='held'", "--rows held")
             )
         return Constraint(np.eye(len(names)), constraint.features, constraint.provenance)
 

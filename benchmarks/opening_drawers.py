@@ -1,0 +1,165 @@
+"""How often the manipulability of the task decides whether a drawer opens: from how many starts it helps, or hurts.
+
+A Sawyer takes hold of the handle of the learnt drawer (its shipped recordings), for half a second, and opens it by
+0.3 m at 0.1 m/s. Starts are drawn with the hand at the shut drawer of one of the three heights, within the joint limits:
+anywhere along the self-motion, or brought along it to within SINGULAR of a singularity of what is held and driven. A
+drawer counts as opened if the hand came the whole way and was never farther than 2 mm off its line: it would have to
+bend the rail, or let go.
+
+    python benchmarks/opening_drawers.py [--starts 200] [--seed 20000] [--out docs/figures_opening.md]
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import final
+
+import numpy as np
+from scipy.optimize import least_squares
+
+import manip_learn as ml
+from manip_learn.commands.demo import SCENES, shipped_recordings
+from manip_learn.control.way import WayDone, simulate_way
+
+SHUT = 0.75  # [m] where the handle is along the drawer's line when it is shut: the middle of the recorded starts
+HEIGHTS = (0.2, 0.35, 0.5)  # [m] of the three recorded drawers
+WAY, SPEED, PAUSE = 0.3, 0.1, 0.5  # [m], [m/s], [s] as a gripper takes to close
+STRAY = 2e-3  # [m] that the hand may be off the line
+SINGULAR = 0.02  # smallest singular value of the rows held and driven, of a start near a singularity [m or 1]
+MARGIN = 0.03  # [rad] of a start from the joint limits
+POLICIES = ("zero", "attractor", "manipulability")
+
+
+@final
+@dataclass(frozen=True)
+class Study:
+    """One kind of start and of grip."""
+
+    title: str
+    near: bool
+    keep_orientation: bool
+
+
+STUDIES = (
+    Study("anywhere, the hand may turn", near=False, keep_orientation=False),
+    Study("anywhere, the hand keeps its orientation", near=False, keep_orientation=True),
+    Study("near a singularity, the hand keeps its orientation", near=True, keep_orientation=True),
+)
+
+
+class Bench:
+    """The learnt drawer, starts at its handle, and ways from there."""
+
+    def __init__(self) -> None:
+        scene = SCENES["sawyer"]
+        self.robot = ml.load_robot("sawyer")
+        demonstrations = ml.load_demonstrations(shipped_recordings() / scene.recordings, self.robot)
+        self.features = ml.FrameJacobian(self.robot, scene.frame)
+        self.constraint = ml.ConstraintLearner(self.features).fit(demonstrations).constraint_
+        self.rest = np.array(scene.rest)
+        line = np.linalg.svd(self.constraint.selection)[2][2]
+        self.outward = -line * np.sign(line[0])  # the drawer opens towards the robot
+
+    def motion(self, keep_orientation: bool) -> ml.FreeDirection:
+        """The way of one drawer."""
+        return ml.motion(
+            self.constraint,
+            along=WAY,
+            direction=self.outward,
+            speed=SPEED,
+            pause=PAUSE,
+            keep_orientation=keep_orientation,
+        )
+
+    def at_handle(self, place: np.ndarray, q: np.ndarray) -> np.ndarray | None:
+        """The posture with the tip at a place that is found from q; None if none is."""
+        low, high = self.robot.position_lower + MARGIN, self.robot.position_upper - MARGIN
+        found = least_squares(
+            lambda x: self.robot.position(x, self.features.frame) - place,
+            np.clip(q, low + 1e-3, high - 1e-3),
+            jac=lambda x: self.features(x),
+            bounds=(low, high),
+            max_nfev=60,
+        )
+        return found.x if np.linalg.norm(found.fun) < 1e-6 else None
+
+    def start(self, rng: np.random.Generator, study: Study) -> np.ndarray:
+        """A start of a study."""
+        rows = self.motion(study.keep_orientation).constraint
+        while True:
+            place = -SHUT * self.outward + np.array([0.0, 0.0, rng.choice(HEIGHTS)])
+            q = self.at_handle(place, rng.uniform(self.robot.position_lower, self.robot.position_upper))
+            if q is not None and study.near:
+                q = self.nearly_singular(place, q, rows)
+            if q is not None:
+                return q
+
+    def nearly_singular(self, place: np.ndarray, q: np.ndarray | None, rows: ml.Constraint) -> np.ndarray | None:
+        """Along the self-motion down the slope of mu, until a singularity is near; None if none is on the way."""
+        for _ in range(60):
+            if q is None or np.linalg.svd(rows(q), compute_uv=False)[-1] < SINGULAR:
+                return q
+            A = self.features(q)
+            slope = (np.eye(len(q)) - np.linalg.pinv(A) @ A) @ ml.log_manipulability_gradient(rows, q)
+            q = self.at_handle(place, q - 0.08 * slope / np.linalg.norm(slope))
+        return None
+
+    def open(self, q: np.ndarray, policy: str, keep_orientation: bool) -> tuple[ml.Rollout, WayDone]:
+        """One drawer, opened as far as it gets."""
+        task = self.motion(keep_orientation)
+        policies = {
+            "zero": None,
+            "attractor": ml.JointAttractor(self.rest, robot=self.robot),
+            "manipulability": ml.ManipulabilityAscent(task.constraint),
+        }
+        return simulate_way(self.robot, ml.ResolvedRateController(self.constraint, task, policies[policy]), q)
+
+
+def opened(way: WayDone) -> bool:
+    """Whether the drawer is open, and the hand stayed on its line."""
+    return way.is_done and way.deviation <= STRAY
+
+
+def page(bench: Bench, n: int, seed: int) -> str:
+    """The table of all studies."""
+    lines = [
+        "| start, grip | policy | opened | helped | hurt | off the line [mm] | time [s] | least mu |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for number, study in enumerate(STUDIES):
+        rng = np.random.default_rng([seed, number])
+        starts = [bench.start(rng, study) for _ in range(n)]
+        ways = {p: [bench.open(q, p, study.keep_orientation)[1] for q in starts] for p in POLICIES}
+        without = np.array([opened(way) for way in ways["zero"]])
+        for policy in POLICIES:
+            done = np.array([opened(way) for way in ways[policy]])
+            off = np.percentile([1e3 * way.deviation for way in ways[policy]], [50, 90])
+            times = [way.seconds for way in ways[policy] if way.seconds is not None]
+            mu = np.median([way.least_manipulability for way in ways[policy]])
+            lines.append(
+                f"| {study.title} | {policy} | {np.sum(done)} of {n} | {np.sum(done & ~without)} | "
+                f"{np.sum(~done & without)} | {off[0]:.2f}, {off[1]:.1f} | {np.median(times):.2f} | {mu:.3f} |"
+            )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Print the table, or put it into the page between its marks."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--starts", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=20_000)
+    parser.add_argument("--out", type=Path)
+    given = parser.parse_args()
+    table = page(Bench(), given.starts, given.seed)
+    if given.out is None:
+        print(table)
+        return
+    head, _, rest = given.out.read_text().partition("<!-- table -->\n")
+    _, _, tail = rest.partition("<!-- end -->")
+    given.out.write_text(f"{head}<!-- table -->\n{table}\n<!-- end -->{tail}")
+
+
+if __name__ == "__main__":
+    main()
