@@ -1,10 +1,10 @@
 """How often the manipulability of the task decides whether a drawer opens: from how many starts it helps, or hurts.
 
 A Sawyer takes hold of the handle of the learnt drawer (its shipped recordings), for half a second, and opens it by
-0.3 m at 0.1 m/s. Starts are drawn with the hand at the shut drawer of one of the three heights, within the joint limits:
-anywhere along the self-motion, or brought along it to within SINGULAR of a singularity of what is held and driven. A
-drawer counts as opened if the hand came the whole way and was never farther than 2 mm off its line: it would have to
-bend the rail, or let go.
+0.3 m at 0.1 m/s. Starts are drawn with the hand at the shut drawer of one of the three heights, within the joint
+limits: anywhere along the self-motion, or brought along it to within SINGULAR of a singularity of what is held and
+driven. A drawer counts as opened if the hand came the whole way and was never farther than 2 mm off its line: it
+would have to bend the rail, or let go.
 
     python benchmarks/opening_drawers.py [--starts 200] [--seed 20000] [--out docs/figures_opening.md]
 """

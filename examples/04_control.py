@@ -2,10 +2,10 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn"]
 # ///
-"""Perform the learnt task while staying away from its singularities.
+"""Do the learnt task while staying away from its singularities: open the drawer.
 
-Three null-space policies from the same nearly singular start: none, a rest posture, and the ascent of the
-manipulability of the learnt constraint.
+The arm stands upright, where the tip can move neither up nor down. It takes hold of the handle and pulls, with each of
+three null-space policies: none, a rest posture, and the ascent of the manipulability of what the task holds and drives.
 """
 
 import argparse
@@ -28,19 +28,20 @@ def main() -> None:
     features = ml.FrameJacobian(robot, frame="right_gripper_tip", axes="xyz", reference="world")
     constraint = ml.ConstraintLearner(features).fit(demos).constraint_
 
-    start = np.array([1.2, -1.57, 0, 0, 0, 0, 0])  # upright: the tip cannot move up or down
-    target = [0.6, 0.27, 0.35]  # a point on the drawer's rail; only the constrained directions count
+    start = np.array([1.2, -1.57, 0, 0, 0, 0, 0])
+    task = ml.motion(constraint, along=0.3, direction=[-1, -0.5, 0], pause=0.5)  # towards the robot
     policies = {
         "zero": ml.ZeroPolicy(robot.nv),
         "attractor": ml.JointAttractor(robot.neutral()),
-        "manipulability": ml.ManipulabilityAscent(constraint),
+        "manipulability": ml.ManipulabilityAscent(task.constraint),
     }
     for name, policy in policies.items():
-        controller = ml.ResolvedRateController(constraint, task=ml.PointAttractor(target), null_policy=policy)
-        rollout = ml.simulate(robot, controller, start, duration=5.0, dt=0.01)
+        controller = ml.ResolvedRateController(constraint, task=task, null_policy=policy)
+        rollout = ml.simulate(robot, controller, start, duration=task.duration_from(start) + 0.5, dt=0.01)
+        way = rollout.manipulability[rollout.time >= task.way_begins]
         print(
-            f"{name:15} error left {rollout.task_error[-1]:.4f} m, mean mu {rollout.manipulability.mean():.3f}, "
-            f"peak speed {np.abs(rollout.u).max():.2f} rad/s, {rollout.status_counts}"
+            f"{name:15} at the handle after {task.way_begins:.1f} s, opened {task.progress(rollout.q[-1]):.3f} m, "
+            f"least mu on the way {way.min():.3f}, {rollout.status_counts}"
         )
 
 

@@ -28,11 +28,13 @@ def main() -> None:
     constraint = learner.constraint_
     constraint.save("drawer.json")
 
-    climb = ml.ManipulabilityAscent(constraint)
-    controller = ml.ResolvedRateController(constraint, task=ml.PointAttractor([0.6, 0.27, 0.35]), null_policy=climb)
-    rollout = ml.simulate(robot, controller, [1.2, -1.57, 0, 0, 0, 0, 0], duration=5.0, dt=0.01)
-    plain = ml.ResolvedRateController(constraint, task=ml.PointAttractor([0.6, 0.27, 0.35]))
-    without = ml.simulate(robot, plain, [1.2, -1.57, 0, 0, 0, 0, 0], duration=5.0, dt=0.01)
+    start = [1.2, -1.57, 0, 0, 0, 0, 0]
+    task = ml.motion(constraint, along=0.3, direction=[-1, -0.5, 0])  # the hand goes to the drawer and opens it
+    climb = ml.ManipulabilityAscent(task.constraint)
+    controller = ml.ResolvedRateController(constraint, task=task, null_policy=climb)
+    rollout = ml.simulate(robot, controller, start, duration=task.duration_from(start), dt=0.01)
+    plain = ml.ResolvedRateController(constraint, task=task)
+    without = ml.simulate(robot, plain, start, duration=task.duration_from(start), dt=0.01)
 
     page = ml.replay(
         robot, {"climbing": rollout, "plain": without}, html="replay.html", open_browser=not arguments.headless

@@ -20,10 +20,6 @@ from manip_learn.robot.robot import Robot
 # Phi of so many samples of 6 rows and 7 joints takes 5.5 MB, four blocks of `samples.BLOCK`
 IN_MEMORY_SAMPLES = 16_384
 
-# what a constraint file keeps of where its task was shown: enough to know the place and the reach of a drawer to a
-# centimetre or two, at 16 x 9 x 7 numbers or 10 kB
-KEPT_TRAJECTORIES, KEPT_POSTURES = 16, 9
-
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -53,16 +49,6 @@ class DataSummary:
     u: Float[np.ndarray, "k nv"]
     trajectory: Int[np.ndarray, " k"]
     notes: tuple[str, ...] = ()
-
-    def postures(self) -> list[list[float]]:
-        """Where the task was shown: a few postures of each of a few trajectories, for a file [rad or m]."""
-        first = (
-            np.searchsorted(self.trajectory, np.arange(self.trajectory[-1] + 2)) if len(self.q) else np.zeros(1, int)
-        )
-        filled = np.flatnonzero(np.diff(first) > 0)
-        chosen = filled[_spread(len(filled), KEPT_TRAJECTORIES)]
-        kept = np.concatenate([first[i] + _spread(first[i + 1] - first[i], KEPT_POSTURES) for i in chosen])
-        return np.round(self.q[kept], 5).tolist()
 
     @staticmethod
     def of(demonstrations: Demonstrations) -> DataSummary:
@@ -128,8 +114,3 @@ def in_memory(
     for features in feature_maps:
         check_joints(demos.joint_names, getattr(features, "robot", None))
     return demos
-
-
-def _spread(n: int, most: int) -> Int[np.ndarray, " k"]:
-    """At most so many of n places, evenly, the first and the last among them."""
-    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int))

@@ -22,6 +22,9 @@ from manip_learn.learning.selection_in_words import describe, free_directions
 from manip_learn.robot import html_card
 
 MOST_NOTES = 20
+# what a constraint file keeps of where its task was shown, evenly over all samples: the place and the reach of a drawer
+# to a centimetre or two, in 10 kB
+KEPT_POSTURES = 144
 _PHASE_COLUMNS = ("recording", "from [s]", "until [s]", "constraint")
 PROVENANCE = (
     *("estimator", "kind", "gap", "uncertainty_deg", "n_samples", "n_trajectories", "sentence", "warnings"),
@@ -239,7 +242,9 @@ def build_report(
         mechanism=mechanism,
     )
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
-    return Constraint(selection, features, provenance | {"postures": data.postures()}), report
+    places = np.linspace(0, len(data.q) - 1, min(len(data.q), KEPT_POSTURES)).round().astype(int)
+    provenance["postures"] = np.round(data.q[places], 5).tolist()
+    return Constraint(selection, features, provenance), report
 
 
 def _doubts(answer: Answer | None) -> tuple[str, ...]:

@@ -53,6 +53,7 @@ class PointAttractor(Task):
         if driven not in ("held", "all"):
             raise TargetError(f"driven must be 'held' or 'all', not {driven!r}")
         self.driven: Literal["held", "all"] = driven
+        self._all: Constraint | None = None
         try:
             self.target = np.array(target, dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -77,7 +78,9 @@ class PointAttractor(Task):
                 f"the target must have {len(names)} numbers ({', '.join(names)}), got shape {self.target.shape}: "
                 + advice("a number per row of Lambda needs {}", "driven='held'", "--rows held")
             )
-        return Constraint(np.eye(len(names)), constraint.features, constraint.provenance)
+        if self._all is None or self._all.features is not constraint.features:
+            self._all = Constraint(np.eye(len(names)), constraint.features, constraint.provenance)
+        return self._all  # the same one at each call, so that a policy that climbs it shares the controller's work
 
     def displacement(self, constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " s"]:
         """Lambda (r* - r(q)).

@@ -1,0 +1,235 @@
+"""A way along what was learnt, in one call: the hand goes to the mechanism, along it, and says what stopped it."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import manip_learn as ml
+from manip_learn.constraint.features import FrameJacobian, MechanismRows
+from manip_learn.control.tasks.motion import motion_to
+from manip_learn.control.way import DONE, WayDone, simulate_way
+from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
+
+DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
+READY = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7])
+# folder, robot, frame, number of the constraint
+LEARNT = {
+    "drawer": ("panda_drawer_whole", "panda", "panda_hand_tcp", 0),
+    "door": ("ur5_loose_door", "ur5", "tool0", 0),
+    "table": ("xarm7_drawer_then_table", "xarm7", "link_eef", 1),
+}
+
+
+@cache
+def learnt(name: str) -> tuple[ml.Constraint, ml.Demonstrations]:
+    """A constraint from the shipped recordings, and these."""
+    folder, robot_name, frame, number = LEARNT[name]
+    locked = ("panda_finger_joint1", "panda_finger_joint2") if robot_name == "panda" else ()
+    robot = ml.load_robot(robot_name, locked=locked)
+    demonstrations = ml.load_demonstrations(DATA / folder, robot)
+    return ml.ConstraintLearner(FrameJacobian(robot, frame)).fit(demonstrations).constraints_[number], demonstrations
+
+
+def screw() -> ml.Constraint:
+    """A valve in front of a Panda: 20 mm a turn, its handle 0.12 m from the axis, in a hand that may turn."""
+    robot = ml.load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
+    rows = MechanismRows(
+        robot,
+        "panda_hand_tcp",
+        "radial helical",
+        axis=[0.1, -0.2, 0.95],
+        point=[0.45, 0.1, 0.4],
+        pitch=0.02 / (2 * np.pi),
+    )
+    return ml.Constraint(np.eye(2), rows)
+
+
+def done(constraint: ml.Constraint, task: ml.FreeDirection, q0: np.ndarray) -> tuple[ml.Rollout, WayDone]:
+    climb = ml.ManipulabilityAscent(task.constraint)
+    return simulate_way(constraint.robot, ml.ResolvedRateController(constraint, task, climb), q0)
+
+
+def tips(constraint: ml.Constraint, rollout: ml.Rollout) -> np.ndarray:
+    frame = constraint.features.frame
+    return np.array([constraint.robot.position(q, frame) for q in rollout.q])
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"), [("drawer", {"along": 0.15}), ("door", {"turn": np.radians(40)}), ("table", {"along": 0.15})]
+)
+@pytest.mark.parametrize("far", [False, True])
+def test_what_was_learnt_is_done_from_the_mechanism_and_from_elsewhere(name: str, wanted: dict, far: bool) -> None:
+    """Drawer, door and table: the whole way to a millimetre or 0.2 degrees, less than 2 mm off, within the limits; a
+    hand that is elsewhere first goes to where the task was shown.
+    """
+    constraint, demonstrations = learnt(name)
+    robot = constraint.robot
+    direction = [1.0, 0.3, 0.0] if name == "table" else None
+    task = ml.motion(constraint, direction=direction, **wanted)
+    shown = np.array(constraint.provenance["postures"])
+    q0 = shown[0]
+    if far:  # a hand's breadth and more from every place that was shown
+        q0 = next(q for q in (robot.neutral(), READY, np.full(robot.nv, 0.4)) if len(q) == robot.nv and ok(robot, q))
+        assert task.hold(q0) > 0.1
+    else:
+        assert task.hold(q0) == 0.0
+    rollout, way = done(constraint, task, q0)
+    assert way.is_done and way.stopped_by is None
+    assert way.done == pytest.approx(way.wanted, abs=DONE[way.unit])
+    assert way.deviation < 2e-3
+    assert way.fastest[1] <= 1.0 + 1e-9
+    assert np.all(rollout.q <= robot.position_upper + 1e-9) and np.all(rollout.q >= robot.position_lower - 1e-9)
+    assert (way.begins == 0.0) is not far
+    begun = rollout.q[np.searchsorted(rollout.time, way.begins - 1e-9)]
+    nearest = np.min([np.linalg.norm(tip_of(constraint, begun) - tip_of(constraint, q)) for q in shown])
+    assert nearest < 0.1, "the way begins where the task was shown"
+
+
+def ok(robot: ml.Robot, q: np.ndarray) -> bool:
+    return bool(np.all((q >= robot.position_lower) & (q <= robot.position_upper)))
+
+
+def tip_of(constraint: ml.Constraint, q: np.ndarray) -> np.ndarray:
+    return constraint.robot.position(q, constraint.features.frame)
+
+
+def test_a_screw_turns_and_travels() -> None:
+    """40 degrees about the axis of a screw move the handle along it by its pitch."""
+    constraint = screw()
+    rows = constraint.features
+    task = ml.motion(constraint, turn=np.radians(40))
+    rollout, way = done(constraint, task, READY)
+    moved = tips(constraint, rollout)
+    assert way.is_done and np.degrees(way.done) == pytest.approx(40.0, abs=0.2)
+    assert way.deviation < 1e-4
+    travel = (moved[-1] - moved[0]) @ rows.geometry.axis
+    assert travel == pytest.approx(rows.geometry.pitch * way.done, abs=1e-4)
+    assert constraint.mechanism is not None and constraint.mechanism.type == "screw"
+
+
+def test_a_way_along_a_table_is_straight() -> None:
+    """The direction that is neither held nor driven stands still: the null-space policy does not carry the hand off."""
+    constraint, _ = learnt("table")
+    q0 = np.array(constraint.provenance["postures"][0])
+    task = ml.motion(constraint, along=0.15, direction=[1.0, 0.0, 0.0])
+    rollout, _way = done(constraint, task, q0)
+    moved = tips(constraint, rollout) - tips(constraint, rollout)[0]
+    f = task.constraint.selection[-1]
+    assert task.constraint.n_constraints == 3
+    assert np.max(np.linalg.norm(moved - np.outer(moved @ f, f), axis=1)) < 1e-3
+
+
+def test_the_hand_keeps_its_orientation_if_asked() -> None:
+    """A gripper that has closed on a handle does not turn on the way; otherwise it may."""
+    constraint, _ = learnt("drawer")
+    q0 = np.array(constraint.provenance["postures"][0])
+    turned = []
+    for keep in (True, False):
+        task = ml.motion(constraint, along=0.1, keep_orientation=keep)
+        rollout, way = done(constraint, task, q0)
+        first, last = (constraint.robot.pose(q, constraint.features.frame)[:3, :3] for q in rollout.q[[0, -1]])
+        turned.append(np.degrees(np.arccos(np.clip((np.trace(first.T @ last) - 1.0) / 2.0, -1.0, 1.0))))
+        assert way.is_done and way.deviation < 1e-3
+    assert turned[0] < 0.1 < turned[1]
+    door = learnt("door")[0].with_orientation()
+    assert door.n_constraints == 5 and door.mechanism is not None and door.mechanism.type == "hinge"
+    with pytest.raises(ConstraintError, match="no frame"):
+        ml.Constraint(
+            [[1.0, 0.0]], ml.CustomFeatures(lambda q: np.eye(2, 3), row_names=("a", "b"), nv=3)
+        ).with_orientation()
+
+
+def test_a_pause_lets_the_spare_joints_move_first() -> None:
+    """The hand stands still for the pause, and the manipulability at the beginning of the way is larger for it."""
+    constraint, _ = learnt("drawer")
+    q0 = np.array(constraint.provenance["postures"][0])
+    task = ml.motion(constraint, along=0.1, pause=0.8)
+    rollout, way = done(constraint, task, q0)
+    still = tips(constraint, rollout)[rollout.time < 0.8]
+    assert way.begins == pytest.approx(0.8, abs=0.011) and way.is_done
+    assert np.max(np.linalg.norm(still - still[0], axis=1)) < 1e-4
+    assert rollout.manipulability[80] > rollout.manipulability[0]
+
+
+def test_a_way_that_is_too_long_says_what_stops_it() -> None:
+    """How far it comes, and the joint whose limit or the singularity that ends it; nothing is beyond a limit."""
+    robot = ml.load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
+    knob = ml.Constraint(np.eye(6)[:5], FrameJacobian(robot, "panda_hand_tcp", "pose", "local"))
+    rollout, way = done(knob, ml.motion(knob, turn=6.0), READY)
+    assert not way.is_done and 1.0 < way.done < 6.0 and way.seconds is None
+    assert way.stopped_by is not None and way.stopped_by.startswith("joint 'panda_joint7' at its ")
+    assert np.all(rollout.q <= robot.position_upper + 1e-9) and np.all(rollout.q >= robot.position_lower - 1e-9)
+    drawer, _ = learnt("drawer")
+    _rollout, way = done(drawer, ml.motion(drawer, along=2.0), np.array(drawer.provenance["postures"][0]))
+    assert not way.is_done and way.to_dict()["stopped_by"] == way.stopped_by
+    with pytest.raises(ConfigurationError, match="must be a way"):
+        simulate_way(drawer.robot, ml.ResolvedRateController(drawer), READY)
+
+
+def test_a_line_does_not_turn_and_a_hinge_does_not_slide() -> None:
+    """The refusal says what was learnt and which argument fits; so do a way that is missing and one too many."""
+    drawer, door, table = (learnt(name)[0] for name in ("drawer", "door", "table"))
+    with pytest.raises(ConstraintError, match=r"a line along .* it slides: use along= \[m\]"):
+        ml.motion(drawer, turn=1.0)
+    with pytest.raises(ConstraintError, match=r"a hinge: .* it turns: use turn= \[rad\]"):
+        ml.motion(door, along=0.1)
+    with pytest.raises(ConstraintError, match="2 directions free .*direction="):
+        ml.motion(table, along=0.1)
+    for wrong in ({}, {"along": 0.1, "turn": 0.2}):
+        with pytest.raises(TargetError, match="how far to go, once"):
+            ml.motion(drawer, **wrong)
+
+
+def test_of_rows_of_a_pose_the_translations_are_meant() -> None:
+    """A drawer learnt from poses leaves a translation and three rotations free: `along` needs no direction there."""
+    robot = ml.load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
+    f = np.array([0.6, 0.64, 0.48])
+    across = np.linalg.svd(f[None])[2][1:]
+    leak = 0.004 * np.random.default_rng(0).normal(size=(2, 3))  # what a learnt Lambda has of rotations
+    constraint = ml.Constraint(np.hstack([across, leak]), FrameJacobian(robot, "panda_hand_tcp", "pose"))
+    task = ml.motion(constraint, along=0.1)
+    assert task.unit == "m" and abs(task.constraint.selection[-1][:3] @ f) > 0.999
+    assert constraint.mechanism is not None and constraint.mechanism.type == "line"
+    _rollout, way = done(constraint, task, READY)
+    assert way.is_done
+    held = ml.Constraint(np.eye(6)[3:5], FrameJacobian(robot, "panda_hand_tcp", "pose"))  # an upright cup
+    with pytest.raises(ConstraintError, match="3 directions free"):
+        ml.motion(held, along=0.1)
+    assert ml.motion(held, along=0.1, direction=[0, 0, 1]).unit == "m"
+
+
+def test_a_door_is_turned_towards_a_point() -> None:
+    """The handle comes as near to the point as the circle allows; a hand that is elsewhere is refused."""
+    constraint, _ = learnt("door")
+    q0 = np.array(constraint.provenance["postures"][0])
+    g, here = constraint.features.geometry, tip_of(constraint, q0)
+    K = np.cross(np.eye(3), g.axis)
+    turned = g.point + (np.eye(3) - np.sin(0.5) * K + (1 - np.cos(0.5)) * K @ K) @ (here - g.point)
+    task = motion_to(constraint, turned, q0)
+    assert abs(task.wanted) == pytest.approx(0.5, abs=1e-6)
+    rollout, way = done(constraint, task, q0)
+    assert way.is_done and np.linalg.norm(tips(constraint, rollout)[-1] - turned) < 1e-3
+    with pytest.raises(TargetError, match="away from the hinge"):
+        motion_to(constraint, turned + [0.5, 0.5, 0.0], np.array([0.5, -1.5, 1.0, -1.0, -1.5, 0.0]))
+    with pytest.raises(ConstraintError, match="turns about no one axis"):
+        motion_to(learnt("drawer")[0], turned, READY)
+
+
+def test_a_target_is_a_point_for_all_rows_and_a_line_for_the_held_ones() -> None:
+    """`driven="all"` brings the tip to the point; `"held"`, the paper's law, to the line through it only."""
+    constraint, _ = learnt("drawer")
+    q0 = np.array(constraint.provenance["postures"][0])
+    free = ml.motion(constraint, along=0.1).constraint.selection[-1]
+    point = tip_of(constraint, q0) + 0.1 * free
+    for driven, near in (("all", True), ("held", False)):
+        task = ml.PointAttractor(point, 2.0, driven=driven)
+        rollout = ml.simulate(constraint.robot, ml.ResolvedRateController(constraint, task), q0, 4.0, 0.01)
+        left = tips(constraint, rollout)[-1] - point
+        assert bool(np.linalg.norm(left) < 1e-3) is near
+        assert np.linalg.norm(constraint.selection @ left) < 1e-3
+    with pytest.raises(TargetError, match="3 numbers .*driven='held'"):
+        ml.ResolvedRateController(constraint, ml.PointAttractor([0.1, 0.2], driven="all"))
