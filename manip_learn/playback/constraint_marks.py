@@ -38,8 +38,8 @@ def constraint_marks(robot: Robot, samples: MotionSamples, guidance: Guidance, m
         guidance: Its constraint and its target.
         most: See `places_per_motion`.
     """
-    constraint = guidance.constraint
-    if constraint is None:
+    constraint, learnt = guidance.constraint, guidance.learnt
+    if constraint is None or learnt is None:
         return None
     kept = np.unique(np.linspace(0, samples.time.size - 1, min(samples.time.size, most)).round().astype(int))
     frame = getattr(constraint.features, "frame", None)
@@ -48,17 +48,20 @@ def constraint_marks(robot: Robot, samples: MotionSamples, guidance: Guidance, m
     kinematics = batch_kinematics(robot, frame)
     q = samples.q[kept]
     poses = kinematics.pose(q)
-    directions = held_directions(constraint, poses[:, :3, 3])
-    if directions is None:
+    directions, ruled = (held_directions(c, poses[:, :3, 3]) for c in (learnt, constraint))
+    if directions is None or ruled is None:
         return None
+    is_driven = constraint.n_constraints > learnt.n_constraints
+    target = target_place(robot, constraint, guidance.target, samples.q[0])
     names = "held", "free", "held_turns", "free_turns"
     return {
         "tip": _place(robot, frame),
         "axes": None if directions.axes is None else _place(robot, directions.axes),
         "times": packed(samples.time[kept], "<f8"),
         **{_key(n): packed(getattr(directions, n)[..., *SIX], "<f4") for n in names},
-        "ellipsoid": packed(_ellipsoids(robot, directions, q)[:, *SIX], "<f4"),
-        "target": target_place(robot, constraint, guidance.target, samples.q[0]),
+        "ellipsoid": packed(_ellipsoids(robot, ruled, q)[:, *SIX], "<f4"),
+        "driven": is_driven,
+        "target": None if target is None else target | {"anywhereAlong": not is_driven},
     }
 
 

@@ -21,7 +21,8 @@ from manip_learn.robot.robot import Robot
 
 MAX_POSTURES_FOR_BOUNDS = 120
 OUTLINE_DIRECTIONS = 240
-ELLIPSOID = 0.12  # longest semi-axis relative to the scene
+ELLIPSOID = 0.08  # longest semi-axis relative to the scene
+MARKS = 0.085  # half length of an arrow relative to the scene, as in page/constraint_marks.js
 
 
 def scene_data(
@@ -33,10 +34,11 @@ def scene_data(
     colours: Sequence[tuple[str, str]],
     notes: Sequence[str],
     kinds: Sequence[PhaseKind] = (),
-    mechanism: MechanismDrawing | None = None,
+    mechanisms: Sequence[MechanismDrawing | None] = (),
 ) -> dict[str, Any]:
     """The data of a page; arrays are little-endian and in base64."""
-    cloud = np.concatenate([_drawn_points(robot, looks, motions), *(mechanism.lines if mechanism else ())])
+    cloud = np.concatenate([_drawn_points(robot, looks, motions), *(x for m in mechanisms if m for x in m.lines)])
+    cloud = np.concatenate([cloud, *(m.furniture.corners() for m in motions if m.furniture), *_marked(cloud, motions)])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     most, places = points_per_curve([m.measures for m in motions]), places_per_motion(len(motions))
     marks = [None if m.samples is None else constraint_marks(robot, m.samples, m.guidance, places) for m in motions]
@@ -54,12 +56,20 @@ def scene_data(
         "ellipsoidScale": ellipsoid_scale(marks, ELLIPSOID * float(np.linalg.norm(high - low))),
         "notes": list(notes),
         "phaseKinds": [{"label": k.label, "mark": k.mark, "colour": k.colour, "ink": k.ink} for k in kinds],
-        "mechanism": None if mechanism is None else _mechanism(mechanism),
+        "mechanisms": [_mechanism(k, m) for k, m in enumerate(mechanisms) if m is not None],
     }
 
 
-def _mechanism(mechanism: MechanismDrawing) -> dict[str, Any]:
+def _marked(cloud: Float[np.ndarray, "C 3"], motions: Sequence[RecordedMotion]) -> list[Float[np.ndarray, "M 3"]]:
+    """Where the marks at the tip reach to, along the path [m]."""
+    reach = MARKS * float(np.linalg.norm(np.ptp(cloud, axis=0)))
+    paths = [m.path[:: max(1, len(m.path) // MAX_POSTURES_FOR_BOUNDS)] for m in motions if m.guidance.constraints]
+    return [path + reach * side for path in paths for side in (*np.eye(3), *-np.eye(3))]
+
+
+def _mechanism(k: int, mechanism: MechanismDrawing) -> dict[str, Any]:
     return {
+        "constraint": k,
         "type": mechanism.type,
         "sentence": mechanism.sentence,
         "lines": [packed(line, "<f4") for line in mechanism.lines],
@@ -137,6 +147,7 @@ def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
         "status": [list(change) for change in motion.status],
         "firstTime": motion.first_time,
         "fitShare": motion.fit_share,
+        "furniture": None if motion.furniture is None else motion.furniture.to_dict(),
         # start, end, number of the kind; -1 for free motion
         "phases": [[b.start, b.end, -1 if b.constraint is None else b.constraint] for b in motion.phases],
     }

@@ -44,7 +44,7 @@ class Track:
     """Curves that share an axis.
 
     Attributes:
-        kind: `"singular"`, `"velocity"`, `"position"`, `"task-error"`, `"following-error"` or `"fit"`.
+        kind: `"singular"`, `"velocity"`, `"position"`, `"task-error"`, `"following-error"`, `"fit"` or `"opening"`.
         curves: At least one.
         unit: Of the values; `"limit"` for shares of a limit or of a range, empty where there is none.
         without: Joints that are not shown, because they have no limits.
