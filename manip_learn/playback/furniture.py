@@ -200,7 +200,7 @@ def _corners(boxes: tuple[Box, ...]) -> Float[np.ndarray, "n 3"]:
 
 def _drawer(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
     """A chest, on the floor if it is upright, and its drawer, deep enough to be pulled so far."""
-    width, depth = float(np.clip(1.4 * travel, 0.3, 0.6)), travel + 0.08
+    width, depth = float(np.clip(1.2 * travel, 0.26, 0.5)), travel + 0.08
     height = 0.42 * width
     inner, face = width - 4.0 * BOARD, -STANDOFF
     low = 0.5 * BOARD - 0.4 * height

@@ -22,6 +22,7 @@ from manip_learn.robot.robot import Robot
 MAX_POSTURES_FOR_BOUNDS = 120
 OUTLINE_DIRECTIONS = 240
 ELLIPSOID = 0.08  # longest semi-axis relative to the scene
+ASIDE = np.deg2rad(62.0)  # the camera from what it looks at
 MARKS = 0.085  # half length of an arrow relative to the scene, as in page/constraint_marks.js
 
 
@@ -179,9 +180,14 @@ def _outermost(cloud: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "D 3"]:
 
 
 def _azimuth(motions: Sequence[RecordedMotion]) -> float:
-    """Where the camera stands [rad], so that the arm is seen from its side and a little from its front."""
+    """Where the camera stands [rad]: beside the arm and a little before it, or before the front that is opened."""
     x, y, _ = np.concatenate([m.path for m in motions]).mean(axis=0)
-    return float(np.arctan2(y, x) - np.deg2rad(62.0)) if np.hypot(x, y) > 1e-6 else float(np.deg2rad(-50.0))
+    usual = float(np.arctan2(y, x) - ASIDE) if np.hypot(x, y) > 1e-6 else float(np.deg2rad(-50.0))
+    out = next((m.furniture.pose[:2, 1] for m in motions if m.furniture), np.zeros(2))
+    if np.hypot(*out) < 0.5:
+        return usual
+    front = float(np.arctan2(out[1], out[0]))
+    return min((front - ASIDE, front + ASIDE), key=lambda side: -np.cos(side - usual))
 
 
 def _corners(looks: Appearance, joint: int) -> Float[np.ndarray, "C 3"]:

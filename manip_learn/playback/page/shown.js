@@ -2,10 +2,12 @@
 
 const SHOWN = {
   constraint: { say: "Constraint at the tip", on: true },
+  furniture: { say: "Furniture that is moved", on: true },
   mechanism: { say: "Mechanism", on: true },
   target: { say: "Target", on: true },
-  ellipsoid: { say: "Ellipsoid of the task", on: false },
+  ellipsoid: { say: "Ellipsoid of the task", on: true },
   paths: { say: "Paths of the tip", on: true },
+  labels: { say: "Labels", on: true },
 };
 
 class Shown {
@@ -17,13 +19,16 @@ class Shown {
       rollout.drawn = new ConstraintMarks(rollout.marks, rollout.instance, size, data.ellipsoidScale);
       rollout.instance.root.add(rollout.drawn.group);
     }
+    if (show.stage) this.labels = labelScene(show, this.on);
     this.offer(data);
     this.apply();
   }
 
   has(name) {
-    if (name === "mechanism") return Boolean(this.show.mechanismGroup);
+    if (name === "mechanism") return this.show.mechanisms.length > 0;
     if (name === "paths") return true;
+    if (name === "furniture") return this.show.rollouts.some((r) => r.piece);
+    if (name === "labels") return ["constraint", "mechanism", "furniture"].some((other) => this.has(other));
     return this.show.rollouts.some((r) => r.drawn && (name !== "target" || r.drawn.target) && (name !== "ellipsoid" || r.drawn.ellipsoid.some((x) => x !== 0)));
   }
 
@@ -55,9 +60,11 @@ class Shown {
   apply() {
     for (const r of this.show.rollouts) {
       if (r.trail) r.trail.group.visible = this.on.paths;
+      if (r.piece) r.piece.group.visible = this.on.furniture;
       if (!r.drawn) continue;
       for (const [name, part] of Object.entries(r.drawn.parts)) part.visible = r.solid && this.on[name];
     }
+    if (this.labels) this.labels.hidden = !this.on.labels;
     if (this.show.mechanismGroup) this.show.mechanismGroup.visible = this.on.mechanism;
     this.setTime(this.show.time);
     if (this.show.stage) this.show.stage.dirty();
