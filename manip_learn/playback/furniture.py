@@ -34,7 +34,7 @@ class Furniture:
         pose: shape (4, 4), that frame in the robot's base [m].
         times: shape (T,), from the motion's first sample on [s].
         opening: shape (T,), 0 where it is shut [m for a drawer, rad for the others].
-        radius: From the axis to the handle [m]; 0 for a drawer.
+        pivot: shape (3,), on the axis about which it turns, in that frame [m]; zero for a drawer.
         pitch: Travel along the axis per radian [m/rad].
         fixed, moving: Boxes as (centre x, y, z, size x, y, z, what) [m].
     """
@@ -43,7 +43,7 @@ class Furniture:
     pose: Float[np.ndarray, "4 4"]
     times: Float[np.ndarray, " T"]
     opening: Float[np.ndarray, " T"]
-    radius: float
+    pivot: Float[np.ndarray, " 3"]
     pitch: float
     fixed: tuple[Box, ...]
     moving: tuple[Box, ...]
@@ -59,9 +59,8 @@ class Furniture:
             local = points + [0.0, opening, 0.0]
         else:
             c, s = np.cos(opening), np.sin(opening)
-            arm = points + [self.radius, 0.0, 0.0]
-            local = arm @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-            local += [-self.radius, 0.0, self.pitch * opening]
+            turned = (points - self.pivot) @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+            local = self.pivot + turned + [0.0, 0.0, self.pitch * opening]
         return local @ self.pose[:3, :3].T + self.pose[:3, 3]
 
     def corners(self) -> Float[np.ndarray, "n 3"]:
@@ -76,7 +75,7 @@ class Furniture:
         return {
             "kind": self.kind,
             "pose": [float(x) for x in self.pose.ravel()],
-            "radius": self.radius,
+            "pivot": self.pivot.tolist(),
             "pitch": self.pitch,
             "fixed": [list(box) for box in self.fixed],
             "moving": [list(box) for box in self.moving],
@@ -115,9 +114,9 @@ def furniture_of(
     moved[begin:end] = np.maximum(sense * (along[begin:end] - along[begin]), 0.0)
     moved[end:] = moved[end - 1]
     if kind != "drawer" and point is not None:
-        pose, radius = _about(sense * axis, point, path[begin])
-        boxes = _door(radius) if kind == "door" else _crank(radius)
-        return Furniture(kind, pose, times, moved, radius, pitch, *boxes)
+        pose, pivot = _about(sense * axis, point, path[begin], STANDOFF if kind == "door" else 0.0)
+        boxes = _door(pivot) if kind == "door" else _crank(-float(pivot[0]))
+        return Furniture(kind, pose, times, moved, pivot, pitch, *boxes)
     out, travel = sense * axis, float(moved.max())
     away = path[begin] * [1.0, 1.0, 0.0]
     if out @ away > TO_THE_BASE * np.linalg.norm(away):
@@ -125,7 +124,7 @@ def furniture_of(
         moved = travel - moved
     else:
         pose = _facing(out, path[begin])
-    return Furniture(kind, pose, times, moved, 0.0, 0.0, *_drawer(travel, pose))
+    return Furniture(kind, pose, times, moved, np.zeros(3), 0.0, *_drawer(travel, pose))
 
 
 def _coordinates(
@@ -177,14 +176,17 @@ def _facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Fl
 
 
 def _about(
-    axis: Float[np.ndarray, " 3"], point: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]
-) -> tuple[Float[np.ndarray, "4 4"], float]:
-    """Pose of a handle that turns about an axis, and its distance from that [m]."""
+    axis: Float[np.ndarray, " 3"], point: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"], standoff: float
+) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, " 3"]]:
+    """Pose of a handle that turns about an axis and stands off the leaf, which reaches to the axis; and that axis."""
     arm = handle - point
     arm = arm - (arm @ axis) * axis
     radius = float(np.linalg.norm(arm))
-    right = arm / radius
-    return _pose(right, np.cross(axis, right), axis, handle), radius
+    right, out = arm / radius, np.cross(axis, arm / radius)
+    sine = min(standoff / radius, 0.5)
+    cosine = float(np.sqrt(1.0 - sine**2))
+    pose = _pose(cosine * right - sine * out, sine * right + cosine * out, axis, handle)
+    return pose, np.array([-cosine * radius, -sine * radius, 0.0])
 
 
 def _pose(x: np.ndarray, y: np.ndarray, z: np.ndarray, origin: np.ndarray) -> Float[np.ndarray, "4 4"]:
@@ -224,16 +226,16 @@ def _drawer(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[Box, .
     return chest, moving
 
 
-def _door(radius: float) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
-    """A cupboard and its door, which turns about the axis at x = -radius."""
-    left, right, half = -radius, 0.18 * radius + 0.03, float(np.clip(0.7 * radius, 0.14, 0.4))
-    leaf = (0.5 * (left + right), -STANDOFF - 0.5 * BOARD, 0.0, right - left, BOARD, 2.0 * half, FRONT)
+def _door(pivot: Float[np.ndarray, " 3"]) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
+    """A cupboard and its door, from the axis to a little beyond the handle."""
+    left, face = float(pivot[0]), float(pivot[1])
+    right, half = -0.18 * left + 0.03, float(np.clip(-0.7 * left, 0.14, 0.4))
     bar = 0.35 * half
-    moving = (leaf, (0.0, 0.0, 0.0, 0.014, 0.014, 2.0 * bar, HANDLE), *(
-        (0.0, -0.5 * STANDOFF, z * 0.8 * bar, 0.01, STANDOFF, 0.01, HANDLE) for z in (-1.0, 1.0)
-    ))  # fmt: skip
-    case = _case(left, right, -half, half, 0.5 * radius + 0.05, -STANDOFF - BOARD)
-    return (*case, (left, -STANDOFF - 0.5 * BOARD, 0.0, 0.018, 0.018, 2.0 * half, HANDLE)), moving
+    feet = ((0.0, 0.5 * face, z * 0.8 * bar, 0.01, -face, 0.01, HANDLE) for z in (-1.0, 1.0))
+    leaf = (0.5 * (left + right), face - 0.5 * BOARD, 0.0, right - left, BOARD, 2.0 * half, FRONT)
+    case = _case(left, right, -half, half, 0.05 - 0.5 * left, face - BOARD)
+    hinge = (left, face, 0.0, 0.016, 0.016, 2.0 * half, HANDLE)
+    return (*case, hinge), (leaf, (0.0, 0.0, 0.0, 0.014, 0.014, 2.0 * bar, HANDLE), *feet)
 
 
 def _crank(radius: float) -> tuple[tuple[Box, ...], tuple[Box, ...]]:

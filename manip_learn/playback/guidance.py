@@ -38,15 +38,6 @@ class Guidance:
         """The first one."""
         return self.constraints[0] if self.constraints else None
 
-    @property
-    def learnt(self) -> Constraint | None:
-        """The first one without the rows that a task drives, which follow those that were learnt."""
-        constraint = self.constraint
-        n = None if constraint is None else constraint.provenance.get("n_constraints")
-        if constraint is None or not isinstance(n, int) or not 0 < n < constraint.n_constraints:
-            return constraint
-        return Constraint(constraint.selection[:n], constraint.features, constraint.provenance)
-
     def mechanism(self, k: int) -> Mapping[str, Any] | None:
         """That of constraint k, as it keeps it; None if it keeps none."""
         kept = self.constraints[k].provenance.get("mechanism") if k < len(self.constraints) else None

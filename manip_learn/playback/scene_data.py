@@ -42,7 +42,7 @@ def scene_data(
     cloud = np.concatenate([cloud, *(m.furniture.corners() for m in motions if m.furniture), *_marked(cloud, motions)])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     most, places = points_per_curve([m.measures for m in motions]), places_per_motion(len(motions))
-    marks = [None if m.samples is None else constraint_marks(robot, m.samples, m.guidance, places) for m in motions]
+    marks = [[] if m.samples is None else constraint_marks(robot, m.samples, m.guidance, places) for m in motions]
     return {
         "robot": _robot(robot, tree, looks, tip),
         "bounds": [low.tolist(), high.tolist()],
@@ -54,7 +54,7 @@ def scene_data(
             _rollout(m, c) | {"measures": track_data(m.measures, most), "marks": mark}
             for m, c, mark in zip(motions, colours, marks, strict=True)
         ],
-        "ellipsoidScale": ellipsoid_scale(marks, ELLIPSOID * float(np.linalg.norm(high - low))),
+        "ellipsoidScale": ellipsoid_scale([one for some in marks for one in some], ELLIPSOID * float(np.linalg.norm(high - low))),
         "notes": list(notes),
         "phaseKinds": [{"label": k.label, "mark": k.mark, "colour": k.colour, "ink": k.ink} for k in kinds],
         "mechanisms": [_mechanism(k, m) for k, m in enumerate(mechanisms) if m is not None],

@@ -93,7 +93,7 @@ class ConstraintMarks {
   }
 
   setTime(t, isHeld) {
-    this.time = t;
+    Object.assign(this, { time: t, holds: isHeld });
     const tip = this.poseOf(this.tip), centre = new THREE.Vector3().setFromMatrixPosition(tip);
     const turn = this.axes ? new THREE.Quaternion().setFromRotationMatrix(new THREE.Matrix4().extractRotation(this.poseOf(this.axes))) : new THREE.Quaternion();
     for (const part of [this.parts.constraint, this.parts.ellipsoid]) {

@@ -37,12 +37,12 @@ class FurniturePiece {
   }
 
   setTime(t) {
-    const open = valueAt(this.curve, Math.min(t, this.rollout.duration)), r = this.radius;
+    const open = valueAt(this.curve, Math.min(t, this.rollout.duration)), [x, y] = this.pivot, c = Math.cos(open), s = Math.sin(open);
     for (const part of [this.leaf, this.outline]) {
       if (this.kind === "drawer") part.position.y = open;
       else {
         part.rotation.z = open;
-        part.position.set(r * (Math.cos(open) - 1), r * Math.sin(open), this.pitch * open);
+        part.position.set(x - c * x + s * y, y - s * x - c * y, this.pitch * open);
       }
     }
     this.carcass.visible = this.leaf.visible = this.rollout.solid;

@@ -55,10 +55,10 @@ class Labels {
 // What the solid rollout's marks are, how far its drawer is open, and which line was learnt.
 function labelScene(show, on) {
   const labels = new Labels(show.stage), drawn = () => (show.solid.visible && show.solid.drawn) || null;
-  const mark = (name, ink, say) => labels.add(ink, () => (on[name] && drawn() ? say(drawn()) : ""), () => drawn().anchors()[ink]);
+  const mark = (name, ink, say) => labels.add(ink, () => (on[name] && drawn() && drawn().holds ? say(drawn()) : ""), () => drawn().anchors()[ink]);
   mark("constraint", "--free", (d) => (d.drawn.free.length ? "free to move" : "free to turn"));
   mark("constraint", "--held", (d) => (d.drawn.held.length ? "held" : "may not turn"));
-  mark("ellipsoid", "--ellipsoid", (d) => (d.driven ? "speed within reach" : "speed within reach, along what is held"));
+  mark("ellipsoid", "--ellipsoid", () => "speed within reach (μ)");
   mark("target", "--goal", () => "target");
   labels.add("--goal", () => (on.target && drawn() && drawn().reachedAt ? "any place on this line counts as reached" : ""), () => drawn().reachedAt);
   const piece = () => show.solid.visible && show.solid.piece;

@@ -5,7 +5,7 @@ const SHOWN = {
   furniture: { say: "Furniture that is moved", on: true },
   mechanism: { say: "Mechanism", on: true },
   target: { say: "Target", on: true },
-  ellipsoid: { say: "Ellipsoid of the task", on: true },
+  ellipsoid: { say: "Ellipsoid of the task" },
   paths: { say: "Paths of the tip", on: true },
   labels: { say: "Labels", on: true },
 };
@@ -13,11 +13,12 @@ const SHOWN = {
 class Shown {
   constructor(data, show) {
     Object.assign(this, { show, scale: data.ellipsoidScale, on: Object.fromEntries(Object.entries(SHOWN).map(([name, { on }]) => [name, on])) });
+    this.on.ellipsoid = show.rollouts.some((r) => r.curve.length); // it belongs to the curve
     const size = show.stage ? show.stage.size : 1;
     for (const rollout of show.rollouts) {
-      if (!rollout.marks) continue;
-      rollout.drawn = new ConstraintMarks(rollout.marks, rollout.instance, size, data.ellipsoidScale);
-      rollout.instance.root.add(rollout.drawn.group);
+      rollout.allDrawn = rollout.marks.map((marks) => marks && new ConstraintMarks(marks, rollout.instance, size, data.ellipsoidScale));
+      rollout.drawn = rollout.allDrawn[0];
+      for (const drawn of rollout.allDrawn) if (drawn) rollout.instance.root.add(drawn.group);
     }
     if (show.stage) this.labels = labelScene(show, this.on);
     this.offer(data);
@@ -61,8 +62,7 @@ class Shown {
     for (const r of this.show.rollouts) {
       if (r.trail) r.trail.group.visible = this.on.paths;
       if (r.piece) r.piece.group.visible = this.on.furniture;
-      if (!r.drawn) continue;
-      for (const [name, part] of Object.entries(r.drawn.parts)) part.visible = r.solid && this.on[name];
+      for (const drawn of r.allDrawn) if (drawn) for (const [name, part] of Object.entries(drawn.parts)) part.visible = r.solid && this.on[name];
     }
     if (this.labels) this.labels.hidden = !this.on.labels;
     if (this.show.mechanismGroup) this.show.mechanismGroup.visible = this.on.mechanism;
@@ -70,8 +70,14 @@ class Shown {
     if (this.show.stage) this.show.stage.dirty();
   }
 
+  // The marks of the constraint that holds now; where none does, those of the one before stay faint.
   setTime(t) {
-    for (const r of this.show.rollouts)
-      if (r.drawn && r.solid && r.visible) r.drawn.setTime(Math.min(t, r.duration), !r.hasPhases || phaseAt(r, Math.min(t, r.duration)) === r.kinds[0]);
+    for (const r of this.show.rollouts) {
+      const now = Math.min(t, r.duration), k = r.hasPhases ? r.kinds.indexOf(phaseAt(r, now)) : 0;
+      const holds = k >= 0 && k < r.allDrawn.length;
+      if (holds) r.drawn = r.allDrawn[k];
+      for (const drawn of r.allDrawn) if (drawn) drawn.group.visible = drawn === r.drawn;
+      if (r.drawn && r.solid && r.visible) r.drawn.setTime(now, holds);
+    }
   }
 }
