@@ -58,8 +58,6 @@ def _marks(
     directions, ruled = (held_directions(c, poses[:, :3, 3]) for c in (learnt, constraint))
     if directions is None or ruled is None:
         return None
-    is_driven = constraint.n_constraints > learnt.n_constraints
-    target = target_place(robot, constraint, goal, samples.q[0])
     names = "held", "free", "held_turns", "free_turns"
     return {
         "tip": _place(robot, frame),
@@ -67,8 +65,8 @@ def _marks(
         "times": packed(samples.time[kept], "<f8"),
         **{_key(n): packed(getattr(directions, n)[..., *SIX], "<f4") for n in names},
         "ellipsoid": packed(_ellipsoids(robot, ruled, q)[:, *SIX], "<f4"),
-        "driven": is_driven,
-        "target": None if target is None else target | {"anywhereAlong": not is_driven},
+        "driven": constraint.n_constraints > learnt.n_constraints,  # along what is free, too
+        "target": target_place(robot, constraint, goal, samples.q[0]),
     }
 
 

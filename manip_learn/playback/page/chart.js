@@ -204,18 +204,19 @@ class Chart {
     if (!this.readout || this.time === undefined || !this.onSeek) return;
     const t = this.hover ?? this.time, shown = [...this.curves].sort((a, b) => b.solid - a.solid).slice(0, MOST_READ);
     this.readout.replaceChildren();
-    if (!shown.length || this.bottom - this.top < 19 + READ_ROW * shown.length) return;
-    const x = this.x(t), values = shown.map((r) => curveValue(r, Math.min(t, r.duration))), rows = values.map(readable);
-    const wide = 44 + 7.2 * Math.max(`${t.toFixed(2)} s`.length - 3, ...rows.map((row) => row.length)), high = 20 + READ_ROW * rows.length;
-    const left = x + 12 + wide > this.right ? x - 12 - wide : x + 12, middle = values.reduce((sum, v) => sum + this.y(v), 0) / values.length;
+    if (!shown.length) return;
+    const x = this.x(t), values = shown.map((r) => curveValue(r, Math.min(t, r.duration))), rows = values.map(readable), n = rows.length;
+    const flat = this.bottom - this.top < 24 + READ_ROW * n, cell = 36 + 7.4 * Math.max(...rows.map((row) => row.length)); // side by side where the curves are low
+    const wide = flat ? 58 + cell * n : Math.max(cell + 8, 68), high = flat ? 22 : 22 + READ_ROW * n;
+    const left = x + 12 + wide > this.right ? Math.max(x - 12 - wide, 0) : x + 12, middle = values.reduce((sum, v) => sum + this.y(v), 0) / n;
     const top = middle > (this.top + this.bottom) / 2 ? this.top + 1 : this.bottom - high - 3;
     svg("rect", { x: left, y: top, width: wide, height: high, rx: 6 }, this.readout);
     if (this.hover !== undefined) svg("line", { x1: x, x2: x, y1: this.top, y2: this.bottom }, this.readout);
     svg("text", { x: left + 9, y: top + 15 }, this.readout).textContent = `${t.toFixed(2)} s`;
     rows.forEach((row, i) => {
-      const y = top + 15 + READ_ROW * (i + 1);
-      svg("line", { x1: left + 9, x2: left + 25, y1: y - 4, y2: y - 4, style: `stroke: ${shown[i].colour}`, "stroke-width": 3, "stroke-dasharray": DASHES[shown[i].index % DASHES.length] }, this.readout);
-      svg("text", { x: left + 32, y, class: "value" }, this.readout).textContent = row;
+      const from = left + 9 + (flat ? 50 + cell * i : 0), y = top + 15 + (flat ? 0 : READ_ROW * (i + 1));
+      svg("line", { x1: from, x2: from + 16, y1: y - 4, y2: y - 4, style: `stroke: ${shown[i].colour}`, "stroke-width": 3, "stroke-dasharray": DASHES[shown[i].index % DASHES.length] }, this.readout);
+      svg("text", { x: from + 22, y, class: "value" }, this.readout).textContent = row;
     });
   }
 

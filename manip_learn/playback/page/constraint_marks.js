@@ -212,7 +212,7 @@ class ConstraintMarks {
       this.parts.target.add(this.line(at.clone().sub(d), at.clone().add(d), this.inks.goal, 0.7 * THIN));
     }
     // along what is free every place counts as reached
-    const free = target.anywhereAlong && this.free.length === 6 && !this.axes ? directionsOf(symmetric(this.free, 0)) : [];
+    const free = !this.driven && this.free.length === 6 && !this.axes ? directionsOf(symmetric(this.free, 0)) : [];
     if (free.length !== 1) return;
     const d = free[0].multiplyScalar(3 * ARROW * this.size);
     this.reachedAt = at.clone().add(d);
