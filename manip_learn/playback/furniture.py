@@ -17,7 +17,7 @@ LEAST_TRAVEL = 0.02  # [m] less than this is a controller that settles, not a dr
 CANDIDATES = 200  # places along the path where the line may be
 BOARD, STANDOFF = 0.016, 0.045  # thickness of a board, and of the hand in front of it [m]
 UPRIGHT = 0.98  # cosine of the tilt up to which a chest stands on the floor
-TO_THE_BASE = 0.5  # cosine: a hand that moves away from the robot's base by this much pushes a drawer shut
+FROM_THE_BASE = 0.5  # cosine: a hand that moves away from the robot's base by this much pushes a drawer shut
 KINDS: dict[str, Literal["drawer", "door", "crank"]] = {"line": "drawer", "hinge": "door", "screw": "crank"}
 FRONT, BODY, HANDLE = "front", "body", "handle"
 Box = tuple[float, float, float, float, float, float, str]
@@ -33,7 +33,8 @@ class Furniture:
         kind: What it is.
         pose: shape (4, 4), that frame in the robot's base [m].
         times: shape (T,), from the motion's first sample on [s].
-        opening: shape (T,), 0 where it is shut [m for a drawer, rad for the others].
+        opening: shape (T,), how far the hand has moved it [m for a drawer, rad for the others].
+        pushed_from: How far a drawer that is pushed shut is open at first [m]; 0 for whatever is pulled open.
         pivot: shape (3,), on the axis about which it turns, in that frame [m]; zero for a drawer.
         pitch: Travel along the axis per radian [m/rad].
         fixed, moving: Boxes as (centre x, y, z, size x, y, z, what) [m].
@@ -43,6 +44,7 @@ class Furniture:
     pose: Float[np.ndarray, "4 4"]
     times: Float[np.ndarray, " T"]
     opening: Float[np.ndarray, " T"]
+    pushed_from: float
     pivot: Float[np.ndarray, " 3"]
     pitch: float
     fixed: tuple[Box, ...]
@@ -54,9 +56,9 @@ class Furniture:
         return "m" if self.kind == "drawer" else "rad"
 
     def moved(self, points: Float[np.ndarray, "n 3"], opening: float) -> Float[np.ndarray, "n 3"]:
-        """Points of the moving part in the base frame [m], when it is open by so much [m or rad]."""
+        """Points of the moving part in the base frame [m], when the hand has moved it so far [m or rad]."""
         if self.kind == "drawer":
-            local = points + [0.0, opening, 0.0]
+            local = points + [0.0, abs(self.pushed_from - opening), 0.0]
         else:
             c, s = np.cos(opening), np.sin(opening)
             turned = (points - self.pivot) @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -66,8 +68,7 @@ class Furniture:
     def corners(self) -> Float[np.ndarray, "n 3"]:
         """Of all boxes, shut and as far open as it comes, in the base frame [m]."""
         fixed, moving = _corners(self.fixed), _corners(self.moving)
-        wide = np.linspace(0.0, float(self.opening.max()), 1 if self.kind == "drawer" else 5)
-        turned = [self.moved(moving, o) for o in (*wide, float(self.opening.max()))]
+        turned = [self.moved(moving, o) for o in np.linspace(0.0, float(self.opening.max()), 6)]
         return np.concatenate([fixed @ self.pose[:3, :3].T + self.pose[:3, 3], *turned])
 
     def to_dict(self) -> dict[str, Any]:
@@ -75,6 +76,7 @@ class Furniture:
         return {
             "kind": self.kind,
             "pose": [float(x) for x in self.pose.ravel()],
+            "pushedFrom": self.pushed_from,
             "pivot": self.pivot.tolist(),
             "pitch": self.pitch,
             "fixed": [list(box) for box in self.fixed],
@@ -89,7 +91,7 @@ def furniture_of(
 
     A line is taken where the hand moves along it, since its direction alone was learnt; a hinge is where it was learnt.
     The furniture is shut where the motion along the mechanism begins, follows the hand, and stays where the hand leaves
-    it. A drawer that moves away from the robot's base is pushed: it is open at first, and shut in the end.
+    it. A hand that moves away from the robot's base pushes its drawer: that is open at first, and shut in the end.
 
     Args:
         mechanism: Its dictionary, as a constraint keeps it.
@@ -116,15 +118,12 @@ def furniture_of(
     if kind != "drawer" and point is not None:
         pose, pivot = _about(sense * axis, point, path[begin], STANDOFF if kind == "door" else 0.0)
         boxes = _door(pivot) if kind == "door" else _crank(-float(pivot[0]))
-        return Furniture(kind, pose, times, moved, pivot, pitch, *boxes)
+        return Furniture(kind, pose, times, moved, 0.0, pivot, pitch, *boxes)
     out, travel = sense * axis, float(moved.max())
     away = path[begin] * [1.0, 1.0, 0.0]
-    if out @ away > TO_THE_BASE * np.linalg.norm(away):
-        pose = _facing(-out, path[begin] + travel * out)
-        moved = travel - moved
-    else:
-        pose = _facing(out, path[begin])
-    return Furniture(kind, pose, times, moved, np.zeros(3), 0.0, *_drawer(travel, pose))
+    is_pushed = out @ away > FROM_THE_BASE * np.linalg.norm(away)
+    pose = _facing(-out, path[begin] + travel * out) if is_pushed else _facing(out, path[begin])
+    return Furniture(kind, pose, times, moved, travel * is_pushed, np.zeros(3), 0.0, *_drawer(travel, pose))
 
 
 def _coordinates(
@@ -206,13 +205,14 @@ def _drawer(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[Box, .
     height = 0.42 * width
     inner, face = width - 4.0 * BOARD, -STANDOFF
     low = 0.5 * BOARD - 0.4 * height
+    sides = (-0.5 * (inner - BOARD), 0.5 * (inner - BOARD))
     moving = (
         *_handle(0.36 * width),
         (0.0, face - 0.5 * BOARD, 0.0, width, BOARD, height, FRONT),
         (0.0, face - 0.5 * depth, low, inner, depth - BOARD, BOARD, BODY),
-        *((x * (inner - BOARD) / 2.0, face - 0.5 * depth, 0.0, BOARD, depth - BOARD, 0.8 * height, BODY) for x in (-1.0, 1.0)),
+        *((x, face - 0.5 * depth, 0.0, BOARD, depth - BOARD, 0.8 * height, BODY) for x in sides),
         (0.0, face - depth, 0.0, inner, BOARD, 0.8 * height, BODY),
-    )  # fmt: skip
+    )
     chest = _case(-0.5 * width, 0.5 * width, -0.5 * height, 0.5 * height, depth + BOARD, face - BOARD)
     below = float(pose[2, 3]) - 0.5 * height - BOARD
     if pose[2, 2] > UPRIGHT and below > 0.05:

@@ -144,7 +144,9 @@ def replay(
     return ReplayResult(path, len(content), all_notes)
 
 
-def _drawings(first: Mapping[str, Any] | None, motions: Sequence[RecordedMotion]) -> tuple[MechanismDrawing | None, ...]:
+def _drawings(
+    first: Mapping[str, Any] | None, motions: Sequence[RecordedMotion]
+) -> tuple[MechanismDrawing | None, ...]:
     """What is drawn of each constraint's mechanism; of rollouts, which are without phases, the first one's alone."""
     n = len(motions[0].guidance.constraints) if any(m.phases for m in motions) else 1
     described = [first, *(motions[0].guidance.mechanism(k) for k in range(1, n))]
@@ -152,7 +154,7 @@ def _drawings(first: Mapping[str, Any] | None, motions: Sequence[RecordedMotion]
 
 
 def _drawing(described: Mapping[str, Any], k: int, motions: Sequence[RecordedMotion]) -> MechanismDrawing:
-    """Of a line that a rollout moves along the direction alone was learnt: it is drawn where the hand moves along it."""
+    """A line that a rollout moves along is drawn where its hand is: that recordings held it elsewhere says nothing."""
     opened = motions[0].furniture
     if k == 0 and opened is not None and described.get("type") == "line":
         ways = [m.furniture.moved(np.zeros((1, 3)), float(m.furniture.opening.max())) for m in motions if m.furniture]

@@ -42,7 +42,10 @@ def scene_data(
     cloud = np.concatenate([cloud, *(m.furniture.corners() for m in motions if m.furniture), *_marked(cloud, motions)])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     most, places = points_per_curve([m.measures for m in motions]), places_per_motion(len(motions))
-    marks = [[] if m.samples is None else constraint_marks(robot, m.samples, m.guidance, places) for m in motions]
+    marks: list[list[dict[str, Any] | None]] = [
+        [] if m.samples is None else constraint_marks(robot, m.samples, m.guidance, places) for m in motions
+    ]
+    size = float(np.linalg.norm(high - low))
     return {
         "robot": _robot(robot, tree, looks, tip),
         "bounds": [low.tolist(), high.tolist()],
@@ -54,7 +57,7 @@ def scene_data(
             _rollout(m, c) | {"measures": track_data(m.measures, most), "marks": mark}
             for m, c, mark in zip(motions, colours, marks, strict=True)
         ],
-        "ellipsoidScale": ellipsoid_scale([one for some in marks for one in some], ELLIPSOID * float(np.linalg.norm(high - low))),
+        "ellipsoidScale": ellipsoid_scale([one for some in marks for one in some], ELLIPSOID * size),
         "notes": list(notes),
         "phaseKinds": [{"label": k.label, "mark": k.mark, "colour": k.colour, "ink": k.ink} for k in kinds],
         "mechanisms": [_mechanism(k, m) for k, m in enumerate(mechanisms) if m is not None],
@@ -184,7 +187,7 @@ def _azimuth(motions: Sequence[RecordedMotion]) -> float:
     x, y, _ = np.concatenate([m.path for m in motions]).mean(axis=0)
     usual = float(np.arctan2(y, x) - ASIDE) if np.hypot(x, y) > 1e-6 else float(np.deg2rad(-50.0))
     out = next((m.furniture.pose[:2, 1] for m in motions if m.furniture), np.zeros(2))
-    if np.hypot(*out) < 0.5:
+    if np.linalg.norm(out) < 0.5:
         return usual
     front = float(np.arctan2(out[1], out[0]))
     return min((front - ASIDE, front + ASIDE), key=lambda side: -np.cos(side - usual))

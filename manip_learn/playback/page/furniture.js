@@ -10,7 +10,8 @@ function openInWords(rollout, t) {
   if (!opening) return "";
   const value = valueAt(opening.curves[0], Math.min(t, rollout.duration));
   if (rollout.furniture.kind === "crank") return `turned ${(value * 180 / Math.PI).toFixed(0)}°`;
-  return opening.unit === "m" ? `${value.toFixed(3)} m open` : `${(value * 180 / Math.PI).toFixed(1)}° open`;
+  if (opening.unit === "m") return rollout.furniture.pushedFrom ? `pushed in ${value.toFixed(3)} m` : `${value.toFixed(3)} m open`;
+  return `${(value * 180 / Math.PI).toFixed(1)}° open`;
 }
 
 class FurniturePiece {
@@ -39,7 +40,7 @@ class FurniturePiece {
   setTime(t) {
     const open = valueAt(this.curve, Math.min(t, this.rollout.duration)), [x, y] = this.pivot, c = Math.cos(open), s = Math.sin(open);
     for (const part of [this.leaf, this.outline]) {
-      if (this.kind === "drawer") part.position.y = open;
+      if (this.kind === "drawer") part.position.y = Math.abs(this.pushedFrom - open);
       else {
         part.rotation.z = open;
         part.position.set(x - c * x + s * y, y - s * x - c * y, this.pitch * open);

@@ -39,7 +39,9 @@ class Labels {
   // In one column, on the side of the hand where the robot does not stand.
   arrange(shown, w, h) {
     if (!shown.length) return;
-    const base = this.stage.onScreen(new THREE.Vector3()), xs = shown.map(({ x }) => x), right = !base || base.x <= (Math.min(...xs) + Math.max(...xs)) / 2;
+    const base = this.stage.onScreen(new THREE.Vector3()), xs = shown.map(({ x }) => x), legend = get("legend"), widest = Math.max(...shown.map(({ element }) => element.offsetWidth));
+    const room = Math.min(...xs) - LABEL.aside - widest - (getComputedStyle(legend).position === "absolute" ? legend.offsetLeft + legend.offsetWidth : 0);
+    const right = room < 0 || !base || base.x <= (Math.min(...xs) + Math.max(...xs)) / 2;
     const edge = right ? Math.max(...xs) + LABEL.aside : Math.min(...xs) - LABEL.aside, rows = [];
     for (const { y } of shown) rows.push(Math.max(y, (rows[rows.length - 1] ?? -Infinity) + LABEL.apart));
     const lift = rows.reduce((sum, y, i) => sum + y - shown[i].y, 0) / rows.length, low = h - LABEL.apart;
