@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import Any, Literal, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from manip_learn.linalg import null_basis
 from manip_learn.playback.mechanism_drawing import geometry_of
+from manip_learn.robot.rotations import rotation_matrix
 
-ON_IT = 0.005  # [m] off its line or circle up to which the hand is on it: tasks keep it within 2 mm
+ON_IT = 0.004  # [m] off its line or circle up to which the hand is on it: tasks keep it within 2 mm
 LEAST_TRAVEL = 0.02  # [m] less than this is a controller that settles, not a drawer that is pulled
 CANDIDATES = 200  # places along the path where the line may be
 BOARD, STANDOFF = 0.016, 0.045  # thickness of a board, and of the hand in front of it [m]
@@ -109,20 +110,24 @@ def furniture_of(
         return None
     along, across, lever = _coordinates(axis, point if kind != "drawer" else None, pitch, path)
     found = _stretch(lever * along, across)
-    if found is None or lever < LEAST_TRAVEL:
+    if found is None:
         return None
-    begin, end, sense = found
+    begin, end, middle, sense = found
+    back = along[begin] - along[middle]
     moved = np.zeros(len(along))
     moved[begin:end] = np.maximum(sense * (along[begin:end] - along[begin]), 0.0)
     moved[end:] = moved[end - 1]
     if kind != "drawer" and point is not None:
-        pose, pivot = _about(sense * axis, point, path[begin], STANDOFF if kind == "door" else 0.0)
+        handle = point + rotation_matrix(back * axis) @ (path[middle] - point) + pitch * back * axis
+        if np.linalg.norm(np.cross(axis, handle - point)) < LEAST_TRAVEL:
+            return None  # on the axis itself
+        pose, pivot = _about(sense * axis, point, handle, STANDOFF if kind == "door" else 0.0)
         boxes = _door(pivot) if kind == "door" else _crank(-float(pivot[0]))
         return Furniture(kind, pose, times, moved, 0.0, pivot, pitch, *boxes)
-    out, travel = sense * axis, float(moved.max())
-    away = path[begin] * [1.0, 1.0, 0.0]
+    handle, out, travel = path[middle] + back * axis, sense * axis, float(moved.max())
+    away = handle * [1.0, 1.0, 0.0]
     is_pushed = out @ away > FROM_THE_BASE * np.linalg.norm(away)
-    pose = _facing(-out, path[begin] + travel * out) if is_pushed else _facing(out, path[begin])
+    pose = _facing(-out, handle + travel * out) if is_pushed else _facing(out, handle)
     return Furniture(kind, pose, times, moved, travel * is_pushed, np.zeros(3), 0.0, *_drawer(travel, pose))
 
 
@@ -141,29 +146,49 @@ def _coordinates(
     return angle, np.column_stack([radius, arm @ axis - pitch * angle]), float(np.hypot(np.median(radius), pitch))
 
 
-def _stretch(along: Float[np.ndarray, " T"], across: Float[np.ndarray, "T k"]) -> tuple[int, int, float] | None:
-    """First sample and end of the motion on the mechanism, and its sense: where the largest sweep along it is made.
+def _stretch(along: Float[np.ndarray, " T"], across: Float[np.ndarray, "T k"]) -> tuple[int, int, int, float] | None:
+    """The motion on the mechanism: first sample, end, a sample in the middle of its line, and its sense.
+
+    It is where the largest sweep along the mechanism is made.
 
     Args:
         along: Where the hand is along the mechanism [m].
         across: What is constant while the hand is on one line or circle [m].
     """
-    best, found = LEAST_TRAVEL, None
-    for k in np.unique(np.linspace(0, len(along) - 1, CANDIDATES).round().astype(int)):
-        off = np.flatnonzero(np.linalg.norm(across - across[k], axis=1) > ON_IT)
-        place = int(np.searchsorted(off, k))
-        start = int(off[place - 1]) + 1 if place else 0
-        end = int(off[place]) if place < off.size else len(along)
-        run = along[start:end]
-        for sense in (1.0, -1.0):
-            swept = sense * run - np.minimum.accumulate(sense * run)
-            if swept.max() > best:
-                best, last = float(swept.max()), int(np.argmax(swept))
-                shut = float((sense * run[: last + 1]).min())
-                # a hand that comes along the axis has not taken hold yet; one that opens twice has shut it before
-                begin = int(np.flatnonzero(sense * run <= shut + 0.1 * ON_IT)[0])
-                found = start + begin, end, sense
-    return found
+    ways = [(_sweep(along, *_run(across, across[k], k)), k) for k in _spread(len(along))]
+    k = max(ways, key=lambda way: way[0][0])[1]
+    start, end = _run(across, across[k], k)
+    for _ in range(2):  # a place at the rim of the line is on it too: from there to its middle
+        centre = np.median(across[start:end], axis=0)
+        k = start + int(np.argmin(np.linalg.norm(across[start:end] - centre, axis=1)))
+        start, end = _run(across, centre, k)
+    travel, sense, last = _sweep(along, start, end)
+    if travel < LEAST_TRAVEL:
+        return None
+    run = sense * along[start:end]
+    # a hand that comes along the axis has not taken hold yet; one that opens twice has shut it before
+    begin = int(np.flatnonzero(run <= run[: last + 1].min() + 0.1 * ON_IT)[0])
+    return start + begin, end, k, sense
+
+
+def _spread(n: int) -> Int[np.ndarray, " K"]:
+    return np.unique(np.linspace(0, n - 1, CANDIDATES).round().astype(int))
+
+
+def _run(across: Float[np.ndarray, "T k"], centre: Float[np.ndarray, " k"], k: int) -> tuple[int, int]:
+    """First sample and end of the time around sample k that the hand stays on the line through a place."""
+    off = np.flatnonzero(np.linalg.norm(across - centre, axis=1) > ON_IT)
+    place = int(np.searchsorted(off, k))
+    return int(off[place - 1]) + 1 if place else 0, int(off[place]) if place < off.size else len(across)
+
+
+def _sweep(along: Float[np.ndarray, " T"], start: int, end: int) -> tuple[float, float, int]:
+    """The longest way between two samples [m], its sense, and its last sample, counted from `start`."""
+    ways = []
+    for sense in (1.0, -1.0):
+        swept = sense * along[start:end] - np.minimum.accumulate(sense * along[start:end])
+        ways.append((float(swept.max()), sense, int(np.argmax(swept))))
+    return max(ways)
 
 
 def _facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:

@@ -11,13 +11,12 @@ from jaxtyping import Float
 
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
-from manip_learn.playback.extremes import extremes
 from manip_learn.playback.furniture import Furniture, furniture_of
 from manip_learn.playback.guidance import Guidance
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks
 from manip_learn.playback.motion_samples import MotionSamples, finite, motion_samples
 from manip_learn.playback.phase_bands import PhaseBand
-from manip_learn.playback.tracks import Curve, Track, broken_share, tracks_of
+from manip_learn.playback.tracks import Curve, Track, broken_share, extremes, tracks_of
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot

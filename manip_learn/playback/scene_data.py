@@ -16,7 +16,7 @@ from manip_learn.playback.packing import packed
 from manip_learn.playback.phase_bands import PhaseKind
 from manip_learn.playback.recorded_motion import RecordedMotion
 from manip_learn.playback.shapes import Appearance, TriangleMesh
-from manip_learn.playback.track_data import points_per_curve, track_data
+from manip_learn.playback.tracks import points_per_curve, track_data
 from manip_learn.robot.robot import Robot
 
 MAX_POSTURES_FOR_BOUNDS = 120

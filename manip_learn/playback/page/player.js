@@ -39,6 +39,7 @@ class Show {
     this.duration = Math.max(...this.rollouts.map((r) => r.duration));
     this.time = 0;
     this.makeScene(data);
+    DARK.addEventListener("change", () => this.recolour());
   }
 
   makeScene(data) {
@@ -63,7 +64,6 @@ class Show {
     this.mechanismGroup = new THREE.Group();
     for (const one of this.mechanisms) this.mechanismGroup.add(mechanismGroup(one, (data.phaseKinds[one.constraint] || NO_PHASE).colour, 0.0012 * this.stage.size));
     world.add(this.mechanismGroup);
-    DARK.addEventListener("change", () => this.recolour());
   }
 
   recolour() {
@@ -133,7 +133,7 @@ class Player {
     });
     this.tracks = new Tracks(show, this.chart, (t) => this.seek(t));
     this.chart.onDrawn = () => this.tracks.draw();
-    show.onRecolour = () => { this.fillColourKey(); this.arrangePanel(); this.drawSlider(); };
+    show.onRecolour = () => { this.fillColourKey(); this.arrangePanel(); this.drawSlider(); this.update(); };
     this.wireTransport();
     this.setLoop(!matchMedia("(prefers-reduced-motion: reduce)").matches); // where motion is unwelcome, once is enough
     wireKeys(this.keyActions());
