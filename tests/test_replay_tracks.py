@@ -291,6 +291,15 @@ def test_the_target_is_where_the_task_wants_the_tip(robot_of, drawer, rollout, t
             target(saved, target=wrong)
 
 
+def test_the_first_view_has_room_for_the_marks(robot_of, rollout, tmp_path):
+    """What the camera frames encloses the disc and the arrows at the tip, wherever the tip comes."""
+    data = data_in(replay(robot_of("sawyer"), {"a": rollout}, tmp_path / "a.html").html)
+    low, high = np.array(data["bounds"])
+    path = numbers(data["rollouts"][0]["path"]).reshape(-1, 3)
+    arrow = 0.9 * 0.085 * np.linalg.norm(high - low)
+    assert np.all(path - arrow >= low - 1e-6) and np.all(path + arrow <= high + 1e-6)
+
+
 def test_a_rollout_shows_its_own_constraint_and_mechanism(robot_of, drawer, rollout, tmp_path):
     """Also from its file; the evidence that its constraint keeps is in the page, and its frame is drawn."""
     robot = robot_of("sawyer")

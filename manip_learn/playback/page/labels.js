@@ -65,9 +65,10 @@ function labelScene(show, on) {
   labels.add("--goal", () => (on.target && drawn() && drawn().reachedAt ? "any place on this line counts as reached" : ""), () => drawn().reachedAt);
   const piece = () => show.solid.visible && show.solid.piece;
   labels.add("--scene-ink", () => (on.furniture && piece() ? `${piece().kind} ${openInWords(show.solid, show.time)}` : ""), () => piece().at(piece().top));
-  for (const { lines, patches, type } of show.mechanisms) {
+  for (const { constraint, lines, patches, type } of show.mechanisms) {
+    const words = MECHANISM_WORDS[type] && `${show.mechanisms.length > 1 ? `${constraint + 1}: ` : ""}${MECHANISM_WORDS[type]}`;
     const ends = decode([...lines, ...patches][0] || "", Float32Array);
-    if (ends.length) labels.add("--scene-ink", () => (on.mechanism ? MECHANISM_WORDS[type] || "" : ""), () => new THREE.Vector3(...ends.slice(-3)));
+    if (ends.length) labels.add("--scene-ink", () => (on.mechanism ? words : ""), () => new THREE.Vector3(...ends.slice(-3)));
   }
   return labels;
 }

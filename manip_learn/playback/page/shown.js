@@ -45,7 +45,7 @@ class Shown {
   key() {
     const list = Object.assign(document.createElement("ul"), { className: "key" });
     const words = { free: "arrow: free to move, round arrow: free to turn", held: "disc, bar or ball: held, ring: may not turn", goal: "ball and cross: target; the line through it: places that count as reached" };
-    words.ellipsoid = `ellipsoid: speed of the tip along what is held, for joint velocities of norm 1 (rad/s or m/s); ${short(this.scale)} m drawn for 1 m/s`;
+    words.ellipsoid = `ellipsoid: speed within the reach of the tip along the rows of μ, for joint velocities of norm 1 (rad/s or m/s); ${short(this.scale)} m drawn for 1 m/s`;
     const used = { free: "constraint", held: "constraint", goal: "target", ellipsoid: "ellipsoid" };
     for (const [name, text] of Object.entries(words)) {
       if (!this.has(used[name])) continue;
