@@ -14,6 +14,7 @@ const STATUS = {
 };
 const OTHER_STATUS = ["#8c6d1f", "#4d7f6a", "#a04040", "#77808a"];
 const MAX_STRIPS = 8;
+const TAP = 10; // a finger that moves less taps [px]
 const MOST_READ = 6, READ_ROW = 16; // values at the cursor, and the height of a row [px]
 const DASHES = ["", "7 4", "2 4", "10 3 2 3", "1 3 6 3"];
 
@@ -40,25 +41,25 @@ function short(x) {
   return size >= 1e-3 && size < 1e5 ? String(Number(x.toPrecision(4))) : x.toExponential(1).replace("e+", "e");
 }
 
+// A finger that scrolls the page does not move in time: it seeks by dragging sideways, or by a tap, however long.
+function wireSeek(element, seek) {
+  let from = null;
+  const across = (event) => Math.abs(event.clientX - from.clientX), down = (event) => Math.abs(event.clientY - from.clientY);
+  element.addEventListener("pointerdown", (event) => { from = event; if (event.pointerType !== "touch") seek(event); });
+  element.addEventListener("pointermove", (event) => { if (event.buttons & 1 && from && (event.pointerType !== "touch" || across(event) > down(event))) seek(event); });
+  element.addEventListener("pointerup", (event) => { if (from && across(event) + down(event) < TAP) seek(event); from = null; });
+}
+
 class Chart {
   constructor(element, rollouts, duration, onSeek) {
     Object.assign(this, { element, rollouts, duration, onSeek, logarithmic: false, start: 0 });
     this.styles = new Map();
     new ResizeObserver(() => this.draw()).observe(element);
-    const seek = (event) => onSeek(this.timeAt(event));
     if (!onSeek) return;
     element.addEventListener("pointermove", (event) => { this.hover = event.pointerType === "mouse" ? this.timeAt(event) : undefined; this.readOut(); });
     element.addEventListener("pointerleave", () => { this.hover = undefined; this.readOut(); });
-    // a finger that scrolls the page does not move in time: it seeks by dragging sideways, or by a tap
-    let from = null;
-    const isSideways = (event) => Math.abs(event.clientX - from.clientX) > Math.abs(event.clientY - from.clientY);
-    element.addEventListener("pointerdown", (event) => {
-      element.setPointerCapture(event.pointerId);
-      from = event;
-      if (event.pointerType !== "touch") seek(event);
-    });
-    element.addEventListener("pointermove", (event) => { if (event.buttons & 1 && from && (event.pointerType !== "touch" || isSideways(event))) seek(event); });
-    element.addEventListener("click", seek);
+    element.addEventListener("pointerdown", (event) => element.setPointerCapture(event.pointerId));
+    wireSeek(element, (event) => onSeek(this.timeAt(event)));
   }
 
   timeAt(event) {
