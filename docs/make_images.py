@@ -49,7 +49,8 @@ def opened(card: str) -> str:
 SHOW_ELLIPSOID, FIT = click("[data-shown=ellipsoid]"), click("[name=colours][value=fit]")
 TRACKS = [click(f"[data-track={kind}]") for kind in ("singular", "velocity")]
 PICTURES = (
-    Picture("replay_drawer", "drawer", ["manipLearn.seek(0.55)", SHOW_ELLIPSOID, *TRACKS], height=960),
+    Picture("replay_drawer", "drawer", ["manipLearn.seek(0.55)", *TRACKS], height=960),
+    Picture("replay_learn", "learn", ["manipLearn.seek(11)"]),
     Picture("replay_hinge", "hinge", ["manipLearn.seek(1.6)", SHOW_ELLIPSOID]),
     Picture("replay_recordings", "mixed", ["manipLearn.seek(5.2)", FIT, opened("choice")], width=1440),
     Picture("replay_evidence", "mixed", ["manipLearn.seek(5.2)", opened("evidence")], width=1440),
@@ -60,11 +61,12 @@ PICTURES = (
 
 def write_pages(folder: Path) -> dict[str, str]:
     """Name -> address of the pages, written by the command line as its user types it."""
-    for name in ("ur5_loose_door", "panda_drawer_mixed"):
+    for name in ("ur5_loose_door", "panda_drawer_mixed", "xarm7_drawer_then_table"):
         shutil.copytree(shipped_recordings() / name, folder / name)
     fingers = "--lock panda_finger_joint1 --lock panda_finger_joint2"
     commands = {
         "drawer": "demo --no-browser --out .",
+        "learn": "learn xarm7 xarm7_drawer_then_table --frame link_eef --html learn.html",
         "hinge": "learn ur5 ur5_loose_door --frame tool0 --html hinge.html",
         "mixed": f"learn panda panda_drawer_mixed --frame panda_hand_tcp {fingers} --html mixed.html",
     }

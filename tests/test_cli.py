@@ -101,7 +101,7 @@ def test_replay_shows_what_was_learnt(run, learnt):
     assert data["robot"]["tip"] == "right_gripper_tip"
     assert data["rollouts"][0]["phases"] == [[0.2, 1.0, -1], [1.0, 2.5, 0]]
     assert [k["label"] for k in data["phaseKinds"]] == ["constraint 1: line", "free motion"]
-    assert data["mechanism"]["sentence"] == line["sentence"]
+    assert data["mechanisms"][0]["sentence"] == line["sentence"]
     code, _, err = run("replay", "sawyer", DRAWER[1], "--constraint", "held.json", "--html", "b.html", "--json")
     assert code == 2 and name in err and len(err.splitlines()) == 1
 
@@ -119,7 +119,7 @@ def test_learn_writes_a_replay_of_the_recordings(run):
         told = [p for p in answer["phases"] if p["trajectory"] == name]
         expected = [[p["start"], p["end"], -1 if p["constraint"] is None else p["constraint"]] for p in told]
         np.testing.assert_allclose(bands, expected)
-    assert data["mechanism"]["type"] == "line" and data["mechanism"]["lines"]
+    assert data["mechanisms"][0]["type"] == "line" and data["mechanisms"][0]["lines"]
     code, _, err = run("learn", "panda", whole, "--frame", "panda_hand_tcp", "--html", "a.html", "--dask", "local")
     assert code == 2 and "--html" in err
 

@@ -70,8 +70,9 @@ def test_phases_survive_json():
 
 def test_colours_tell_constraints_apart():
     """Seven constraints and free motion have different colours, and every number on a band is readable (4.5 to 1)."""
-    kinds = phase_kinds([("a", 0.0, 1.0, 6)], "hinge")
-    assert [k.label for k in kinds[:2]] == ["constraint 1: hinge", "constraint 2"]
+    kinds = phase_kinds([("a", 0.0, 1.0, 6)], ["hinge", "", "plane"])
+    labels = [k.label for k in kinds[:3]]
+    assert labels == ["constraint 1: hinge", "constraint 2", "constraint 3: plane"]
     assert kinds[-1].label == "free motion"
     assert all(a.colour != b.colour for a, b in combinations(kinds, 2))
     for kind in kinds:
@@ -99,7 +100,7 @@ def test_without_phases_nothing_changes(robot_of, tmp_path):
     """A page without phases has no bands, and its recordings keep their own colours."""
     robot = robot_of("planar3")
     data = data_in(replay(robot, {"a": recorded(robot), "b": recorded(robot)}, tmp_path / "a.html").html)
-    assert data["phaseKinds"] == [] and data["mechanism"] is None
+    assert data["phaseKinds"] == data["mechanisms"] == []
     assert len({r["colour"] for r in data["rollouts"]}) == 2
 
 
@@ -113,8 +114,9 @@ class TestMechanism:
         described = {"axis": self.AXIS.tolist(), "point": self.POINT.tolist(), "sentence": "words", **mechanism}
         recording = {"a": recorded(robot)}
         data = data_in(replay(robot, recording, tmp_path / "a.html", phases=phases, mechanism=described).html)
-        assert data["mechanism"]["sentence"] == "words"
-        shapes = (data["mechanism"]["lines"], data["mechanism"]["patches"])
+        (drawn,) = data["mechanisms"]
+        assert drawn["sentence"] == "words"
+        shapes = (drawn["lines"], drawn["patches"])
         return [[unpacked(x, "<f4").reshape(-1, 3).astype(float) for x in shape] for shape in shapes]
 
     def distances(self, points):
@@ -175,4 +177,4 @@ def test_hostile_names_stay_text(robot_of, tmp_path):
     phases = [(EVIL, 0.0, 1.0, 0)]
     page = replay(robot, {EVIL: recorded(robot)}, tmp_path / "a.html", phases=phases, mechanism={"type": EVIL})
     assert EVIL not in page.html.read_text(encoding="utf-8")
-    assert data_in(page.html)["mechanism"]["sentence"] == EVIL
+    assert data_in(page.html)["mechanisms"][0]["sentence"] == EVIL

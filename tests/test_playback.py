@@ -91,6 +91,16 @@ def test_sawyer_replay_is_small_and_whole(robot_of, tmp_path):
     assert [r["name"] for r in data_in(path)["rollouts"]] == ["learnt", "zero", "attractor"]
 
 
+def test_title_is_the_name_that_loads_the_robot(tmp_path):
+    """A robot of the catalogue is called as it was asked for, a file of one's own as its description says."""
+    own = tmp_path / "arm.urdf"
+    own.write_text(planar_arm_urdf([0.5, 0.5], "old"))
+    for asked, title in (("sawyer", "sawyer"), ("xarm7", "xarm7"), (own, "old")):
+        robot = load_robot(asked)
+        page = replay(robot, {"a": waving(robot, 0.1)}, tmp_path / "a.html").html.read_text()
+        assert f'<h1 id="robot-name">{title}</h1>' in page
+
+
 def test_page_is_closed_off(robot_of, tmp_path):
     """The policy allows the page's two scripts by their hashes and no connection; nothing is loaded from outside."""
     robot = robot_of("planar3")

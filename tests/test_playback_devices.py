@@ -119,6 +119,17 @@ def test_phones_show_everything_without_sideways_scrolling(robot_of, tmp_path, o
                 assert left >= -0.5 and right <= width + 0.5, (width, name)
 
 
+@pytest.mark.parametrize("kind", ["replay", "phases"])
+def test_phones_show_the_curve_at_first(robot_of, tmp_path, opened, kind):
+    """On a phone, robot and curve are both there before anything is scrolled; names and notes come below."""
+    with address_of(kind, robot_of("planar3"), tmp_path) as address:
+        page = opened(address, phone=True)
+        (_, top, *_), (_, floor, *_) = (page.locator(s).bounding_box().values() for s in ("#scene", "#transport"))
+        chart, legend = (page.locator(s).bounding_box() for s in ("#chart", "#legend"))
+        assert 0.0 < top < chart["y"] < chart["y"] + chart["height"] <= floor + 2.0
+        assert legend["y"] >= chart["y"] + chart["height"]
+
+
 def drag(page, *ways):
     """Fingers that move along straight lines, (from, to) each, and are lifted."""
     session, ways = page.context.new_cdp_session(page), np.array(ways, dtype=float)

@@ -13,6 +13,9 @@ from test_replay_tracks import START, TARGET, drawer, rollout  # noqa: F401
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.simulation import simulate
+from manip_learn.control.tasks import FreeDirection
 from manip_learn.playback import RecordingChoice, replay
 from manip_learn.recordings.trajectory import Trajectory
 
@@ -186,14 +189,14 @@ def test_marks_and_evidence_are_switched(robot_of, drawer, rollout, tmp_path, op
 
     page.locator("#shown summary").click()
     names = page.locator("[data-shown]").evaluate_all("boxes => boxes.map((box) => [box.dataset.shown, box.checked])")
-    assert names == [["constraint", True], ["target", True], ["ellipsoid", False], ["paths", True]]
-    for name, _ in names:
+    assert names == [["constraint", True], ["target", True], ["ellipsoid", True], ["paths", True], ["labels", True]]
+    for name, _ in names[:-1]:
         before = picture()
         page.locator(f"[data-shown={name}]").click()
         assert picture() != before, name
     assert "drawn for 1 m/s" in page.locator("#shown .key").inner_text()
     page.locator("#evidence summary").click()
-    assert not page.locator("#shown section").is_visible()
+    wait_until(page, "!document.querySelector('#shown').open", 5.0)
     told = page.locator("#evidence section").inner_text()
     assert "moves freely along x" in told and "12" in told and "10 and above is clear" in told
 
@@ -211,3 +214,124 @@ def test_cards_and_tracks_stay_within_the_window(robot_of, drawer, rollout, tmp_
                 track.check()
         page.locator(f"#{name} summary").click()
     assert page.locator("#tracks").bounding_box()["width"] <= width
+
+
+@pytest.fixture(scope="module")
+def opening(drawer):
+    """Two rollouts that pull the drawer by 15 and by 8 cm, whose constraint keeps its mechanism."""
+    line = {"type": "line", "axis": [0.91, 0.42, 0.0], "point": [0.0, 0.0, 0.9], "sentence": "a line"}
+    kept = Constraint(drawer.selection, drawer.features, {"n_constraints": 2, "mechanism": line})
+    tasks = {"far": FreeDirection(kept, -0.15, 0.4), "near": FreeDirection(kept, -0.08, 0.4)}
+    robot = drawer.features.robot
+    return {n: simulate(robot, ResolvedRateController(kept, task), START, 1.2, 0.01) for n, task in tasks.items()}
+
+
+def test_the_drawer_is_in_the_hand_and_says_how_far_it_is_open(robot_of, opening, tmp_path, opened):
+    """At any time, of whichever rollout is solid; the label and the legend say the opening that the curve has."""
+    robot = robot_of("sawyer")
+    page = opened(replay(robot, opening, tmp_path / "a.html").html.as_uri())
+    for k, name in enumerate(opening):
+        page.locator("#legend .pick").nth(k).click()
+        for i in (0, 50, 120):
+            t = float(opening[name].time[i])
+            page.evaluate("t => manipLearn.seek(t)", t)
+            handle = page.evaluate("name => manipLearn.handle(name)", name)
+            tip = robot.pose(opening[name].q[i], robot.frame("right_gripper_tip"))[:3, 3]
+            np.testing.assert_allclose(handle, tip, atol=1e-3)
+            value = page.evaluate("([t, name]) => manipLearn.trackValues(t).opening[name]['']", [t, name])
+            wait_until(page, f"document.getElementById('labels').textContent.includes('drawer {value:.3f} m open')")
+            assert f"{value:.3f} m open" in page.locator("#legend .state").nth(k).inner_text()
+        assert value == pytest.approx({"far": 0.15, "near": 0.08}[name], abs=2e-3)
+    words = {"free to move", "held", "target", "line that was learnt", "speed within reach (μ)"}
+    assert words <= set(page.locator("#labels span:visible").all_inner_texts())
+    page.locator("#shown summary").click()
+    for name in ("furniture", "labels"):
+        page.locator(f"[data-shown={name}]").uncheck()
+    wait_until(page, "document.querySelectorAll('#labels span:not([hidden])').length === 0")
+
+
+def test_first_view_and_tracks_leave_the_scene_its_half(robot_of, opening, tmp_path, opened):
+    """Every mark is in the first view, and the scene has half the window, with all tracks open too."""
+    page = opened(replay(robot_of("sawyer"), opening, tmp_path / "a.html").html.as_uri(), 1280, 800)
+    for t in (0.0, 1.2):
+        page.evaluate("t => manipLearn.seek(t)", t)
+        wait_until(page, "document.querySelectorAll('#labels span:not([hidden])').length === 6")
+    page.locator("#track-choice summary").click()
+    for box in page.locator("[data-track]").all():
+        box.check()
+    assert page.locator("#scene").bounding_box()["height"] >= 400.0
+    assert page.locator("#tracks .track").count() > 3 and page.locator("#transport").bounding_box()["y"] < 760.0
+
+
+def test_the_readout_has_the_values_at_the_cursor(robot_of, opening, tmp_path, opened):
+    """Beside the cursor stand its time and each curve's value; over the curves, those under the mouse."""
+    page = opened(replay(robot_of("sawyer"), opening, tmp_path / "a.html").html.as_uri())
+    texts = page.locator("#chart .readout text")
+
+    def values(i):
+        return [float(f"{r.manipulability[i]:.3g}") for r in opening.values()]
+
+    page.evaluate("manipLearn.seek(0.5)")
+    assert texts.first.text_content() == "0.50 s"
+    assert [float(text) for text in texts.all_text_contents()[1:]] == values(50)
+    box = page.locator("#chart").bounding_box()
+    page.mouse.move(box["x"] + box["width"] - 14, box["y"] + 40)
+    assert texts.first.text_content() == "1.20 s" and page.evaluate("manipLearn.time") == 0.5
+    assert [float(text) for text in texts.all_text_contents()[1:]] == values(120)
+
+
+def test_keys_work_after_a_card_was_closed(robot_of, opening, tmp_path, opened):
+    """Escape closes a card, and time, camera and scale go on obeying their keys."""
+    page = opened(replay(robot_of("sawyer"), opening, tmp_path / "a.html").html.as_uri())
+    page.evaluate("manipLearn.seek(0.5)")
+    page.locator("#shown summary").click()
+    page.keyboard.press("Escape")
+    assert not page.locator("#shown section").is_visible()
+    page.keyboard.press("Home")
+    assert page.evaluate("manipLearn.time") == 0.0
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("manipLearn.time") > 0.0
+    eye = page.evaluate("manipLearn.eye")
+    page.keyboard.press("2")
+    assert np.linalg.norm(np.subtract(page.evaluate("manipLearn.eye"), eye)) > 0.1
+    page.keyboard.press("l")
+    assert page.locator("#log").get_attribute("aria-pressed") == "true"
+    page.keyboard.press(" ")  # the card's own key opens it again
+    assert page.locator("#shown section").is_visible()
+
+
+def test_dark_pages_have_lighter_robots(robot_of, opening, tmp_path, opened):
+    """When the page turns dark, curves and legend turn lighter together, and back."""
+    page = opened(replay(robot_of("sawyer"), opening, tmp_path / "a.html").html.as_uri())
+    seen = []
+    for scheme, same in (("light", "==="), ("dark", "!=="), ("light", "===")):
+        page.emulate_media(color_scheme=scheme)
+        wait_until(page, f"document.querySelector('#chart polyline').getAttribute('stroke') {same} '#0072b2'")
+        curve = page.locator("#chart polyline").first.get_attribute("stroke")
+        legend = page.locator("#legend .rollout").first.evaluate("e => e.style.getPropertyValue('--colour')")
+        assert curve == legend
+        seen.append(curve)
+    light, dark, again = (bytes.fromhex(colour[1:]) for colour in seen)
+    assert light == again and all(a < b for a, b in zip(light, dark, strict=True))
+
+
+def test_marks_are_those_of_the_phase(robot_of, drawer, rollout, tmp_path, opened):
+    """In the phase of a constraint its own marks are at the tip; each phase is named by its mechanism."""
+    robot = robot_of("sawyer")
+    axes = {"line": [0.91, 0.42, 0], "plane": [0, 0, 1]}
+    line, plane = ({"type": t, "axis": a, "point": [0.5, 0.2, 0.4], "sentence": f"a {t}"} for t, a in axes.items())
+    constraints = (
+        Constraint(drawer.selection, drawer.features, {"mechanism": line}),
+        Constraint([[0, 0, 1]], drawer.features, {"mechanism": plane}),
+    )
+    recording = {"a": rollout.trajectory("a")}
+    phases = [("a", 0.1, 0.4, 0), ("a", 0.5, 0.9, 1)]
+    html = replay(robot, recording, tmp_path / "a.html", constraint=constraints, phases=phases, mechanism=line).html
+    page = opened(html.as_uri())
+    for t, free, held in ((0.2, 1, 2), (0.7, 2, 1)):
+        page.evaluate("t => manipLearn.seek(t)", t)
+        marks = page.evaluate("manipLearn.marks('a', manipLearn.time)")
+        assert (len(marks["free"]), len(marks["held"])) == (free, held)
+    assert page.locator("#mechanism").inner_text().split("\n") == ["1: a line", "2: a plane"]
+    key = page.locator("#status-key").inner_text()
+    assert "constraint 1: line" in key and "constraint 2: plane" in key

@@ -27,8 +27,8 @@ from manip_learn.learning import ConstraintLearner
 from manip_learn.playback import RecordingChoice, replay
 from manip_learn.playback.constraint_marks import SIX
 from manip_learn.playback.evidence import evidence_of
-from manip_learn.playback.extremes import extremes
 from manip_learn.playback.held_directions import held_directions
+from manip_learn.playback.tracks import extremes
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.episode_numbers import numbers_read
@@ -248,7 +248,7 @@ def test_the_ellipsoid_has_the_singular_values_as_semi_axes(robot_of, drawer, ro
     features = FrameJacobian(robot, "right_gripper_tip", "xyz", reference)
     constraint = Constraint(drawer.selection, features)
     data = data_in(replay(robot, {"a": rollout}, tmp_path / "a.html", constraint=constraint).html)
-    marks = data["rollouts"][0]["marks"]
+    marks = data["rollouts"][0]["marks"][0]
     table = numbers(marks["ellipsoid"]).reshape(-1, 6)
     for t, six in zip(numbers(marks["times"], "<f8"), table, strict=True):
         q = rollout.q[int(np.argmin(np.abs(rollout.time - t)))]
@@ -268,7 +268,7 @@ def test_the_target_is_where_the_task_wants_the_tip(robot_of, drawer, rollout, t
 
     def target(motion, **given):
         page = replay(robot, {"a": motion}, tmp_path / "a.html", **given).html
-        return data_in(page)["rollouts"][0]["marks"]["target"]
+        return data_in(page)["rollouts"][0]["marks"][0]["target"]
 
     saved = Rollout.load(rollout.save(tmp_path / "r.npz"), robot)
     assert target(saved) == {"carrier": None, "point": pytest.approx(TARGET)}
@@ -291,6 +291,15 @@ def test_the_target_is_where_the_task_wants_the_tip(robot_of, drawer, rollout, t
             target(saved, target=wrong)
 
 
+def test_the_first_view_has_room_for_the_marks(robot_of, rollout, tmp_path):
+    """What the camera frames encloses the disc and the arrows at the tip, wherever the tip comes."""
+    data = data_in(replay(robot_of("sawyer"), {"a": rollout}, tmp_path / "a.html").html)
+    low, high = np.array(data["bounds"])
+    path = numbers(data["rollouts"][0]["path"]).reshape(-1, 3)
+    arrow = 0.9 * 0.085 * np.linalg.norm(high - low)
+    assert np.all(path - arrow >= low - 1e-6) and np.all(path + arrow <= high + 1e-6)
+
+
 def test_a_rollout_shows_its_own_constraint_and_mechanism(robot_of, drawer, rollout, tmp_path):
     """Also from its file; the evidence that its constraint keeps is in the page, and its frame is drawn."""
     robot = robot_of("sawyer")
@@ -300,11 +309,11 @@ def test_a_rollout_shows_its_own_constraint_and_mechanism(robot_of, drawer, roll
     controller = ResolvedRateController(constraint, PointAttractor(TARGET))
     moved = Rollout.load(simulate(robot, controller, START, 0.1, 0.01).save(tmp_path / "r.csv"), robot)
     data = data_in(replay(robot, {"a": moved}, tmp_path / "a.html").html)
-    assert data["mechanism"]["type"] == "line"
+    assert data["mechanisms"][0]["type"] == "line"
     assert data["evidence"]["headline"] == "moves freely" and data["evidence"]["facts"][0][:2] == ["Gap", "12"]
     assert data["robot"]["tip"] == "right_gripper_tip" and data["choice"] is None
     bare = data_in(replay(robot, {"a": replace(moved, constraint=None)}, tmp_path / "b.html").html)
-    assert bare["mechanism"] is None and bare["evidence"] is None and bare["rollouts"][0]["marks"] is None
+    assert bare["mechanisms"] == bare["rollouts"][0]["marks"] == [] and bare["evidence"] is None
 
 
 def test_constraints_of_other_robots_are_refused(robot_of, drawer, rollout, tmp_path):

@@ -29,18 +29,25 @@ def places_per_motion(n: int) -> int:
     return max(LEAST_PLACES, MOST_PLACES // max(n, 1))
 
 
-def constraint_marks(robot: Robot, samples: MotionSamples, guidance: Guidance, most: int) -> dict[str, Any] | None:
-    """The marks of one motion; None if its constraint is not known or is not one of a single frame.
+def constraint_marks(
+    robot: Robot, samples: MotionSamples, guidance: Guidance, most: int
+) -> list[dict[str, Any] | None]:
+    """The marks of each constraint of one motion; None for one that is not of a single frame.
 
     Args:
         robot: Whose tip it is.
         samples: The motion.
-        guidance: Its constraint and its target.
+        guidance: Its constraints and its target.
         most: See `places_per_motion`.
     """
-    constraint = guidance.constraint
-    if constraint is None:
-        return None
+    each = most // max(len(guidance.constraints), 1)
+    return [_marks(robot, samples, constraint, guidance.target, each) for constraint in guidance.constraints]
+
+
+def _marks(
+    robot: Robot, samples: MotionSamples, constraint: Constraint, goal: np.ndarray | None, most: int
+) -> dict[str, Any] | None:
+    learnt = _learnt(constraint)
     kept = np.unique(np.linspace(0, samples.time.size - 1, min(samples.time.size, most)).round().astype(int))
     frame = getattr(constraint.features, "frame", None)
     if not isinstance(frame, Frame):
@@ -48,8 +55,8 @@ def constraint_marks(robot: Robot, samples: MotionSamples, guidance: Guidance, m
     kinematics = batch_kinematics(robot, frame)
     q = samples.q[kept]
     poses = kinematics.pose(q)
-    directions = held_directions(constraint, poses[:, :3, 3])
-    if directions is None:
+    directions, ruled = (held_directions(c, poses[:, :3, 3]) for c in (learnt, constraint))
+    if directions is None or ruled is None:
         return None
     names = "held", "free", "held_turns", "free_turns"
     return {
@@ -57,9 +64,18 @@ def constraint_marks(robot: Robot, samples: MotionSamples, guidance: Guidance, m
         "axes": None if directions.axes is None else _place(robot, directions.axes),
         "times": packed(samples.time[kept], "<f8"),
         **{_key(n): packed(getattr(directions, n)[..., *SIX], "<f4") for n in names},
-        "ellipsoid": packed(_ellipsoids(robot, directions, q)[:, *SIX], "<f4"),
-        "target": target_place(robot, constraint, guidance.target, samples.q[0]),
+        "ellipsoid": packed(_ellipsoids(robot, ruled, q)[:, *SIX], "<f4"),
+        "driven": constraint.n_constraints > learnt.n_constraints,  # along what is free, too
+        "target": target_place(robot, constraint, goal, samples.q[0]),
     }
+
+
+def _learnt(constraint: Constraint) -> Constraint:
+    """Without the rows that a task drives, which follow those that were learnt."""
+    n = constraint.provenance.get("n_constraints")
+    if not isinstance(n, int) or not 0 < n < constraint.n_constraints:
+        return constraint
+    return Constraint(constraint.selection[:n], constraint.features, constraint.provenance)
 
 
 def ellipsoid_scale(marks: Sequence[dict[str, Any] | None], size: float) -> float:

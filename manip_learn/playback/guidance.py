@@ -38,6 +38,11 @@ class Guidance:
         """The first one."""
         return self.constraints[0] if self.constraints else None
 
+    def mechanism(self, k: int) -> Mapping[str, Any] | None:
+        """That of constraint k, as it keeps it; None if it keeps none."""
+        kept = self.constraints[k].provenance.get("mechanism") if k < len(self.constraints) else None
+        return kept if isinstance(kept, Mapping) else None
+
     @property
     def holds(self) -> bool:
         """Whether the world holds the first constraint (b = 0), so that motion may be measured by it."""

@@ -29,6 +29,7 @@ from manip_learn.playback.page_writer import page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.recorded_motion import RecordedMotion
 from manip_learn.playback.scene_data import scene_data
+from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
@@ -171,7 +172,7 @@ class LiveViewer:
     def __init__(self, robot: Robot, *, title: str = "", open_browser: bool = True, timeout: float = 10.0):
         self._robot = robot
         self._tree = kinematic_tree(robot)
-        name = title or robot.name or "robot"
+        name = title or known_as(robot.source) or robot.name or "robot"
         self._process = LiveProcess(lambda token: _live_page(robot, self._tree, name, token), timeout)
         self._start = clock.monotonic()
         self._finalizer = weakref.finalize(self, self._process.close)
@@ -245,4 +246,4 @@ def _live_page(robot: Robot, tree: tuple[TreeJoint, ...], name: str, token: str)
     looks = appearance(robot, tree)
     data = scene_data(robot, tree, looks, tip, [still], rollout_colours([name], {}), looks.notes)
     data["events"] = f"/{token}/events"
-    return page(data, robot=robot.name or "robot", subtitle="", mode="live").encode("utf-8")
+    return page(data, robot=name, subtitle="", mode="live").encode("utf-8")

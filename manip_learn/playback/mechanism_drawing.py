@@ -48,14 +48,33 @@ class MechanismDrawing:
 
 @final
 @dataclass(frozen=True, eq=False)
-class _Frame:
-    """Axis, point and the motion that the mechanism held."""
+class Geometry:
+    """Where a mechanism is, as far as that is known.
+
+    Attributes:
+        axis: shape (3,), unit vector in the base frame.
+        point: shape (3,), on the axis, or the centre [m].
+        radius: Of the hand about the axis or the centre [m].
+        pitch: Travel along the axis per radian [m/rad].
+    """
 
     axis: Float[np.ndarray, " 3"] | None
     point: Float[np.ndarray, " 3"] | None
     radius: float | None
     pitch: float | None
-    held: Float[np.ndarray, "n 3"]
+
+
+def geometry_of(described: Mapping[str, Any]) -> Geometry:
+    """The numbers of a mechanism's dictionary.
+
+    Raises:
+        RecordingError: Numbers of a wrong size or not finite.
+    """
+    axis = _vector(described, "axis")
+    if axis is not None:
+        length = float(np.linalg.norm(axis))
+        axis = axis / length if length > 0.0 else None
+    return Geometry(axis, _vector(described, "point"), _number(described, "radius"), _number(described, "pitch"))
 
 
 def mechanism_drawing(
@@ -75,43 +94,41 @@ def mechanism_drawing(
     described = mechanism if isinstance(mechanism, Mapping) else mechanism.to_dict()
     kind = str(described.get("type") or "mechanism")[:MAX_TEXT]
     sentence = str(described.get("sentence") or kind)[:MAX_TEXT]
-    axis = _vector(described, "axis")
-    if axis is not None:
-        length = float(np.linalg.norm(axis))
-        axis = axis / length if length > 0.0 else None
-    frame = _Frame(axis, _vector(described, "point"), _number(described, "radius"), _number(described, "pitch"), held)
+    geometry = geometry_of(described)
     lines: list[np.ndarray] = []
     patches: list[np.ndarray] = []
     if kind == "ball":
-        lines = _ball(frame)
-    elif frame.axis is not None and frame.point is not None and kind == "plane":
-        patches = [_patch(frame.axis, frame.point, held)]
+        lines = _ball(geometry)
+    elif geometry.axis is not None and geometry.point is not None and kind == "plane":
+        patches = [_patch(geometry.axis, geometry.point, held)]
         lines = [np.vstack([patches[0], patches[0][:1]])]
-    elif frame.axis is not None and frame.point is not None:
-        lines = _along_axis(kind, frame.axis, frame.point, frame)
+    elif geometry.axis is not None and geometry.point is not None:
+        lines = _along_axis(kind, geometry.axis, geometry.point, geometry, held)
     return MechanismDrawing(kind, sentence, tuple(lines), tuple(patches))
 
 
-def _along_axis(kind: str, axis: np.ndarray, point: np.ndarray, frame: _Frame) -> list[np.ndarray]:
+def _along_axis(
+    kind: str, axis: np.ndarray, point: np.ndarray, geometry: Geometry, held: np.ndarray
+) -> list[np.ndarray]:
     """The axis, and around it the circle of a hinge, the helix of a screw, the two rims of a cylinder."""
-    along = (frame.held - point) @ axis
+    along = (held - point) @ axis
     low, high = float(along.min()), float(along.max())
-    radius = frame.radius
+    radius = geometry.radius
     reach = _margin(high - low) + (0.3 * radius if radius else 0.0)
     lines = [np.array([point + (low - reach) * axis, point + (high + reach) * axis])]
     if kind == "line" or not radius:
         return lines
-    if kind == "screw" and frame.pitch:
-        return [*lines, _helix(axis, point, radius, frame.pitch, low, high, frame.held)]
+    if kind == "screw" and geometry.pitch:
+        return [*lines, _helix(axis, point, radius, geometry.pitch, low, high, held)]
     heights = (low, high) if kind == "other" else (0.5 * (low + high),)
     return [*lines, *(_circle(point + h * axis, axis, radius) for h in heights)]
 
 
-def _ball(frame: _Frame) -> list[np.ndarray]:
+def _ball(geometry: Geometry) -> list[np.ndarray]:
     """Three great circles around the centre."""
-    if frame.point is None or not frame.radius:
+    if geometry.point is None or not geometry.radius:
         return []
-    return [_circle(frame.point, axis, frame.radius) for axis in np.eye(3)]
+    return [_circle(geometry.point, axis, geometry.radius) for axis in np.eye(3)]
 
 
 def _circle(centre: np.ndarray, axis: np.ndarray, radius: float) -> Float[np.ndarray, "n 3"]:

@@ -17,9 +17,9 @@ from manip_learn.errors import OutputError
 
 STYLE = ("style.css", "tracks.css")
 PROGRAM = (
-    *("theme.js", "scene.js", "stage.js", "fit.js", "phases.js", "chart.js", "sheets.js", "tracks.js"),
-    *("constraint_marks.js", "shown.js", "evidence.js", "recording_choice.js", "keys.js", "legend.js"),
-    *("player.js", "live.js", "main.js"),
+    *("scene.js", "stage.js", "fit.js", "phases.js", "chart.js", "sheets.js", "tracks.js"),
+    *("constraint_marks.js", "furniture.js", "labels.js", "shown.js", "evidence.js", "recording_choice.js"),
+    *("keys.js", "legend.js", "player.js", "live.js", "main.js"),
 )
 
 

@@ -50,17 +50,17 @@ class PhaseBand:
     constraint: int | None
 
 
-def phase_kinds(phases: Sequence[Phase], mechanism: str = "") -> tuple[PhaseKind, ...]:
+def phase_kinds(phases: Sequence[Phase], names: Sequence[str] = ()) -> tuple[PhaseKind, ...]:
     """The constraints in their order, then free motion.
 
     Args:
         phases: Checked by `phase_bands`.
-        mechanism: Name of the mechanism of the first constraint, e.g. `"hinge"`; empty if there is none.
+        names: What each constraint is, e.g. `"hinge"`; empty or missing where that is not known.
     """
     n = 1 + max((p[3] for p in phases if p[3] is not None), default=-1)
     kinds = []
     for k in range(n):
-        label = f"constraint {k + 1}: {mechanism}" if k == 0 and mechanism else f"constraint {k + 1}"
+        label = f"constraint {k + 1}" + (f": {names[k]}" if k < len(names) and names[k] else "")
         colour = _CONSTRAINT_COLOURS[k % len(_CONSTRAINT_COLOURS)]
         kinds.append(PhaseKind(label, str(k + 1), colour, _ink(colour)))
     free = "free motion, or not learnt" if any(len(p) > 4 and p[4] for p in phases) else "free motion"

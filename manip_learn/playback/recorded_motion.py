@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
-from manip_learn.playback.extremes import extremes
+from manip_learn.playback.furniture import Furniture, furniture_of
 from manip_learn.playback.guidance import Guidance
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks
 from manip_learn.playback.motion_samples import MotionSamples, finite, motion_samples
 from manip_learn.playback.phase_bands import PhaseBand
-from manip_learn.playback.tracks import Track, broken_share, tracks_of
+from manip_learn.playback.tracks import Curve, Track, broken_share, extremes, tracks_of
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
@@ -49,6 +50,7 @@ class RecordedMotion:
         samples: All samples; None for a motion that is not recorded.
         guidance: Constraint and target.
         fit_share: Share of a recording's motion that breaks its constraint, see `broken_share`; None if not known.
+        furniture: What a rollout opens; None for recordings, whose paths it would hide, and where nothing opens.
     """
 
     name: str
@@ -67,6 +69,7 @@ class RecordedMotion:
     samples: MotionSamples | None = None
     guidance: Guidance = UNGUIDED
     fit_share: float | None = None
+    furniture: Furniture | None = None
 
 
 def recorded_motion(
@@ -77,6 +80,7 @@ def recorded_motion(
     recording: Rollout | Trajectory,
     phases: tuple[PhaseBand, ...] = (),
     guidance: Guidance = UNGUIDED,
+    mechanism: Mapping[str, Any] | None = None,
 ) -> RecordedMotion:
     """Check a recording and subsample it for playback.
 
@@ -88,6 +92,7 @@ def recorded_motion(
         recording: What is played.
         phases: Bands on the recording's own clock.
         guidance: Its constraint and its target.
+        mechanism: Of a rollout whose constraint keeps none.
 
     Raises:
         RecordingError: No samples, shapes that do not fit, time that does not increase, NaN, another robot, or other
@@ -101,23 +106,30 @@ def recorded_motion(
     curve_times, curve = _curve(name, time, getattr(recording, "manipulability", None))
     bands = _within(phases, first_time, float(time[-1]))
     tracks = joint_tracks(robot, tree, q[keys])
+    path_times, path = time[path_keys], np.array([robot.pose(x, tip)[:3, 3] for x in q[path_keys]])
+    measures, furniture = tracks_of(robot, recording, samples, guidance, bands), None
+    if isinstance(recording, Rollout):
+        furniture = furniture_of(guidance.mechanism(0) or mechanism, path_times, path)
+    if furniture is not None:
+        measures = (Track("opening", (Curve("", path_times, furniture.opening),), furniture.unit), *measures)
     return RecordedMotion(
         name=name,
         key_times=time[keys],
         tracks=finite(name, "joint motion", tracks, 2),
         postures=q[keys],
-        path_times=time[path_keys],
-        path=np.array([robot.pose(x, tip)[:3, 3] for x in q[path_keys]]),
+        path_times=path_times,
+        path=path,
         curve_times=curve_times,
         curve=curve,
         status=_status_changes(name, time, getattr(recording, "status", ())),
         duration=float(time[-1]),
         first_time=first_time,
         phases=bands,
-        measures=tracks_of(robot, recording, samples, guidance, bands),
+        measures=measures,
         samples=samples,
         guidance=guidance,
         fit_share=broken_share(samples, guidance, bands) if isinstance(recording, Trajectory) else None,
+        furniture=furniture,
     )
 
 

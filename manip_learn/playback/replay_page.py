@@ -24,7 +24,7 @@ from manip_learn.playback.appearance import appearance
 from manip_learn.playback.evidence import DescribedReport, evidence_of
 from manip_learn.playback.guidance import Guidance, guidance_of
 from manip_learn.playback.kinematic_tree import kinematic_tree
-from manip_learn.playback.mechanism_drawing import DescribedMechanism, mechanism_drawing
+from manip_learn.playback.mechanism_drawing import DescribedMechanism, MechanismDrawing, mechanism_drawing
 from manip_learn.playback.page_writer import page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.phase_bands import Phase, phase_bands, phase_kinds, phases_from_json
@@ -32,6 +32,7 @@ from manip_learn.playback.recorded_motion import RecordedMotion, recorded_motion
 from manip_learn.playback.recording_choice import RecordingChoice
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
@@ -132,35 +133,62 @@ def replay(
     bands = phase_bands(phases, list(named))
     chosen_colours = rollout_colours(list(named), colours or {}, neutral=bool(phases))
     tree, frame = kinematic_tree(robot), robot.frame(tip_name)
-    motions = [recorded_motion(robot, tree, frame, name, r, bands[name], guided[name]) for name, r in named.items()]
-    drawing = None if mechanism is None else mechanism_drawing(mechanism, _held_by_first(motions))
-    kinds = phase_kinds(phases, drawing.type if drawing else "") if phases else ()
+    first = mechanism if mechanism is None or isinstance(mechanism, Mapping) else mechanism.to_dict()
+    motions = [recorded_motion(robot, tree, frame, n, r, bands[n], guided[n], first) for n, r in named.items()]
+    drawings = _drawings(first, motions)
+    kinds = phase_kinds(phases, _names(drawings, motions[0].guidance)) if phases else ()
     looks = appearance(robot, tree)
     all_notes = (*notes, *looks.notes) + (() if phases else _crowd_note(len(motions)))
-    data = scene_data(robot, tree, looks, tip_name, motions, chosen_colours, all_notes, kinds, drawing)
+    data = scene_data(robot, tree, looks, tip_name, motions, chosen_colours, all_notes, kinds, drawings)
     evidence = evidence_of(learnt) if learnt else None
     data["evidence"] = evidence
     recorded = all(isinstance(r, Trajectory) for r in named.values())
     data["choice"] = (
         (choice or RecordingChoice()).to_dict(list(named), evidence["odd"] if evidence else ()) if recorded else None
     )
-    content = page(data, robot=robot.name or "robot", subtitle=title).encode("utf-8")
+    content = page(data, robot=known_as(robot.source) or robot.name or "robot", subtitle=title).encode("utf-8")
     path = write_atomically(_temporary_file(robot.name) if html is None else html, content)
     if open_browser or (open_browser is None and html is None):
         webbrowser.open(path.as_uri())
     return ReplayResult(path, len(content), all_notes)
 
 
-def _held_by_first(motions: Sequence[RecordedMotion]) -> Float[np.ndarray, "n 3"]:
-    """The tip where the first constraint holds, in the base frame [m]; everywhere if that is nowhere."""
+def _drawings(
+    first: Mapping[str, Any] | None, motions: Sequence[RecordedMotion]
+) -> tuple[MechanismDrawing | None, ...]:
+    """What is drawn of each constraint's mechanism; of rollouts, which are without phases, the first one's alone."""
+    n = len(motions[0].guidance.constraints) if any(m.phases for m in motions) else 1
+    described = [first, *(motions[0].guidance.mechanism(k) for k in range(1, n))]
+    return tuple(None if d is None else _drawing(d, k, motions) for k, d in enumerate(described))
+
+
+def _drawing(described: Mapping[str, Any], k: int, motions: Sequence[RecordedMotion]) -> MechanismDrawing:
+    """A line that a rollout moves along is drawn where its hand is: that recordings held it elsewhere says nothing."""
+    opened = motions[0].furniture
+    if k == 0 and opened is not None and described.get("type") == "line":
+        ways = [m.furniture.moved(np.zeros((1, 3)), float(m.furniture.opening.max())) for m in motions if m.furniture]
+        handle = opened.pose[:3, 3]
+        return mechanism_drawing({**described, "point": handle}, np.concatenate([handle[None], *ways]))
+    return mechanism_drawing(described, _held(k, motions))
+
+
+def _held(k: int, motions: Sequence[RecordedMotion]) -> Float[np.ndarray, "n 3"]:
+    """The tip where constraint k holds, in the base frame [m]; everywhere if that is nowhere."""
     held = [
         motion.path[(motion.path_times >= band.start) & (motion.path_times <= band.end)]
         for motion in motions
         for band in motion.phases
-        if band.constraint == 0
+        if band.constraint == k
     ]
     points = np.concatenate(held) if held else np.zeros((0, 3))
     return points if len(points) else np.concatenate([motion.path for motion in motions])
+
+
+def _names(drawings: Sequence[MechanismDrawing | None], guidance: Guidance) -> tuple[str, ...]:
+    """What each constraint is: its mechanism, else how many directions it holds."""
+    constraints = guidance.constraints
+    rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in constraints] or [""] * len(drawings)
+    return tuple(d.type if d is not None else said for d, said in zip(drawings, rows, strict=False))
 
 
 def _learnt(report: DescribedReport | Mapping[str, Any] | None, guided: Mapping[str, Guidance]) -> Mapping[str, Any]:

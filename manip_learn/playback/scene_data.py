@@ -16,12 +16,14 @@ from manip_learn.playback.packing import packed
 from manip_learn.playback.phase_bands import PhaseKind
 from manip_learn.playback.recorded_motion import RecordedMotion
 from manip_learn.playback.shapes import Appearance, TriangleMesh
-from manip_learn.playback.track_data import points_per_curve, track_data
+from manip_learn.playback.tracks import points_per_curve, track_data
 from manip_learn.robot.robot import Robot
 
 MAX_POSTURES_FOR_BOUNDS = 120
 OUTLINE_DIRECTIONS = 240
-ELLIPSOID = 0.12  # longest semi-axis relative to the scene
+ELLIPSOID = 0.08  # longest semi-axis relative to the scene
+ASIDE = np.deg2rad(62.0)  # the camera from what it looks at
+MARKS = 0.085  # half length of an arrow relative to the scene, as in page/constraint_marks.js
 
 
 def scene_data(
@@ -33,13 +35,17 @@ def scene_data(
     colours: Sequence[tuple[str, str]],
     notes: Sequence[str],
     kinds: Sequence[PhaseKind] = (),
-    mechanism: MechanismDrawing | None = None,
+    mechanisms: Sequence[MechanismDrawing | None] = (),
 ) -> dict[str, Any]:
     """The data of a page; arrays are little-endian and in base64."""
-    cloud = np.concatenate([_drawn_points(robot, looks, motions), *(mechanism.lines if mechanism else ())])
+    cloud = np.concatenate([_drawn_points(robot, looks, motions), *(x for m in mechanisms if m for x in m.lines)])
+    cloud = np.concatenate([cloud, *(m.furniture.corners() for m in motions if m.furniture), *_marked(cloud, motions)])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     most, places = points_per_curve([m.measures for m in motions]), places_per_motion(len(motions))
-    marks = [None if m.samples is None else constraint_marks(robot, m.samples, m.guidance, places) for m in motions]
+    marks: list[list[dict[str, Any] | None]] = [
+        [] if m.samples is None else constraint_marks(robot, m.samples, m.guidance, places) for m in motions
+    ]
+    size = float(np.linalg.norm(high - low))
     return {
         "robot": _robot(robot, tree, looks, tip),
         "bounds": [low.tolist(), high.tolist()],
@@ -51,15 +57,23 @@ def scene_data(
             _rollout(m, c) | {"measures": track_data(m.measures, most), "marks": mark}
             for m, c, mark in zip(motions, colours, marks, strict=True)
         ],
-        "ellipsoidScale": ellipsoid_scale(marks, ELLIPSOID * float(np.linalg.norm(high - low))),
+        "ellipsoidScale": ellipsoid_scale([one for some in marks for one in some], ELLIPSOID * size),
         "notes": list(notes),
         "phaseKinds": [{"label": k.label, "mark": k.mark, "colour": k.colour, "ink": k.ink} for k in kinds],
-        "mechanism": None if mechanism is None else _mechanism(mechanism),
+        "mechanisms": [_mechanism(k, m) for k, m in enumerate(mechanisms) if m is not None],
     }
 
 
-def _mechanism(mechanism: MechanismDrawing) -> dict[str, Any]:
+def _marked(cloud: Float[np.ndarray, "C 3"], motions: Sequence[RecordedMotion]) -> list[Float[np.ndarray, "M 3"]]:
+    """Where the marks at the tip reach to, along the path [m]."""
+    reach = MARKS * float(np.linalg.norm(np.ptp(cloud, axis=0)))
+    paths = [m.path[:: max(1, len(m.path) // MAX_POSTURES_FOR_BOUNDS)] for m in motions if m.guidance.constraints]
+    return [path + reach * side for path in paths for side in (*np.eye(3), *-np.eye(3))]
+
+
+def _mechanism(k: int, mechanism: MechanismDrawing) -> dict[str, Any]:
     return {
+        "constraint": k,
         "type": mechanism.type,
         "sentence": mechanism.sentence,
         "lines": [packed(line, "<f4") for line in mechanism.lines],
@@ -137,6 +151,7 @@ def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
         "status": [list(change) for change in motion.status],
         "firstTime": motion.first_time,
         "fitShare": motion.fit_share,
+        "furniture": None if motion.furniture is None else motion.furniture.to_dict(),
         # start, end, number of the kind; -1 for free motion
         "phases": [[b.start, b.end, -1 if b.constraint is None else b.constraint] for b in motion.phases],
     }
@@ -168,9 +183,14 @@ def _outermost(cloud: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "D 3"]:
 
 
 def _azimuth(motions: Sequence[RecordedMotion]) -> float:
-    """Where the camera stands [rad], so that the arm is seen from its side and a little from its front."""
+    """Where the camera stands [rad]: beside the arm and a little before it, or before the front that is opened."""
     x, y, _ = np.concatenate([m.path for m in motions]).mean(axis=0)
-    return float(np.arctan2(y, x) - np.deg2rad(62.0)) if np.hypot(x, y) > 1e-6 else float(np.deg2rad(-50.0))
+    usual = float(np.arctan2(y, x) - ASIDE) if np.hypot(x, y) > 1e-6 else float(np.deg2rad(-50.0))
+    out = next((m.furniture.pose[:2, 1] for m in motions if m.furniture), np.zeros(2))
+    if np.linalg.norm(out) < 0.5:
+        return usual
+    front = float(np.arctan2(out[1], out[0]))
+    return min((front - ASIDE, front + ASIDE), key=lambda side: -np.cos(side - usual))
 
 
 def _corners(looks: Appearance, joint: int) -> Float[np.ndarray, "C 3"]:

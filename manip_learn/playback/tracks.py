@@ -1,24 +1,30 @@
-"""What a page shows of a motion over time, one track below the other: singular values, joints, errors, fit."""
+"""What a page shows of a motion over time, one track below the other: singular values, joints, errors, fit.
+
+A track has few enough numbers for a page, every minimum and maximum among them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
 from manip_learn.playback.guidance import Guidance
 from manip_learn.playback.motion_samples import MotionSamples
+from manip_learn.playback.packing import packed
 from manip_learn.playback.phase_bands import PhaseBand
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.batch.postures import positions_of
 from manip_learn.robot.robot import Robot
 
 AT_REST = 0.1  # share of the root mean square speed of a motion below which it says nothing of a constraint
+MOST_POINTS = 100_000  # of all curves of a page, 8 bytes each
+MOST_OF_A_CURVE, LEAST_OF_A_CURVE = 2000, 60
 NEGLIGIBLE = 1e-10  # singular values relative to the largest
 
 
@@ -44,7 +50,7 @@ class Track:
     """Curves that share an axis.
 
     Attributes:
-        kind: `"singular"`, `"velocity"`, `"position"`, `"task-error"`, `"following-error"` or `"fit"`.
+        kind: `"singular"`, `"velocity"`, `"position"`, `"task-error"`, `"following-error"`, `"fit"` or `"opening"`.
         curves: At least one.
         unit: Of the values; `"limit"` for shares of a limit or of a range, empty where there is none.
         without: Joints that are not shown, because they have no limits.
@@ -180,3 +186,65 @@ def _joint_unit(robot: Robot) -> str:
     """Of joint positions: rad, m, or either."""
     units = {"m" if block.kind == "prismatic" else "rad" for block in robot.blocks}
     return " or ".join(sorted(units, reverse=True))
+
+
+def points_per_curve(tracks: Sequence[Sequence[Track]]) -> int:
+    """How many points each curve of a page may have.
+
+    Args:
+        tracks: Those of each motion.
+    """
+    n = sum(len(track.curves) for some in tracks for track in some)
+    return int(np.clip(MOST_POINTS // max(n, 1), LEAST_OF_A_CURVE, MOST_OF_A_CURVE))
+
+
+def track_data(tracks: Sequence[Track], most: int) -> dict[str, Any]:
+    """The tracks of one motion.
+
+    Curves that keep all of their samples share their times, in float64; those that do not have times of their own,
+    as their extremes are at different samples. Values are float32.
+
+    Args:
+        tracks: Of one motion.
+        most: See `points_per_curve`.
+    """
+    clocks: list[np.ndarray] = []
+    described = [
+        {
+            "kind": t.kind,
+            "unit": t.unit,
+            "without": list(t.without),
+            "curves": [_curve(c, most, clocks) for c in t.curves],
+        }
+        for t in tracks
+    ]
+    return {"clocks": [packed(clock, "<f8") for clock in clocks], "tracks": described}
+
+
+def _curve(curve: Curve, most: int, clocks: list[np.ndarray]) -> dict[str, Any]:
+    kept = extremes(curve.values, most)
+    described: dict[str, Any] = {"name": curve.name, "values": packed(curve.values[kept], "<f4")}
+    if kept.size < curve.values.size:
+        return described | {"times": packed(curve.times[kept], "<f4")}
+    number = next((i for i, clock in enumerate(clocks) if clock is curve.times), len(clocks))
+    if number == len(clocks):
+        clocks.append(curve.times)
+    return described | {"clock": number}
+
+
+def extremes(values: Float[np.ndarray, " T"], most: int) -> Int[np.ndarray, " K"]:
+    """Which samples to keep of a curve: first, last, and the least and the largest of each of `most / 2` spans.
+
+    Args:
+        values: The curve; NaN is a gap, and a span without any number keeps its first sample.
+        most: About how many samples may be kept; a shorter curve is kept whole.
+    """
+    if values.size <= most:
+        return np.arange(values.size)
+    edges = np.linspace(0, values.size, max(most // 2, 2)).astype(int)
+    missing = np.isnan(values)
+    low, high = np.where(missing, np.inf, values), np.where(missing, -np.inf, values)
+    keep = {0, values.size - 1}
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        keep |= {a + int(np.argmin(low[a:b])), a + int(np.argmax(high[a:b]))}
+    return np.array(sorted(keep))

@@ -14,6 +14,8 @@ const STATUS = {
 };
 const OTHER_STATUS = ["#8c6d1f", "#4d7f6a", "#a04040", "#77808a"];
 const MAX_STRIPS = 8;
+const TAP = 10; // a finger that moves less taps [px]
+const MOST_READ = 6, READ_ROW = 16; // values at the cursor, and the height of a row [px]
 const DASHES = ["", "7 4", "2 4", "10 3 2 3", "1 3 6 3"];
 
 function svg(tag, attributes, parent) {
@@ -39,27 +41,30 @@ function short(x) {
   return size >= 1e-3 && size < 1e5 ? String(Number(x.toPrecision(4))) : x.toExponential(1).replace("e+", "e");
 }
 
+// A finger that scrolls the page does not move in time: it seeks by dragging sideways, or by a tap, however long.
+function wireSeek(element, seek) {
+  let from = null;
+  const across = (event) => Math.abs(event.clientX - from.clientX), down = (event) => Math.abs(event.clientY - from.clientY);
+  element.addEventListener("pointerdown", (event) => { from = event; if (event.pointerType !== "touch") seek(event); });
+  element.addEventListener("pointermove", (event) => { if (event.buttons & 1 && from && (event.pointerType !== "touch" || across(event) > down(event))) seek(event); });
+  element.addEventListener("pointerup", (event) => { if (from && across(event) + down(event) < TAP) seek(event); from = null; });
+}
+
 class Chart {
   constructor(element, rollouts, duration, onSeek) {
     Object.assign(this, { element, rollouts, duration, onSeek, logarithmic: false, start: 0 });
     this.styles = new Map();
     new ResizeObserver(() => this.draw()).observe(element);
-    const seek = (event) => {
-      const box = element.getBoundingClientRect();
-      const share = (event.clientX - box.left - this.left) / Math.max(this.right - this.left, 1);
-      onSeek(this.start + Math.min(Math.max(share, 0), 1) * this.duration);
-    };
     if (!onSeek) return;
-    // a finger that scrolls the page does not move in time: it seeks by dragging sideways, or by a tap
-    let from = null;
-    const isSideways = (event) => Math.abs(event.clientX - from.clientX) > Math.abs(event.clientY - from.clientY);
-    element.addEventListener("pointerdown", (event) => {
-      element.setPointerCapture(event.pointerId);
-      from = event;
-      if (event.pointerType !== "touch") seek(event);
-    });
-    element.addEventListener("pointermove", (event) => { if (event.buttons & 1 && from && (event.pointerType !== "touch" || isSideways(event))) seek(event); });
-    element.addEventListener("click", seek);
+    element.addEventListener("pointermove", (event) => { this.hover = event.pointerType === "mouse" ? this.timeAt(event) : undefined; this.readOut(); });
+    element.addEventListener("pointerleave", () => { this.hover = undefined; this.readOut(); });
+    element.addEventListener("pointerdown", (event) => element.setPointerCapture(event.pointerId));
+    wireSeek(element, (event) => onSeek(this.timeAt(event)));
+  }
+
+  timeAt(event) {
+    const share = (event.clientX - this.element.getBoundingClientRect().left - this.left) / Math.max(this.right - this.left, 1);
+    return this.start + Math.min(Math.max(share, 0), 1) * this.duration;
   }
 
   turnLogarithmic() {
@@ -122,6 +127,7 @@ class Chart {
     this.cursor = svg("line", { y1: this.top, y2: this.bottom + below + 2, stroke: "var(--ink)", "stroke-width": 1.5 }, root);
     this.knob = svg("path", { d: "M-6 0h12l-6 8z", fill: "var(--ink)" }, root);
     this.dots = curves.map((r) => [r, svg("circle", { r: 5, fill: r.colour, stroke: "var(--page)", "stroke-width": 2 }, root)]);
+    this.readout = svg("g", { class: "readout" }, root);
     this.element.replaceChildren(root);
     if (this.time !== undefined) this.setTime(this.time);
     if (this.onDrawn) this.onDrawn();
@@ -191,6 +197,28 @@ class Chart {
       dot.setAttribute("cx", this.x(Math.min(t, rollout.duration)));
       dot.setAttribute("cy", this.y(curveValue(rollout, t)));
     }
+    this.readOut();
+  }
+
+  // The values at the cursor, or where the mouse is: beside it, where the curves are not.
+  readOut() {
+    if (!this.readout || this.time === undefined || !this.onSeek) return;
+    const t = this.hover ?? this.time, shown = [...this.curves].sort((a, b) => b.solid - a.solid).slice(0, MOST_READ);
+    this.readout.replaceChildren();
+    if (!shown.length) return;
+    const x = this.x(t), values = shown.map((r) => curveValue(r, Math.min(t, r.duration))), rows = values.map(readable), n = rows.length;
+    const flat = this.bottom - this.top < 24 + READ_ROW * n, cell = 36 + 7.4 * Math.max(...rows.map((row) => row.length)); // side by side where the curves are low
+    const wide = flat ? 58 + cell * n : Math.max(cell + 8, 68), high = flat ? 22 : 22 + READ_ROW * n;
+    const left = x + 12 + wide > this.right ? Math.max(x - 12 - wide, 0) : x + 12, middle = values.reduce((sum, v) => sum + this.y(v), 0) / n;
+    const top = middle > (this.top + this.bottom) / 2 ? this.top + 1 : this.bottom - high - 3;
+    svg("rect", { x: left, y: top, width: wide, height: high, rx: 6 }, this.readout);
+    if (this.hover !== undefined) svg("line", { x1: x, x2: x, y1: this.top, y2: this.bottom }, this.readout);
+    svg("text", { x: left + 9, y: top + 15 }, this.readout).textContent = `${t.toFixed(2)} s`;
+    rows.forEach((row, i) => {
+      const from = left + 9 + (flat ? 50 + cell * i : 0), y = top + 15 + (flat ? 0 : READ_ROW * (i + 1));
+      svg("line", { x1: from, x2: from + 16, y1: y - 4, y2: y - 4, style: `stroke: ${shown[i].colour}`, "stroke-width": 3, "stroke-dasharray": DASHES[shown[i].index % DASHES.length] }, this.readout);
+      svg("text", { x: from + 22, y, class: "value" }, this.readout).textContent = row;
+    });
   }
 
   // What the colours of strips and bands mean: the words that occur, mildest first, then the phases.

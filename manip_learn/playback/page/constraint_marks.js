@@ -50,7 +50,7 @@ function rowAt(times, table, width, t) {
 
 class ConstraintMarks {
   constructor(marks, instance, size, scale) {
-    Object.assign(this, { instance, size, scale, target: marks.target });
+    Object.assign(this, { instance, size, scale, target: marks.target, driven: marks.driven });
     this.tip = this.place(marks.tip);
     this.axes = marks.axes && this.place(marks.axes);
     this.times = decode(marks.times, Float64Array);
@@ -93,6 +93,7 @@ class ConstraintMarks {
   }
 
   setTime(t, isHeld) {
+    Object.assign(this, { time: t, holds: isHeld });
     const tip = this.poseOf(this.tip), centre = new THREE.Vector3().setFromMatrixPosition(tip);
     const turn = this.axes ? new THREE.Quaternion().setFromRotationMatrix(new THREE.Matrix4().extractRotation(this.poseOf(this.axes))) : new THREE.Quaternion();
     for (const part of [this.parts.constraint, this.parts.ellipsoid]) {
@@ -103,6 +104,20 @@ class ConstraintMarks {
     this.placeEllipsoid(t);
     this.fade(isHeld ? 1 : FADED);
     if (this.target && this.target.carrier) this.poseOf(this.carrier).decompose(this.parts.target.position, this.parts.target.quaternion, new THREE.Vector3());
+  }
+
+  // Where the labels of the marks point to in the robot's base, by the inks of these.
+  anchors() {
+    const { position, quaternion } = this.parts.constraint, { held, free, freeTurns, heldTurns } = this.drawn, size = ARROW * this.size;
+    const out = (d, length) => d && d.clone().multiplyScalar(length).applyQuaternion(quaternion).add(position);
+    const side = held.length === 2 ? held[0] : held.length === 3 ? new THREE.Vector3(0.6, 0, 0) : held[0] || heldTurns[0];
+    const long = this.ellipsoidAt(this.time)[0];
+    return {
+      "--free": held.length && free.length && free.length < 3 ? out(free[0], size) : heldTurns.length ? out(freeTurns[0], 0) : null,
+      "--held": out(side, 0.5 * size),
+      "--ellipsoid": out(new THREE.Vector3(...long.vector), -this.scale * long.length),
+      "--goal": this.targetAt && this.targetAt.clone().applyQuaternion(this.parts.target.quaternion).add(this.parts.target.position),
+    };
   }
 
   // Row-major pose of what is drawn at the tip.
@@ -188,7 +203,7 @@ class ConstraintMarks {
   addTarget(target) {
     if (!target) return;
     if (target.carrier) this.carrier = this.place(target.carrier);
-    const at = new THREE.Vector3(...target.point), r = 0.009 * this.size;
+    const at = (this.targetAt = new THREE.Vector3(...target.point)), r = 0.009 * this.size;
     const ball = this.mesh(new THREE.SphereGeometry(r, 24, 16), this.inks.goal);
     ball.position.copy(at);
     this.parts.target.add(ball);
@@ -197,9 +212,10 @@ class ConstraintMarks {
       this.parts.target.add(this.line(at.clone().sub(d), at.clone().add(d), this.inks.goal, 0.7 * THIN));
     }
     // along what is free every place counts as reached
-    const free = this.free.length === 6 && !this.axes ? directionsOf(symmetric(this.free, 0)) : [];
+    const free = !this.driven && this.free.length === 6 && !this.axes ? directionsOf(symmetric(this.free, 0)) : [];
     if (free.length !== 1) return;
     const d = free[0].multiplyScalar(3 * ARROW * this.size);
-    this.parts.target.add(this.line(at.clone().sub(d), at.clone().add(d), this.inks.haze, 0.8 * THIN));
+    this.reachedAt = at.clone().add(d);
+    this.parts.target.add(this.line(at.clone().sub(d), this.reachedAt, this.inks.haze, 0.8 * THIN));
   }
 }

@@ -25,8 +25,8 @@ function fitOf(rollout) {
 }
 
 function colourOfPath(rollout, t) {
-  if (colouring.mode === "fit" && rollout.fit) return fitColour(valueAt(rollout.fit, t));
-  return rollout.hasPhases ? (phaseAt(rollout, t) || NO_PHASE).colour : rollout.colour;
+  if (colouring.mode === "fit" && rollout.fit) return onScreen(fitColour(valueAt(rollout.fit, t)));
+  return rollout.hasPhases ? onScreen((phaseAt(rollout, t) || NO_PHASE).colour) : rollout.colour;
 }
 
 // Spans of a recording and the largest share in each, so that no misfit is lost; NaN where it rests.

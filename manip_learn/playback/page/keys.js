@@ -2,8 +2,8 @@
 
 // What a control does with a key by itself is left to it.
 function isOwnKey(target, key) {
-  if (target.tagName === "SELECT" || target.tagName === "SUMMARY" || target.closest?.(".sheet")) return true;
-  return key === " " && target.tagName === "BUTTON" && target.id !== "play";
+  if (target.tagName === "SELECT" || target.closest?.(".sheet")) return true;
+  return key === " " && (target.tagName === "SUMMARY" || (target.tagName === "BUTTON" && target.id !== "play"));
 }
 
 function wireKeys(actions) {

@@ -1,11 +1,10 @@
 // Names, colours and values now of everything that is played.
 
 class Legend {
-  constructor(element, rollouts, { onShow, onSolid, mechanism = null }) {
+  constructor(element, rollouts, { onShow, onSolid, mechanisms = [] }) {
     this.rows = rollouts.map((rollout) => {
       const row = document.createElement("div"), eye = document.createElement("button"), pick = document.createElement("button");
       const mark = document.createElement("i"), name = document.createElement("span"), state = document.createElement("span"), mu = document.createElement("div");
-      row.style.setProperty("--colour", rollout.colour);
       Object.assign(eye, { type: "button", className: "eye", title: "Show or hide" });
       eye.setAttribute("aria-label", `Show ${rollout.name}`);
       Object.assign(pick, { type: "button", className: "pick", title: `${rollout.name} (${rollout.colourName}): draw this one solid` });
@@ -17,10 +16,10 @@ class Legend {
       pick.addEventListener("click", () => onSolid(rollout));
       return { rollout, row, eye, pick, state, mu };
     });
-    if (mechanism) {
-      const words = document.createElement("p");
-      words.id = "mechanism";
-      words.textContent = `Mechanism: ${mechanism.sentence}`;
+    if (mechanisms.length) {
+      const words = Object.assign(document.createElement("p"), { id: "mechanism" });
+      for (const { constraint, sentence } of mechanisms)
+        words.append(Object.assign(document.createElement("span"), { textContent: `${mechanisms.length > 1 ? constraint + 1 : "Mechanism"}: ${sentence}` }));
       element.prepend(words);
     }
     this.setTime(0);
@@ -32,8 +31,8 @@ class Legend {
       eye.setAttribute("aria-pressed", String(rollout.visible));
       pick.setAttribute("aria-pressed", String(rollout.solid));
       const ended = t > rollout.duration + 1e-9, word = statusAt(rollout, t), phase = phaseAt(rollout, t);
-      if (rollout.hasPhases) row.style.setProperty("--colour", (phase || NO_PHASE).colour);
-      state.textContent = [rollout.hasPhases ? phase && phase.label : rollout.colourName, word && sayStatus(word), ended && `ended at ${rollout.duration.toFixed(2)} s`].filter(Boolean).join(" · ");
+      row.style.setProperty("--colour", rollout.hasPhases ? (phase || NO_PHASE).colour : rollout.colour);
+      state.textContent = [rollout.hasPhases ? phase && phase.label : rollout.colourName, openInWords(rollout, t), word && sayStatus(word), ended && `ended at ${rollout.duration.toFixed(2)} s`].filter(Boolean).join(" · ");
       if (rollout.curve.length) {
         const value = document.createElement("small");
         value.textContent = "μ";

@@ -41,6 +41,8 @@ function start() {
       const { drawn } = show.rollouts.find((r) => r.name === name);
       return { ...Object.fromEntries(Object.entries(drawn.drawn).map(([k, v]) => [k, v.map((d) => d.toArray())])), ellipsoid: drawn.ellipsoidAt(t), pose: drawn.poseNow() };
     },
+    // The handle's place in the robot's base, now [m].
+    handle: (name) => show.rollouts.find((r) => r.name === name).piece.at(new THREE.Vector3()).toArray(),
     get time() { return show.time; },
     get duration() { return show.duration; },
     get playing() { return Boolean(player.playing); },

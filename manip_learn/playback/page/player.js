@@ -25,7 +25,7 @@ function prepare(rollout, index, kinds) {
     keyTimes: decode(rollout.keyTimes, Float64Array), tracks: decode(rollout.tracks, Float64Array),
     path: decode(rollout.path, Float32Array), pathTimes: decode(rollout.pathTimes, Float32Array),
     curve: decode(rollout.curve, Float64Array), curveTimes: decode(rollout.curveTimes, Float64Array),
-    byKind: tracksByKind(rollout.measures),
+    byKind: tracksByKind(rollout.measures), get colour() { return onScreen(rollout.colour); },
   };
 }
 
@@ -39,6 +39,7 @@ class Show {
     this.duration = Math.max(...this.rollouts.map((r) => r.duration));
     this.time = 0;
     this.makeScene(data);
+    DARK.addEventListener("change", () => this.recolour());
   }
 
   makeScene(data) {
@@ -57,13 +58,19 @@ class Show {
       const size = this.stage ? this.stage.size : 1;
       if (rollout.path.length >= 6) rollout.trail = new TipPath(rollout, 0.0028 * size, rollout.instance.root);
     }
-    this.mechanism = data.mechanism;
-    const colour = (data.phaseKinds[0] || NO_PHASE).colour;
-    if (this.mechanism && this.stage) world.add((this.mechanismGroup = mechanismGroup(this.mechanism, colour, 0.0012 * this.stage.size)));
+    for (const rollout of this.rollouts) if (rollout.furniture) rollout.piece = new FurniturePiece(rollout);
+    this.mechanisms = data.mechanisms;
+    if (!this.stage) return;
+    this.mechanismGroup = new THREE.Group();
+    for (const one of this.mechanisms) this.mechanismGroup.add(mechanismGroup(one, (data.phaseKinds[one.constraint] || NO_PHASE).colour, 0.0012 * this.stage.size));
+    world.add(this.mechanismGroup);
   }
 
   recolour() {
-    for (const { trail } of this.rollouts) if (trail) trail.recolour();
+    for (const { trail, instance, solid } of this.rollouts) {
+      instance.setSolid(solid);
+      if (trail) trail.recolour();
+    }
     if (this.onRecolour) this.onRecolour();
     this.setTime(this.time);
   }
@@ -81,6 +88,7 @@ class Show {
     this.time = Math.min(Math.max(t, 0), this.duration);
     for (const rollout of this.rollouts) {
       rollout.instance.setValues(this.valuesAt(rollout, this.time));
+      if (rollout.piece) rollout.piece.setTime(this.time);
       if (rollout.trail) rollout.trail.setTime(this.time, rollout.instance.tipPosition());
     }
     if (this.shown) this.shown.setTime(this.time);
@@ -121,11 +129,11 @@ class Player {
     this.legend = new Legend(get("legend"), show.rollouts, {
       onShow: (rollout, visible) => this.showRollout(rollout, visible),
       onSolid: (rollout) => { show.makeSolid(rollout); this.chart.draw(); this.drawSlider(); this.update(); },
-      mechanism: show.mechanism,
+      mechanisms: show.mechanisms,
     });
     this.tracks = new Tracks(show, this.chart, (t) => this.seek(t));
     this.chart.onDrawn = () => this.tracks.draw();
-    show.onRecolour = () => { this.fillColourKey(); this.arrangePanel(); this.drawSlider(); };
+    show.onRecolour = () => { this.fillColourKey(); this.arrangePanel(); this.drawSlider(); this.update(); };
     this.wireTransport();
     this.setLoop(!matchMedia("(prefers-reduced-motion: reduce)").matches); // where motion is unwelcome, once is enough
     wireKeys(this.keyActions());
@@ -252,7 +260,7 @@ class Player {
   // The moment for those who hear it.
   inWords(t, phase) {
     const { solid, duration } = this.show, word = statusAt(solid, t);
-    const said = [phase && phase.label, word && this.chart.statusStyle(word).say, solid.curve.length && `manipulability ${readable(curveValue(solid, t))}`];
+    const said = [phase && phase.label, openInWords(solid, t), word && this.chart.statusStyle(word).say, solid.curve.length && `manipulability ${readable(curveValue(solid, t))}`];
     return [`${t.toFixed(2)} s of ${duration.toFixed(2)} s`, ...said].filter(Boolean).join(", ");
   }
 

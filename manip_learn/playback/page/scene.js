@@ -1,6 +1,20 @@
 // The robot in three dimensions: joints as nested groups, one instance a rollout.
 const THREE = MeshCat.THREE;
 
+// Colours of the page, light or dark, under the names that style.css gives them.
+const DARK = matchMedia("(prefers-color-scheme: dark)");
+
+function pageColour(name) { return getComputedStyle(document.documentElement).getPropertyValue(name).trim(); }
+
+// Colours of rollouts and phases stay dark on white; on a dark page they are mixed with white.
+function onScreen(hex) { return DARK.matches ? mixed(hex, "#ffffff", 0.35) : hex; }
+
+// Now, and whenever the page turns dark or light.
+function onTheme(apply) {
+  apply();
+  DARK.addEventListener("change", apply);
+}
+
 function matrixFromRows(rows) {
   return new THREE.Matrix4().set(...rows);
 }
@@ -86,7 +100,7 @@ const MAX_GHOSTS = 12;
 
 // Dark and light parts stay dark and light, all in the rollout's colour: structure and identity at once.
 function shaded(colour, own) {
-  const light = 0.3 * own[0] + 0.59 * own[1] + 0.11 * own[2];
+  const light = Math.max(0.3 * own[0] + 0.59 * own[1] + 0.11 * own[2], DARK.matches ? 0.3 : 0); // dark parts are seen on a dark page
   const shade = new THREE.Color(colour);
   return light < 0.5
     ? shade.lerp(new THREE.Color(0x101820), 0.5 * (1 - 2 * light))
@@ -156,6 +170,7 @@ class RobotInstance {
   material(shape) {
     const own = shape.colour, hex = this.rollout.colour;
     let colour = new THREE.Color(own[0], own[1], own[2]);
+    if (DARK.matches) colour.lerp(new THREE.Color(0xffffff), Math.max(0, 0.25 - 0.5 * Math.max(own[0], own[1], own[2])));
     if (shape.accent) colour = new THREE.Color(hex);
     else if (!this.solid) colour = shaded(hex, [0, 1, 2].map((i) => 0.4 + 0.2 * own[i]));
     else if (this.tinted && shape.joint > 0) colour = shaded(hex, own);
@@ -228,7 +243,7 @@ class TipPath {
     this.group = new THREE.Group();
     this.sides = 8;
     const geometry = tubeGeometry(points, radius, this.sides), past = geometry.clone();
-    const faint = new THREE.MeshBasicMaterial({ color: colour, toneMapped: false, transparent: true, opacity: DARK.matches ? 0.45 : 0.28, depthWrite: false, ...behind(rollout.index) });
+    const faint = new THREE.MeshBasicMaterial({ color: colour, toneMapped: false, transparent: true, opacity: 0.28, depthWrite: false, ...behind(rollout.index) });
     const strong = new THREE.MeshStandardMaterial({ color: colour, roughness: 0.6, emissive: colour, emissiveIntensity: 0.25, ...behind(rollout.index) });
     this.rollout = rollout;
     this.plain = { whole: faint, past: strong };
@@ -251,6 +266,9 @@ class TipPath {
         past: new THREE.MeshBasicMaterial({ vertexColors: true, toneMapped: false, ...behind(this.rollout.index) }),
       };
     }
+    this.plain.whole.color.copy(linear(this.rollout.colour));
+    this.plain.whole.opacity = DARK.matches ? 0.45 : 0.28;
+    for (const channel of ["color", "emissive"]) this.plain.past[channel].copy(this.plain.whole.color);
     const materials = varied ? this.varied : this.plain;
     this.whole.material = materials.whole;
     this.past.material = materials.past;

@@ -2,28 +2,34 @@
 
 const SHOWN = {
   constraint: { say: "Constraint at the tip", on: true },
+  furniture: { say: "Furniture that is moved", on: true },
   mechanism: { say: "Mechanism", on: true },
   target: { say: "Target", on: true },
-  ellipsoid: { say: "Ellipsoid of the task", on: false },
+  ellipsoid: { say: "Ellipsoid of the task" },
   paths: { say: "Paths of the tip", on: true },
+  labels: { say: "Labels", on: true },
 };
 
 class Shown {
   constructor(data, show) {
     Object.assign(this, { show, scale: data.ellipsoidScale, on: Object.fromEntries(Object.entries(SHOWN).map(([name, { on }]) => [name, on])) });
+    this.on.ellipsoid = show.rollouts.some((r) => r.curve.length); // it belongs to the curve
     const size = show.stage ? show.stage.size : 1;
     for (const rollout of show.rollouts) {
-      if (!rollout.marks) continue;
-      rollout.drawn = new ConstraintMarks(rollout.marks, rollout.instance, size, data.ellipsoidScale);
-      rollout.instance.root.add(rollout.drawn.group);
+      rollout.allDrawn = rollout.marks.map((marks) => marks && new ConstraintMarks(marks, rollout.instance, size, data.ellipsoidScale));
+      rollout.drawn = rollout.allDrawn[0];
+      for (const drawn of rollout.allDrawn) if (drawn) rollout.instance.root.add(drawn.group);
     }
+    if (show.stage) this.labels = labelScene(show, this.on);
     this.offer(data);
     this.apply();
   }
 
   has(name) {
-    if (name === "mechanism") return Boolean(this.show.mechanismGroup);
+    if (name === "mechanism") return this.show.mechanisms.length > 0;
     if (name === "paths") return true;
+    if (name === "furniture") return this.show.rollouts.some((r) => r.piece);
+    if (name === "labels") return ["constraint", "mechanism", "furniture"].some((other) => this.has(other));
     return this.show.rollouts.some((r) => r.drawn && (name !== "target" || r.drawn.target) && (name !== "ellipsoid" || r.drawn.ellipsoid.some((x) => x !== 0)));
   }
 
@@ -39,7 +45,7 @@ class Shown {
   key() {
     const list = Object.assign(document.createElement("ul"), { className: "key" });
     const words = { free: "arrow: free to move, round arrow: free to turn", held: "disc, bar or ball: held, ring: may not turn", goal: "ball and cross: target; the line through it: places that count as reached" };
-    words.ellipsoid = `ellipsoid: speed of the tip along what is held, for joint velocities of norm 1 (rad/s or m/s); ${short(this.scale)} m drawn for 1 m/s`;
+    words.ellipsoid = `ellipsoid: speed within the reach of the tip along the rows of μ, for joint velocities of norm 1 (rad/s or m/s); ${short(this.scale)} m drawn for 1 m/s`;
     const used = { free: "constraint", held: "constraint", goal: "target", ellipsoid: "ellipsoid" };
     for (const [name, text] of Object.entries(words)) {
       if (!this.has(used[name])) continue;
@@ -55,16 +61,23 @@ class Shown {
   apply() {
     for (const r of this.show.rollouts) {
       if (r.trail) r.trail.group.visible = this.on.paths;
-      if (!r.drawn) continue;
-      for (const [name, part] of Object.entries(r.drawn.parts)) part.visible = r.solid && this.on[name];
+      if (r.piece) r.piece.group.visible = this.on.furniture;
+      for (const drawn of r.allDrawn) if (drawn) for (const [name, part] of Object.entries(drawn.parts)) part.visible = r.solid && this.on[name];
     }
+    if (this.labels) this.labels.hidden = !this.on.labels;
     if (this.show.mechanismGroup) this.show.mechanismGroup.visible = this.on.mechanism;
     this.setTime(this.show.time);
     if (this.show.stage) this.show.stage.dirty();
   }
 
+  // The marks of the constraint that holds now; where none does, those of the one before stay faint.
   setTime(t) {
-    for (const r of this.show.rollouts)
-      if (r.drawn && r.solid && r.visible) r.drawn.setTime(Math.min(t, r.duration), !r.hasPhases || phaseAt(r, Math.min(t, r.duration)) === r.kinds[0]);
+    for (const r of this.show.rollouts) {
+      const now = Math.min(t, r.duration), k = r.hasPhases ? r.kinds.indexOf(phaseAt(r, now)) : 0;
+      const holds = k >= 0 && k < r.allDrawn.length;
+      if (holds) r.drawn = r.allDrawn[k];
+      for (const drawn of r.allDrawn) if (drawn) drawn.group.visible = drawn === r.drawn;
+      if (r.drawn && r.solid && r.visible) r.drawn.setTime(now, holds);
+    }
   }
 }

@@ -210,7 +210,15 @@ class Stage {
     far.forEach(([, instance], i) => instance.setOrder(10 + 2 * i));
   }
 
+  // Where a place in the robot's base is seen [px]; null behind the camera.
+  onScreen(place) {
+    const seen = new THREE.Vector3(place.x, place.z, -place.y).project(this.camera);
+    return seen.z > 1 ? null : { x: (0.5 + 0.5 * seen.x) * this.element.clientWidth, y: (0.5 - 0.5 * seen.y) * this.element.clientHeight };
+  }
+
   render() {
-    if (this.viewer.needs_render) this.viewer.render();
+    if (!this.viewer.needs_render) return;
+    this.viewer.render();
+    if (this.onRendered) this.onRendered();
   }
 }

@@ -1,6 +1,7 @@
 // Further curves below the manipulability, one track below the other, under the same cursor.
 
 const TRACKS = {
+  opening: { title: "How far it has moved", of: "all", low: 0 },
   singular: { title: "Singular values of A", of: "one", log: true },
   velocity: { title: "Joint velocities over their limits", of: "one", low: -1, high: 1, percent: true, limits: [-1, 1] },
   position: { title: "Joint positions between their limits", of: "one", low: 0, high: 1, percent: true, limits: [0, 1] },
@@ -47,7 +48,10 @@ class Tracks {
     get("chart").after(this.element);
     let width = 0;
     new ResizeObserver(() => { if (this.element.clientWidth !== width) { width = this.element.clientWidth; this.draw(); } }).observe(this.element);
-    this.wireSeek(onSeek);
+    wireSeek(this.element, (event) => {
+      const { left, right, start, duration } = this.chart.edges(this.element.clientWidth), at = event.clientX - this.element.getBoundingClientRect().left;
+      onSeek(start + Math.min(Math.max((at - left) / Math.max(right - left, 1), 0), 1) * duration);
+    });
     if (this.kinds.length) this.offerChoice();
   }
 
@@ -71,20 +75,6 @@ class Tracks {
   arrange() {
     get("panel").hidden = get("chart").hidden && !this.chosen.size;
     this.draw();
-  }
-
-  wireSeek(onSeek) {
-    let from = null;
-    const seek = (event) => {
-      const { left, right, start, duration } = this.chart.edges(this.element.clientWidth), at = event.clientX - this.element.getBoundingClientRect().left;
-      onSeek(start + Math.min(Math.max((at - left) / Math.max(right - left, 1), 0), 1) * duration);
-    };
-    const sideways = (event) => Math.abs(event.clientX - from.clientX) > Math.abs(event.clientY - from.clientY);
-    this.element.addEventListener("pointerdown", (event) => { from = event; if (event.pointerType !== "touch") seek(event); });
-    this.element.addEventListener("pointermove", (event) => {
-      if (event.buttons & 1 && from && (event.pointerType !== "touch" || sideways(event))) seek(event);
-    });
-    this.element.addEventListener("click", seek);
   }
 
   // Of one motion where each has several curves, else of all visible ones as long as they can be told apart.

@@ -64,6 +64,13 @@ def robot_names() -> tuple[str, ...]:
     return tuple(sorted({*SHIPPED, *example_robots()}))
 
 
+def known_as(source: Path | None) -> str | None:
+    """The shortest name by which `load_robot` finds this file; None for a file of one's own."""
+    if source is not None and source.parent == shipped_folder() and source.stem in SHIPPED:
+        return source.stem
+    return min((name for name, path in example_robots().items() if path == source), key=len, default=None)
+
+
 def shipped_folder() -> Path:
     """Folder of the robots that come with this package, in an installed wheel or in a checkout."""
     installed = Path(str(importlib.resources.files("manip_learn"))) / "_robots"

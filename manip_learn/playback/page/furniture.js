@@ -1,0 +1,59 @@
+// The drawer, the door or the crank at the hand of the solid rollout; of the others, the outline of its front.
+
+const TONES = { front: "#eadfcb", body: "#cbb898", handle: "#39424c" };
+const FURNITURE_INKS = Object.fromEntries(Object.entries(TONES).map(([what, hex]) => [what, new THREE.MeshStandardMaterial({ color: linear(hex), roughness: 0.75, emissive: linear(hex), emissiveIntensity: 0.14 })]));
+const EDGES = new THREE.LineBasicMaterial({ color: linear("#5d5340"), transparent: true, opacity: 0.55 });
+
+// "0.214 m open", or degrees.
+function openInWords(rollout, t) {
+  const opening = rollout.byKind.get("opening");
+  if (!opening) return "";
+  const value = valueAt(opening.curves[0], Math.min(t, rollout.duration));
+  if (rollout.furniture.kind === "crank") return `turned ${(value * 180 / Math.PI).toFixed(0)}°`;
+  if (opening.unit === "m") return rollout.furniture.pushedFrom ? `pushed in ${value.toFixed(3)} m` : `${value.toFixed(3)} m open`;
+  return `${(value * 180 / Math.PI).toFixed(1)}° open`;
+}
+
+class FurniturePiece {
+  constructor(rollout) {
+    Object.assign(this, rollout.furniture, { rollout, curve: rollout.byKind.get("opening").curves[0], group: new THREE.Group(), carcass: new THREE.Group(), leaf: new THREE.Group(), outline: new THREE.Group() });
+    this.group.matrixAutoUpdate = false;
+    this.group.matrix.copy(matrixFromRows(this.pose));
+    for (const box of this.fixed) this.carcass.add(...this.board(box));
+    for (const box of this.moving) this.leaf.add(...this.board(box));
+    const [x, y, z, ...size] = this.moving.find((box) => box[6] === "front");
+    this.ghostInk = new THREE.LineBasicMaterial({ toneMapped: false });
+    this.outline.add(this.placed(new THREE.LineSegments(new THREE.EdgesGeometry(new THREE.BoxGeometry(...size.slice(0, 3))), this.ghostInk), x, y, z));
+    this.top = new THREE.Vector3(x, y, z + size[2] / 2);
+    this.group.add(this.carcass, this.leaf, this.outline);
+    rollout.instance.root.add(this.group);
+  }
+
+  placed(object, x, y, z) { object.position.set(x, y, z); return object; }
+
+  board([x, y, z, across, deep, high, what]) {
+    const geometry = new THREE.BoxGeometry(across, deep, high), mesh = new THREE.Mesh(geometry, FURNITURE_INKS[what]);
+    mesh.castShadow = mesh.receiveShadow = true;
+    return [this.placed(mesh, x, y, z), this.placed(new THREE.LineSegments(new THREE.EdgesGeometry(geometry), EDGES), x, y, z)];
+  }
+
+  setTime(t) {
+    const open = valueAt(this.curve, Math.min(t, this.rollout.duration)), [x, y] = this.pivot, c = Math.cos(open), s = Math.sin(open);
+    for (const part of [this.leaf, this.outline]) {
+      if (this.kind === "drawer") part.position.y = Math.abs(this.pushedFrom - open);
+      else {
+        part.rotation.z = open;
+        part.position.set(x - c * x + s * y, y - s * x - c * y, this.pitch * open);
+      }
+    }
+    this.carcass.visible = this.leaf.visible = this.rollout.solid;
+    this.outline.visible = !this.rollout.solid;
+    this.ghostInk.color.copy(linear(this.rollout.colour));
+  }
+
+  // A place on the moving part in the robot's base, now.
+  at(place) {
+    this.leaf.updateMatrix();
+    return place.clone().applyMatrix4(this.leaf.matrix).applyMatrix4(this.group.matrix);
+  }
+}

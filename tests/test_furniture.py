@@ -1,0 +1,103 @@
+"""The drawer, the door and the crank of a replay: they move as the hand does, and stand still without it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import manip_learn as ml
+from manip_learn.playback.furniture import furniture_of
+from manip_learn.playback.kinematic_tree import kinematic_tree
+from manip_learn.playback.recorded_motion import recorded_motion
+
+N = 60  # samples of each stage
+TILTED = np.array([0.6, 0.0, 0.8])
+CENTRE = np.array([0.5, 0.1, 0.4])
+MECHANISMS = {
+    "line": {"type": "line", "axis": [1.0, 0.0, 0.0], "point": [9.0, 9.0, 9.0]},  # held elsewhere by the recordings
+    "hinge": {"type": "hinge", "axis": TILTED.tolist(), "point": CENTRE.tolist(), "radius": 0.3},
+    "screw": {"type": "screw", "axis": TILTED.tolist(), "point": CENTRE.tolist(), "radius": 0.1, "pitch": 0.02},
+}
+
+
+def place(kind, way):
+    """Where the hand is after ways along a mechanism [m or rad]."""
+    if kind == "line":
+        return np.array([0.7, 0.2, 0.35]) + np.outer(way, [1.0, 0.0, 0.0])
+    mechanism = MECHANISMS[kind]
+    right = np.array([0.8, 0.0, -0.6])
+    turned = np.outer(np.cos(way), right) + np.outer(np.sin(way), np.cross(TILTED, right))
+    return CENTRE + mechanism["radius"] * turned + np.outer(mechanism.get("pitch", 0.0) * way, TILTED)
+
+
+def stages(kind, *ways):
+    """Times and path of a hand that comes from aside, goes these ways, and leaves to another side."""
+    smooth = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, N))
+    along = np.concatenate([a + (b - a) * smooth for a, b in zip((0.0, *ways[:-1]), ways, strict=True)])
+    on = place(kind, along)
+    aside = np.outer(np.linspace(0.2, 0.0, N, endpoint=False), [0.3, 0.5, 0.8])
+    path = np.concatenate([on[0] + aside, on, on[-1] - aside[::-1] * [1.0, -0.4, -1.0]])
+    return 0.01 * np.arange(len(path)), path
+
+
+@pytest.mark.parametrize("sense", [-1.0, 1.0])
+@pytest.mark.parametrize(("kind", "way"), [("line", 0.3), ("hinge", 0.9), ("screw", 7.5)])
+def test_it_moves_with_the_hand_and_only_with_it(kind, way, sense):
+    """Untouched while the hand comes, its handle in the hand along the way, and left where the hand leaves it."""
+    times, path = stages(kind, sense * way)
+    piece = furniture_of(MECHANISMS[kind], times, path)
+    assert piece is not None and piece.unit == ("m" if kind == "line" else "rad")
+    opening, handle = piece.opening, np.zeros((1, 3))
+    # a hand that comes is on the mechanism from 4 mm on, which is its last step or two
+    np.testing.assert_allclose(opening[: N - 2], 0.0, atol=1e-12)
+    np.testing.assert_allclose(opening[2 * N + 2 :], way, rtol=0.02)
+    for i in range(N, 2 * N, 7):
+        np.testing.assert_allclose(piece.moved(handle, opening[i])[0], path[i], atol=2e-3)
+
+
+def test_the_opening_at_the_end_is_the_way_of_the_tip(robot_of):
+    """A rollout along the free direction opens its drawer by as much as the tip's path says, to 0.1 mm."""
+    robot = robot_of("sawyer")
+    features = ml.FrameJacobian(robot, "right_gripper_tip")
+    kept = {"n_constraints": 2, "mechanism": MECHANISMS["line"]}
+    constraint = ml.Constraint([[0, 1, 0], [0, 0, 1]], features, kept)
+    controller = ml.ResolvedRateController(constraint, task=ml.FreeDirection(constraint, -0.12, 0.2))
+    rollout = ml.simulate(robot, controller, [0.3, -0.9, 0.2, 1.6, 0.1, 0.7, 0.4], duration=1.3, dt=0.01)
+    tree, tip = kinematic_tree(robot), robot.frame("right_gripper_tip")
+    motion = recorded_motion(robot, tree, tip, "a", rollout, mechanism=MECHANISMS["line"])
+    way = np.linalg.norm(robot.pose(rollout.q[-1], tip)[:3, 3] - robot.pose(rollout.q[0], tip)[:3, 3])
+    (track,) = [t for t in motion.measures if t.kind == "opening"]
+    assert track.curves[0].values[-1] == pytest.approx(way, abs=1e-4) == pytest.approx(0.12, abs=2e-3)
+    assert (
+        recorded_motion(robot, tree, tip, "a", rollout.trajectory("a"), mechanism=MECHANISMS["line"]).furniture is None
+    )
+
+
+def test_the_chest_stands_away_from_the_base():
+    """A hand that comes towards the base pulls its drawer open; one that goes away pushes an open one shut."""
+    for way, open_at_first, open_at_last in ((-0.3, 0.0, 0.3), (0.3, 0.3, 0.0)):
+        piece = furniture_of(MECHANISMS["line"], *stages("line", way))
+        assert piece is not None
+        assert piece.pose[0, 1] == pytest.approx(-1.0)  # it opens towards the base
+        shut = piece.pose[0, 3]
+        for opening, wanted in ((piece.opening[0], open_at_first), (piece.opening[-1], open_at_last)):
+            assert shut - piece.moved(np.zeros((1, 3)), opening)[0, 0] == pytest.approx(wanted, abs=5e-3)
+        assert piece.corners()[:, 2].min() == pytest.approx(0.0, abs=1e-9)  # on the floor
+
+
+def test_opened_and_shut_again():
+    """Out, back and out again: the opening follows, and is never below shut."""
+    piece = furniture_of(MECHANISMS["line"], *stages("line", -0.3, 0.0, -0.2))
+    assert piece is not None
+    np.testing.assert_allclose(piece.opening[[2 * N - 1, 3 * N - 1, 4 * N - 1]], [0.3, 0.0, 0.2], atol=5e-3)
+    assert piece.opening.min() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("mechanism", "way"),
+    [(None, 0.3), ({"type": "plane", "axis": [0, 0, 1], "point": [0, 0, 0]}, 0.3), ({"type": "line"}, 0.3),
+     ({"type": "hinge", "axis": [0, 0, 1]}, 0.3), (MECHANISMS["line"], 0.01)],
+)  # fmt: skip
+def test_nothing_is_made_up(mechanism, way):
+    """Without a mechanism that opens, without its place, or where the hand hardly moves along it, there is none."""
+    assert furniture_of(mechanism, *stages("line", way)) is None
