@@ -48,7 +48,7 @@ def test_it_moves_with_the_hand_and_only_with_it(kind, way, sense):
     piece = furniture_of(MECHANISMS[kind], times, path)
     assert piece is not None and piece.unit == ("m" if kind == "line" else "rad")
     opening, handle = piece.opening, np.zeros((1, 3))
-    # a hand that comes is on the mechanism from 4 mm on, which is its last step or two
+    # a hand that comes is on the mechanism from 5 mm on, which is its last step or two
     np.testing.assert_allclose(opening[: N - 2], 0.0, atol=1e-12)
     np.testing.assert_allclose(opening[2 * N + 2 :], way, rtol=0.02)
     for i in range(N, 2 * N, 7):

@@ -13,7 +13,7 @@ from manip_learn.linalg import null_basis
 from manip_learn.playback.mechanism_drawing import geometry_of
 from manip_learn.robot.rotations import rotation_matrix
 
-ON_IT = 0.004  # [m] off its line or circle up to which the hand is on it: tasks keep it within 2 mm
+ON_IT = 0.005  # [m] off its line or circle up to which a hand still moves it: the play of a handle in closed fingers
 LEAST_TRAVEL = 0.02  # [m] less than this is a controller that settles, not a drawer that is pulled
 CANDIDATES = 200  # places along the path where the line may be
 BOARD, STANDOFF = 0.016, 0.045  # thickness of a board, and of the hand in front of it [m]
