@@ -22,12 +22,14 @@ import argparse  # noqa: E402
 import importlib.metadata  # noqa: E402
 import json  # noqa: E402
 import platform  # noqa: E402
+import re  # noqa: E402
 import sys  # noqa: E402
 from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
 from threadpoolctl import threadpool_info  # noqa: E402
 
+CPU = Path("/proc/cpuinfo")
 FOLDER = Path(__file__).resolve().parent
 WRITER = "made with"
 sys.path.insert(0, str(FOLDER))
@@ -52,13 +54,17 @@ def computed() -> Cases:
 def made_with() -> dict[str, str]:
     """What rounding depends on: the processor that OpenBLAS sees, and the libraries that calculate."""
     kernels = {str(pool.get("architecture", "")) for pool in threadpool_info() if pool["user_api"] == "blas"}
+    # one kernel blocks its sums by the size of the cache: of one architecture, processors differ in the last bits
+    models = re.findall(r"^model name\s*: (.*)$", CPU.read_text(), re.MULTILINE) if CPU.is_file() else []
+    cache = os.environ.get("OPENBLAS_L2_SIZE", "")
     versions = {}
     for package in ("numpy", "scipy", "pin", "numba"):
         try:
             versions[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
             versions[package] = "none"
-    return {"machine": platform.machine(), "kernels": " ".join(sorted(kernels)), **versions}
+    processor = " ".join([platform.machine(), *models[:1], cache]).strip()
+    return {"machine": processor, "kernels": " ".join(sorted(kernels)), **versions}
 
 
 def write(cases: Cases, writer: dict[str, str], folder: Path = FOLDER) -> None:
