@@ -55,6 +55,21 @@ def advice(sentence: str, python: str, flag: str) -> str:
     return sentence.replace("{}", flag) if flags.issuperset(FLAG.findall(flag)) else ""
 
 
+def counted(n: int, noun: str) -> str:
+    """A number with its noun: "1 row", "2 trajectories", "3 stretches"."""
+    if n == 1:
+        return f"1 {noun}"
+    if noun[-1] == "y" and noun[-2] not in "aeiou":
+        return f"{n:,} {noun[:-1]}ies"
+    return f"{n:,} {noun}{'es' if noun.endswith(('s', 'x', 'ch', 'sh')) else 's'}"
+
+
+def listed(words: Iterable[str]) -> str:
+    """Words as said aloud: "a", "a and b", "a, b and c"."""
+    *most, last = words
+    return f"{', '.join(most)} and {last}" if most else last
+
+
 def spoken(python: str, command: str) -> str:
     """The first text where the library is called from Python, the second where a command runs."""
     return python if _FLAGS.get() is None else command

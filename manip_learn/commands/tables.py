@@ -13,6 +13,7 @@ from rich.table import Table
 
 from manip_learn.commands.wide_tables import UNDER_WAY, audit_table, rollout_table
 from manip_learn.commands.words import print_words
+from manip_learn.errors import counted, listed
 
 if TYPE_CHECKING:  # so that printing one command's answer does not load the others
     from manip_learn.commands.audit import Audited
@@ -22,12 +23,10 @@ if TYPE_CHECKING:  # so that printing one command's answer does not load the oth
     from manip_learn.commands.learn import Learnt
     from manip_learn.commands.reproduce import Reproduction
     from manip_learn.commands.robots import KnownRobots
-    from manip_learn.learning.mechanisms.mechanism import Mechanism
     from manip_learn.playback import ReplayResult
     from manip_learn.robot.robot_summary import RobotSummary
 
 MOST_ROWS = 20  # of an audit on a terminal
-NOT_AN_ANGLE = 45.0  # an uncertainty beyond says nothing [deg]
 ROLLOUT_TERMS = ("error", "mu", "peak", "unhindered")
 AUDIT_TERMS = ("score", "sigma", "broken", "mm, deg", "margin", "speed", "jerk", "rest")
 
@@ -41,34 +40,39 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> Non
     console.print(f"[bold]{escape(report.sentence)}[/bold]", highlight=False)
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     rank = f"{CLEAR_GAP:g} is clear" if report.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
-    terms = ["row", "gap"]
-    table.add_row("estimator", f"{report.estimator} ({report.kind})")
-    table.add_row(
-        "constraints", f"{report.n_constraints} of {len(report.row_names)} rows, gap {_readable(report.gap)} ({rank})"
-    )
-    if report.reference:
-        table.add_row("reference", report.reference)
-    if report.policy_model:
-        table.add_row("policy model", report.policy_model)
-    if math.isfinite(report.held_out_residual):
-        terms.append("left-out")
-        table.add_row("left-out trajectories", f"{100 * report.held_out_residual:.2g} % of the motion unexplained")
-    if report.uncertainty_deg is not None:
-        terms.append("uncertainty")
-        table.add_row("uncertainty", f"{report.uncertainty_deg:.2g} degrees (68 %, bootstrap over trajectories)")
-    if report.row_evidence:
-        terms.append("strength")
-        held = [row for row in report.row_evidence if row.state == "held"]
-        strengths = ", ".join(f"{row.strength:.3g}" for row in held) or "none"
-        p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
-        table.add_row("evidence per row", f"strength {strengths}{p_value} (recombination test)")
-    if report.mechanism is not None:
-        table.add_row("mechanism", f"{report.mechanism.sentence}{_spread(report.mechanism)}")
-    table.add_row(
-        "learnt from", f"{report.n_samples} samples of {report.n_trajectories} trajectories in {report.seconds:.2g} s"
-    )
+    held = [row for row in report.row_evidence if row.state == "held"]
+    strengths = listed(f"{row.strength:.3g}" for row in held) if held else "none"
+    p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
+    left_out = report.held_out_residual
+    rows = {  # term that is explained below the table, or "" -> what it is called, what is said of it
+        "row": ("held rows", escape(learnt.constraint.rows_in_words())),
+        "gap": (
+            "number of rows",
+            f"{report.n_constraints} of {len(report.row_names)}, gap {_readable(report.gap)} ({rank})",
+        ),
+        "left-out": (
+            "left out",
+            f"{100 * left_out:.2g} % of the motion unexplained" if math.isfinite(left_out) else "",
+        ),
+        "uncertainty": ("uncertainty", report.known_to()),
+        "strength": ("evidence", f"strength {strengths}{p_value} (recombination test)" if report.row_evidence else ""),
+    }
+    for called, said in (
+        ("estimator", f"{report.estimator} ({report.kind})"),
+        ("reference", report.reference),
+        ("policy model", report.policy_model),
+        *rows.values(),
+        ("mechanism", escape(report.mechanism_in_words())),
+        (
+            "learnt from",
+            f"{counted(report.n_samples, 'sample')} of {counted(report.n_trajectories, 'recording')} "
+            f"in {report.seconds:.2g} s",
+        ),
+    ):
+        if said:
+            table.add_row(called, said)
     console.print(table)
-    print_words(console, terms, explain)
+    print_words(console, [term for term, (_, said) in rows.items() if said], explain)
     for number, other in enumerate(learnt.reports[1:], start=2):
         console.print(f"constraint {number}: {escape(other.sentence)}", highlight=False)
     for sentence in RecordingOverview(report.phases).sentences():
@@ -82,16 +86,6 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> Non
     if learnt.page is not None:
         page = learnt.page
         console.print(f"replay: {escape(str(page.html))} ({page.bytes / 1e6:.1f} MB)", highlight=False, soft_wrap=True)
-
-
-def _spread(mechanism: Mechanism) -> str:
-    """The uncertainty of each parameter, one standard deviation."""
-    units = {"axis": (1.0, "degrees"), "point": (1e3, "mm"), "radius": (1e3, "mm"), "pitch": (1e3, "mm/rad")}
-    spread = mechanism.uncertainty
-    parts = [f"{name} {units[name][0] * x:.2g} {units[name][1]}" for name, x in spread.items()]
-    if spread.get("axis", 0.0) > NOT_AN_ANGLE:  # linear errors of a direction that nothing determines
-        parts[list(spread).index("axis")] = "axis not determined"
-    return f" (+- {', '.join(parts)})" if parts else ""
 
 
 def print_demo(console: Console, demo: Demo, explain: bool = False) -> None:
