@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import final
+from typing import SupportsInt, final
 
 # what Python, NumPy and zipfile raise for files that are broken, cut short, or of another kind
 DAMAGE: tuple[type[Exception], ...] = (
@@ -55,19 +55,32 @@ def advice(sentence: str, python: str, flag: str) -> str:
     return sentence.replace("{}", flag) if flags.issuperset(FLAG.findall(flag)) else ""
 
 
-def counted(n: int, noun: str) -> str:
+def counted(n: SupportsInt, noun: str) -> str:
     """A number with its noun: "1 row", "2 trajectories", "3 stretches"."""
-    if n == 1:
-        return f"1 {noun}"
+    return f"{int(n):,} {noun if int(n) == 1 else _plural(noun)}"
+
+
+def named(noun: str, names: Iterable[str]) -> str:
+    """Names with their noun: "joint a", "joints a and b"."""
+    words = list(names)
+    return f"{noun if len(words) == 1 else _plural(noun)} {listed(words)}"
+
+
+def _plural(noun: str) -> str:
     if noun[-1] == "y" and noun[-2] not in "aeiou":
-        return f"{n:,} {noun[:-1]}ies"
-    return f"{n:,} {noun}{'es' if noun.endswith(('s', 'x', 'ch', 'sh')) else 's'}"
+        return f"{noun[:-1]}ies"
+    return noun + ("es" if noun.endswith(("s", "x", "ch", "sh")) else "s")
 
 
 def listed(words: Iterable[str]) -> str:
     """Words as said aloud: "a", "a and b", "a, b and c"."""
     *most, last = words
     return f"{', '.join(most)} and {last}" if most else last
+
+
+def number_if_known(n: int) -> str:
+    """Advice to give the number of rows, as the end of a sentence."""
+    return ", or give the number of rows if you know it" + advice(" ({})", f"n_constraints={n}", f"--constraints {n}")
 
 
 def spoken(python: str, command: str) -> str:

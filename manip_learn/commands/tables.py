@@ -104,7 +104,7 @@ def print_demo(console: Console, demo: Demo, explain: bool = False) -> None:
 def print_robots(console: Console, listed: KnownRobots) -> None:
     """Names and numbers of joints, those of the package first."""
     for robot in listed.robots:
-        joints = f"{len(robot.joints)} joints" if not robot.refused else "refused: see `manip-learn inspect`"
+        joints = f"{counted(len(robot.joints), 'joint')}" if not robot.refused else "refused: see `manip-learn inspect`"
         origin = "" if robot.origin == "package" else "  (extra robots)"
         console.print(f"{escape(robot.name):24} {joints}{origin}", highlight=False)
     if not listed.extra:
@@ -194,7 +194,8 @@ def print_audit(console: Console, audited: Audited, explain: bool = False) -> No
     left = report.leave_out
     threshold = f"robust z above {report.threshold:.1f}" if math.isfinite(report.threshold) else "too few to tell"
     console.print(
-        f"[bold]leave out {len(left)} of {len(report.episodes)} episodes[/bold] ({threshold})", highlight=False
+        f"[bold]leave out {len(left)} of {counted(len(report.episodes), 'episode')}[/bold] ({threshold})",
+        highlight=False,
     )
     for e in left:
         console.print(
@@ -237,4 +238,6 @@ def print_exported(console: Console, exported: Exported) -> None:
         console.print(f"note: {escape(note)}", highlight=False, soft_wrap=True)
     for file in exported.files:
         console.print(f"{exported.format}: {escape(str(file))}", highlight=False, soft_wrap=True)
-    console.print(f"{exported.trajectories} trajectories, {exported.samples} samples", highlight=False)
+    console.print(
+        f"{counted(exported.trajectories, 'trajectory')}, {counted(exported.samples, 'sample')}", highlight=False
+    )

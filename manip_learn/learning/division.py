@@ -288,7 +288,7 @@ def _missing(
     for i, t in enumerate(demonstrations):
         if i not in shown:
             why = reason(features, [*usual, t], constraint.selection, len(usual), range(len(usual)))
-            out[i] = f"constraint {number} is not seen in it, {len(shown)} other(s) show it; {why}"
+            out[i] = f"constraint {number} is not seen in it, but in {len(shown)} of the others; {why}"
     return out
 
 

@@ -155,7 +155,11 @@ class LearningReport:
             ("unexplained", unexplained if math.isfinite(residual) else None),
             ("uncertainty", self.known_to() or None),
             ("mechanism", self.mechanism_in_words() or None),
-            ("learnt from", f"{self.n_samples:,} samples of {self.n_trajectories:,} recordings, {self.seconds:.2g} s"),
+            (
+                "learnt from",
+                f"{counted(self.n_samples, 'sample')} of {counted(self.n_trajectories, 'recording')} "
+                f"in {self.seconds:.2g} s",
+            ),
         ]
 
     def known_to(self) -> str:
