@@ -66,6 +66,13 @@ def named(noun: str, names: Iterable[str]) -> str:
     return f"{noun if len(words) == 1 else _plural(noun)} {listed(words)}"
 
 
+def error_in_words(value: float, unit: str) -> str:
+    """An uncertainty as it is said: `"0.0008 degrees"`, `"7.4 degrees"`."""
+    if value < 1e-4:  # nobody asks for more digits, and 3e-06 is no word
+        return f"better than 0.0001 {unit}"
+    return f"{value:.1g} {unit}" if value < 0.095 else f"{value:.2g} {unit}"
+
+
 def _plural(noun: str) -> str:
     if noun[-1] == "y" and noun[-2] not in "aeiou":
         return f"{noun[:-1]}ies"

@@ -60,7 +60,7 @@ def test_learn_speaks_in_words(run):
     """Without --json the sentence, the gap and the file that was written are shown."""
     code, out, err = run("learn", "sawyer", *DRAWER, *FRAME, "--out", "drawer.json")
     assert code == 0, err
-    assert "moves freely along (0.91, 0.42, 0.00)" in " ".join(out.split())
+    assert "The tip can move along (0.91, 0.42, 0.00) and is blocked across it." in " ".join(out.split())
     assert "gap" in out
     assert Path("drawer.json").is_file()
 

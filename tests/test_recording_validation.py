@@ -201,7 +201,7 @@ def test_gaps_split_the_demonstration(sawyer: Robot, rng, tmp_path: Path) -> Non
     demos = load(sawyer, tmp_path, time, q, u)
     assert [(t.name, len(t)) for t in demos] == [("demo.npz part 1 of 2", 40), ("demo.npz part 2 of 2", 59)]
     np.testing.assert_array_equal(demos[1].u, u[41:])
-    assert "2 gap(s)" in demos.notes[0] and "after sample 39" in demos.notes[0] and "lone" in demos.notes[1]
+    assert "2 gaps" in demos.notes[0] and "after sample 39" in demos.notes[0] and "lone" in demos.notes[1]
 
 
 def test_bunched_stamps_are_told(sawyer: Robot, rng, tmp_path: Path) -> None:

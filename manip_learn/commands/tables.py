@@ -45,14 +45,17 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> Non
     p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
     left_out = report.held_out_residual
     rows = {  # term that is explained below the table, or "" -> what it is called, what is said of it
-        "row": ("held rows", escape(learnt.constraint.rows_in_words())),
+        "row": (
+            "held rows" if report.kind == "motion-constrained" else "steered rows",
+            escape(learnt.constraint.rows_in_words()),
+        ),
         "gap": (
             "number of rows",
             f"{report.n_constraints} of {len(report.row_names)}, gap {_readable(report.gap)} ({rank})",
         ),
         "left-out": (
             "left out",
-            f"{100 * left_out:.2g} % of the motion unexplained" if math.isfinite(left_out) else "",
+            f"{_share(left_out)} of the motion unexplained" if math.isfinite(left_out) else "",
         ),
         "uncertainty": ("uncertainty", report.known_to()),
         "strength": ("evidence", f"strength {strengths}{p_value} (recombination test)" if report.row_evidence else ""),
@@ -226,6 +229,11 @@ def print_reproduction(console: Console, reproduction: Reproduction) -> None:
 def _readable(value: float) -> str:
     """A ratio as a person reads it: 3,940, 12 or 2.7."""
     return f"{value:,.0f}" if value >= 10 else f"{value:.2g}"
+
+
+def _share(value: float) -> str:
+    """A share in percent: 0.16 %, less than 0.001 %."""
+    return f"{100 * value:.2g} %" if value >= 1e-5 else "less than 0.001 %"
 
 
 def _limit(value: float) -> str:

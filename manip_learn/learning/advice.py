@@ -64,7 +64,7 @@ def advise_in_general(refusal: NotIdentifiableError) -> NotIdentifiableError:
 def _advised(refusal: NotIdentifiableError, causes: Sequence[str]) -> NotIdentifiableError:
     """What to do, then why, in two sentences; the first advices are said, all are kept."""
     everything = (*refusal.advice, *causes)
-    said = f"{'; or '.join(everything[:ADVICES_SAID])}. {refusal}"
+    said = f"{'; or '.join(everything[:ADVICES_SAID])}. {str(refusal)[0].upper()}{str(refusal)[1:]}"
     return NotIdentifiableError(
         said if everything else str(refusal), code=refusal.code, gaps=refusal.gaps, advice=everything
     )

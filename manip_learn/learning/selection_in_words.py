@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,13 +12,16 @@ from manip_learn.constraint.features.feature_map import NEGLIGIBLE, FeatureMap, 
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
-from manip_learn.errors import listed
+from manip_learn.errors import error_in_words, listed
 from manip_learn.learning.mechanisms.mechanism import Mechanism, in_words
 from manip_learn.linalg import along_axes, null_basis
 
 AXES = ("x", "y", "z")
-# verb -> preposition, rows; what else features may hold is "free along" its rows
-VERBS = {"move": ("along", AXES), "turn": ("about", ("rx", "ry", "rz"))}
+# verb -> preposition, rows, all of them in words, and all but one direction
+VERBS = {
+    "move": ("along", AXES, "in every direction", "across it"),
+    "turn": ("about", ("rx", "ry", "rz"), "about every axis", "about every other axis"),
+}
 LOOKS = {
     "line": "a straight line (a drawer)",
     "plane": "a plane (a table)",
@@ -118,15 +121,9 @@ def known_to(uncertainty_deg: float | None, mechanism: Mechanism | None = None) 
     known = [] if angle is None else [("direction", angle, "degrees")]
     known += [(PARAMETERS[name][0], PARAMETERS[name][1] * value, PARAMETERS[name][2]) for name, value in errors.items()]
     lost = [f"{what} not determined" for what, value, unit in known if unit == "degrees" and value > NOT_AN_ANGLE]
-    sure = [(w, _amount(value, unit)) for w, value, unit in known if unit != "degrees" or value <= NOT_AN_ANGLE]
+    sure = [(w, error_in_words(value, unit)) for w, value, unit in known if unit != "degrees" or value <= NOT_AN_ANGLE]
     said = [f"{what} {'to' if k else 'known to'} {amount}" for k, (what, amount) in enumerate(sure)]
     return listed([*said, *lost]) if known else ""
-
-
-def _amount(value: float, unit: str) -> str:
-    if value < 1e-4:  # nobody asks for more digits, and 3e-06 is no word
-        return f"better than 0.0001 {unit}"
-    return f"{value:.1g} {unit}" if value < 0.095 else f"{value:.2g} {unit}"
 
 
 def _subject(features: FeatureMap) -> str:
@@ -147,60 +144,47 @@ def _freedom(
         radius = "" if mechanism.radius is None else f" of radius {mechanism.radius:.3f} m"
         way = WAYS[mechanism.type].format(axis=in_words(mechanism.axis), point=in_words(mechanism.point), radius=radius)
         return f"can {way}"
-    spatial = isinstance(features, FrameJacobian | RelativeFrameJacobian | CentreOfMass)
-    parts = {verb: [n for n in names if spatial and n in rows] for verb, (_, rows) in VERBS.items()}
-    shares = {verb: np.array([n in part for n in names], dtype=bool) for verb, part in parts.items()}
-    if not spatial:
-        return _of_rows(free, names, held)
+    if not isinstance(features, FrameJacobian | RelativeFrameJacobian | CentreOfMass):
+        ways = listed([row_in_words(row, names) for row in free]) if len(free) else ""
+        return f"is free along {ways} in ({', '.join(names)}) and {held} in every other way" if ways else f"is {held}"
     small = np.where(np.abs(free) < NEGLIGIBLE, 0.0, free)
-    mixed = [row for row in small if all(np.any(row[share]) for share in shares.values())]
-    if mixed:
-        return f"can {listed(_way(row, names) for row in small)}, and is {held} in every other way"
-    clauses = [
-        _clause(verb, small[np.any(small[:, shares[verb]], axis=1)], names, part, held)
-        for verb, part in parts.items()
-        if part
-    ]
-    return "; it ".join(clauses)
+    parts = {verb: [_entries(row, names, rows) for row in small] for verb, (_, rows, *_) in VERBS.items()}
+    if any(np.any(move) and np.any(turn) for move, turn in zip(*parts.values(), strict=True)):
+        ways = listed(_way(move, turn) for move, turn in zip(*parts.values(), strict=True))
+        return f"can {ways}, and is {held} in every other way"
+    known = {verb: np.array([n in names for n in rows]) for verb, (_, rows, *_) in VERBS.items()}
+    clauses = [_clause(verb, [x for x in parts[verb] if np.any(x)], known[verb], held) for verb in VERBS]
+    return "; it ".join(clause for clause in clauses if clause)
 
 
-def _of_rows(free: Float[np.ndarray, "k r"], names: list[str], held: str) -> str:
-    """Of features that are not those of a frame."""
-    if not len(free):
-        return f"is {held} along {listed(names)}"
-    return (
-        f"is free along {listed(row_in_words(row, names) for row in free)} in ({', '.join(names)}) and {held} across it"
-    )
+def _entries(row: np.ndarray, names: Sequence[str], rows: Sequence[str]) -> Float[np.ndarray, " 3"]:
+    """The entries of these rows, 0 for those that the features lack."""
+    return np.array([row[names.index(n)] if n in names else 0.0 for n in rows])
 
 
-def _way(row: np.ndarray, names: list[str]) -> str:
-    """One direction, of both kinds if it has both: `"move along (...) while turning about (...)"`."""
-    said = [f"{verb} {prep} {_direction(row, names, rows)}" for verb, (prep, rows) in VERBS.items()]
-    kinds = [any(row[names.index(n)] for n in rows if n in names) for _, rows in VERBS.values()]
-    return said[0] + said[1].replace("turn", " while turning", 1) if all(kinds) else said[kinds.index(True)]
+def _way(move: Float[np.ndarray, " 3"], turn: Float[np.ndarray, " 3"]) -> str:
+    """One direction, with the proportion if it has both kinds: `"move along (...) while turning about (...)"`."""
+    if np.any(move) and np.any(turn):
+        return f"move along {in_words(move)} while turning about {in_words(turn)}"
+    return f"move along {row_in_words(move, AXES)}" if np.any(move) else f"turn about {row_in_words(turn, AXES)}"
 
 
-def _clause(verb: str, free: Float[np.ndarray, "k r"], names: list[str], part: list[str], held: str) -> str:
-    """What can move or turn, and what of it is held."""
-    prep, rows = VERBS[verb]
-    ways = listed(f"{_direction(row, names, rows)}" for row in free) if len(free) else ""
-    if len(free) == len(part) == 3:
-        return f"can {verb} freely"
-    if len(free) == len(part):
-        return f"can {verb} {prep} {ways}"
-    if len(part) == 3 and not len(free):
-        return f"cannot {verb}" if held == "blocked" else f"is {held} in every {verb}"
-    inner = free[:, [names.index(n) for n in part]] if len(free) else np.zeros((0, len(part)))
-    rest = along_axes(null_basis(inner).T) if len(free) else np.eye(len(part))
-    blocked = f"{prep} {listed(_direction(row, part, rows) for row in rest)}"
-    if not len(free):
+def _clause(verb: str, free: list[Float[np.ndarray, " 3"]], known: Bool[np.ndarray, " 3"], held: str) -> str:
+    """What can move or turn, and what of the rows that are `known` is held; empty if none is."""
+    preposition, _, everywhere, elsewhere = VERBS[verb]
+    n = int(np.count_nonzero(known))
+    if len(free) == n:
+        return f"can {verb} freely" if n == 3 else f"can {verb} {preposition} {_directions(free)}" if n else ""
+    if n == 3 and not free:
+        return f"cannot {verb}" if held == "blocked" else f"is {held} {everywhere}"
+    rest = along_axes(null_basis(np.array([*free, *np.eye(3)[~known]])).T)
+    blocked = f"{preposition} {_directions(rest)}"
+    if not free:
         return f"cannot {verb} {blocked}" if held == "blocked" else f"is {held} {blocked}"
-    if len(free) == 1:
-        blocked = "across it" if verb == "move" else "about every other axis"
-    return f"can {verb} {prep} {ways} and is {held} {blocked}"
+    blocked = elsewhere if n == 3 and len(free) == 1 else blocked
+    return f"can {verb} {preposition} {_directions(free)} and is {held} {blocked}"
 
 
-def _direction(row: np.ndarray, names: Sequence[str], rows: Sequence[str]) -> str:
-    """The entries of these rows, 0 for those that the features lack, or the one axis: `"(0.91, 0.42, 0.00)"`, `"z"`."""
-    entries = np.array([row[names.index(n)] if n in names else 0.0 for n in rows])
-    return row_in_words(entries, AXES)
+def _directions(vectors: Iterable[Float[np.ndarray, " 3"]]) -> str:
+    """Each with all of its entries, or as the one axis: `"(0.91, 0.42, 0.00) and z"`."""
+    return listed(row_in_words(v, AXES) for v in vectors)

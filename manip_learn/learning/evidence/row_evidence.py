@@ -129,4 +129,8 @@ class RowEvidence:
         return f"the next row (strength {self.strengths[n]:.2g}) {kind}"
 
     def _few(self) -> str:
-        return "" if self.enough else f"; record 5 or more, {counted(self.n_trajectories, 'recording')} are too few"
+        return (
+            ""
+            if self.enough
+            else f"; too few to be sure with {counted(self.n_trajectories, 'recording')}, record 5 or more"
+        )
