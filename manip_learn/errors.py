@@ -66,6 +66,18 @@ def named(noun: str, names: Iterable[str]) -> str:
     return f"{noun if len(words) == 1 else _plural(noun)} {listed(words)}"
 
 
+def an(given: object) -> str:
+    """A value by its kind: `"a Robot"`, `"an ndarray of shape (7,)"`; `"None"`; a class as `"the class Robot"`."""
+    if given is None:
+        return "None"
+    if isinstance(given, type):
+        return f"the class {given.__name__}"
+    kind = type(given).__name__
+    shape = getattr(given, "shape", None)
+    article = "an" if kind[0] in "aeiouAEIO" or kind == "ndarray" else "a"
+    return f"{article} {kind} of shape {shape}" if shape else f"{article} {kind}"
+
+
 def error_in_words(value: float, unit: str) -> str:
     """An uncertainty as it is said: `"0.0008 degrees"`, `"7.4 degrees"`."""
     if value < 1e-4:  # nobody asks for more digits, and 3e-06 is no word
@@ -270,6 +282,25 @@ class NotIdentifiableError(ManipLearnError):
         super().__init__(message, code=code)
         self.gaps = dict(gaps or {})
         self.advice = tuple(advice)
+
+
+@final
+class NotFittedError(ManipLearnError, AttributeError):
+    """What a learner has learnt is asked for before `fit`; an AttributeError too, so that `hasattr` works.
+
+    Attributes:
+        name: The attribute that was asked for.
+    """
+
+    code = "not-fitted"
+
+    def __init__(self, name: str):
+        AttributeError.__init__(self, name=name)
+        ManipLearnError.__init__(self, f"call learner.fit(demonstrations) first: there is no {name} before it")
+        self.name = name
+
+    def __reduce__(self):
+        return NotFittedError, (self.name,)
 
 
 class TargetError(ManipLearnError):

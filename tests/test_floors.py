@@ -54,7 +54,8 @@ ROOMS = {
 LAST_LINES_OF_DEFENCE = ("cli.py", "control/servo_loop.py")
 MAX_LINES, MAX_FUNCTION_LINES = 300, 50
 # Each with the size that it may not outgrow. Robot has one state, Pinocchio's, that all of its methods share.
-LONG_FILES = {"robot/robot.py": 530}
+# Errors and the words that they are made of are one chapter.
+LONG_FILES = {"robot/robot.py": 530, "errors.py": 360}
 
 SOURCES = library()
 

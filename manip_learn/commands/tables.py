@@ -33,49 +33,18 @@ AUDIT_TERMS = ("score", "sigma", "broken", "mm, deg", "margin", "speed", "jerk",
 
 def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> None:
     """The sentence, the evidence, the warnings."""
-    from manip_learn.learning.estimators.estimate import CLEAR_GAP
     from manip_learn.learning.overview import RecordingOverview
 
     report = learnt.report
     console.print(f"[bold]{escape(report.sentence)}[/bold]", highlight=False)
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    rank = f"{CLEAR_GAP:g} is clear" if report.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
-    held = [row for row in report.row_evidence if row.state == "held"]
-    strengths = listed(f"{row.strength:.3g}" for row in held) if held else "none"
-    p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
-    left_out = report.held_out_residual
-    rows = {  # term that is explained below the table, or "" -> what it is called, what is said of it
-        "row": (
-            "held rows" if report.kind == "motion-constrained" else "steered rows",
-            escape(learnt.constraint.rows_in_words()),
-        ),
-        "gap": (
-            "number of rows",
-            f"{report.n_constraints} of {len(report.row_names)}, gap {_readable(report.gap)} ({rank})",
-        ),
-        "left-out": (
-            "left out",
-            f"{_share(left_out)} of the motion unexplained" if math.isfinite(left_out) else "",
-        ),
-        "uncertainty": ("uncertainty", report.known_to()),
-        "strength": ("evidence", f"strength {strengths}{p_value} (recombination test)" if report.row_evidence else ""),
-    }
-    for called, said in (
-        ("estimator", f"{report.estimator} ({report.kind})"),
-        ("reference", report.reference),
-        ("policy model", report.policy_model),
-        *rows.values(),
-        ("mechanism", escape(report.mechanism_in_words())),
-        (
-            "learnt from",
-            f"{counted(report.n_samples, 'sample')} of {counted(report.n_trajectories, 'recording')} "
-            f"in {report.seconds:.2g} s",
-        ),
-    ):
+    terms = []
+    for called, said, term in _learnt_facts(learnt):
         if said:
-            table.add_row(called, said)
+            table.add_row(called, escape(said))
+            terms += [term] if term else []
     console.print(table)
-    print_words(console, [term for term, (_, said) in rows.items() if said], explain)
+    print_words(console, terms, explain)
     for number, other in enumerate(learnt.reports[1:], start=2):
         console.print(f"constraint {number}: {escape(other.sentence)}", highlight=False)
     for sentence in RecordingOverview(report.phases).sentences():
@@ -89,6 +58,40 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> Non
     if learnt.page is not None:
         page = learnt.page
         console.print(f"replay: {escape(str(page.html))} ({page.bytes / 1e6:.1f} MB)", highlight=False, soft_wrap=True)
+
+
+def _learnt_facts(learnt: Learnt) -> list[tuple[str, str | None, str]]:
+    """What each fact is called, the fact or nothing, and the term that explains it."""
+    from manip_learn.learning.estimators.estimate import CLEAR_GAP
+
+    report = learnt.report
+    rank = f"{CLEAR_GAP:g} is clear" if report.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
+    held = [row for row in report.row_evidence if row.state == "held"]
+    strengths = listed(f"{row.strength:.3g}" for row in held) if held else "none"
+    p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
+    amount = f"{report.n_constraints} of {len(report.row_names)}"
+    left_out = report.held_out_residual
+    source = f"{counted(report.n_samples, 'sample')} of {counted(report.n_trajectories, 'recording')}"
+    return [
+        ("estimator", f"{report.estimator} ({report.kind})", ""),
+        ("reference", report.reference, ""),
+        ("policy model", report.policy_model, ""),
+        (
+            "held rows" if report.kind == "motion-constrained" else "steered rows",
+            learnt.constraint.rows_in_words(),
+            "row",
+        ),
+        ("number of rows", f"{amount}, gap {_readable(report.gap)} ({rank})", "gap"),
+        ("left out", f"{_share(left_out)} of the motion unexplained" if math.isfinite(left_out) else "", "left-out"),
+        ("uncertainty", report.known_to(), "uncertainty"),
+        (
+            "evidence",
+            f"strength {strengths}{p_value} (recombination test)" if report.row_evidence else "",
+            "strength",
+        ),
+        ("mechanism", report.mechanism_in_words(), ""),
+        ("learnt from", f"{source} in {report.seconds:.2g} s", ""),
+    ]
 
 
 def print_demo(console: Console, demo: Demo, explain: bool = False) -> None:
