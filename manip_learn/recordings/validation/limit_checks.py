@@ -109,11 +109,14 @@ def _refuse_far(recording: Recording, request: ReadRequest, q: Float[np.ndarray,
     guess = _other_guess(robot, q[:, i], i)
     if guess is None and request.joint_names:
         guess = "the wrong order in joint_names?"
+    guess = guess or "wrong units, columns with the wrong names, or another robot?"
+    if np.all(outside > 0) and "another robot" not in guess:
+        guess += " Or another robot?"
     raise recording.refusal(
         "outside-limits",
         f"{q[sample, i]:.6g} is outside the limits [{lower:.4g}, {upper:.4g}] of robot {robot.name!r} at "
         f"{np.count_nonzero(outside > 0)} of {counted(q.shape[0], 'sample')}: "
-        f"{guess or 'wrong units, columns with the wrong names, or another robot?'} Correct the file"
+        f"{guess} Correct the file"
         + advice(", or pass {} if it is right", "outside_limits='note'", "--outside-limits note"),
         sample=sample,
         column=robot.joint_names[i],

@@ -26,6 +26,8 @@ from manip_learn.recordings.validation.velocity_checks import FEWEST, check_velo
 from manip_learn.robot import Robot
 
 SHOWN = 5
+# [rad]: a guided arm stays within a turn of its zeros and travels less than half a turn; in degrees that were nothing
+RADIANS, TRAVEL = 2.0 * np.pi, np.pi
 NO_MEASUREMENT = 1e50  # finite, but its square would overflow
 
 
@@ -91,6 +93,22 @@ def _refuse_not_finite(recording: Recording) -> None:
             )
 
 
+def _refuse_radians(recording: Recording, request: ReadRequest, angles: Float[np.ndarray, "T k"]) -> None:
+    """Refuse angles that were called degrees and look like radians."""
+    if request.units_insisted or not angles.size:
+        return
+    largest, travel = float(np.abs(angles).max()), float(np.ptp(angles, axis=0).max())
+    if largest > RADIANS or travel > TRAVEL:
+        return
+    python, flag = "units='degrees'", "--units degrees"
+    leave_out = advice("leave {} out", "degrees=True", "--degrees") or "say radians"
+    raise recording.refusal(
+        "degrees",
+        f"{leave_out} if these are radians, as they look: no joint gets beyond {largest:.3g} or travels more than "
+        f"{travel:.3g}; {advice('if they are degrees, insist with {}', python, flag) or 'else convert the file'}",
+    )
+
+
 def _in_radians(
     recording: Recording,
     request: ReadRequest,
@@ -104,6 +122,7 @@ def _in_radians(
             "units", f"a rollout of this library is in radians and metres{advice('; leave {} out', python, flag)}"
         )
     if request.units == "degrees":
+        _refuse_radians(recording, request, q[:, angular & ~object_coordinates(robot)])
         factor = np.where(angular, np.pi / 180, 1.0)
         lengths = [n for n, a in zip(robot.joint_names, angular, strict=True) if not a]
         kept = f"; {', '.join(lengths)} taken as metres" if lengths else ""
