@@ -19,7 +19,7 @@ from generated_motions import (
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.errors import FeatureError, NotIdentifiableError
+from manip_learn.errors import FeatureError, NotFittedError, NotIdentifiableError
 from manip_learn.experiments.metrics import manipulability_along, nmie
 from manip_learn.learning import ConstraintLearner
 from manip_learn.recordings import load_demonstrations
@@ -170,6 +170,17 @@ def test_refusal_of_the_last_candidate_does_not_hide_an_answer():
     assert ConstraintLearner([flat, features]).fit(demos).constraint_.features is features
     with pytest.raises(NotIdentifiableError, match="zero"):
         ConstraintLearner([flat]).fit(demos)
+
+
+def test_nothing_is_learnt_before_a_fit():
+    """What was learnt is asked for too early: the error says what to call, and `hasattr` answers no."""
+    learner = ConstraintLearner(planar_features())
+    for name in ("constraint_", "constraints_", "report_", "reports_"):
+        assert not hasattr(learner, name)
+        with pytest.raises(NotFittedError, match=rf"call learner.fit\(demonstrations\) first: there is no {name}"):
+            getattr(learner, name)
+    with pytest.raises(AttributeError, match="'report'"):
+        getattr(learner, "report")  # noqa: B009
 
 
 def test_settings_out_of_range():

@@ -193,6 +193,14 @@ def test_one_column_in_degrees_is_not_the_whole_file(sawyer: Robot, rng, tmp_pat
     assert error.code == "degrees" and error.column == "right_j3" and "convert this column" in str(error)
 
 
+def test_radians_that_are_called_degrees(sawyer: Robot, rng, tmp_path: Path) -> None:
+    """A guided arm hardly moves in such degrees: it is asked about; `units` insists."""
+    time, q, _ = guided(sawyer, rng)
+    error = refused(sawyer, tmp_path, time, q, degrees=True)
+    assert error.code == "degrees" and "leave degrees=True out" in str(error) and "units='degrees'" in str(error)
+    np.testing.assert_allclose(load(sawyer, tmp_path, time, q, units="degrees")[0].q, np.radians(q))
+
+
 def test_gaps_split_the_demonstration(sawyer: Robot, rng, tmp_path: Path) -> None:
     """More than ten usual steps: two trajectories, said aloud; a lone sample between gaps is left out, said too."""
     time, q, u = guided(sawyer, rng, n=100)
