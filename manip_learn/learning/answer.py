@@ -26,7 +26,7 @@ from manip_learn.recordings.demonstrations import Demonstrations
 
 # (what to learn from, which Phi, with which settings) -> the best candidate, and a summary of all samples
 Fit = Callable[[Part, LearnerSettings], tuple[Candidate, DataSummary]]
-# rows about an axis replace as many constant ones that leave this ratio of energy unexplained
+# constant rows give way to as many rows about an axis if they leave this many times more energy unexplained
 TIGHTER = 1.1
 # refusals that rows which depend on the place, or the evidence alone, may answer
 RESCUED = ("weak-gap", "no-freedom", "no-evidence")

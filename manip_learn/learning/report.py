@@ -34,7 +34,7 @@ class RowSupport(NamedTuple):
     """Evidence that one row is held, from the recombination test.
 
     Attributes:
-        strength: How many times as much the motion uses the row when joints are exchanged between trajectories.
+        strength: How much more the motion uses the row when joints are exchanged between trajectories (a ratio).
         p_value: Chance of so low a use if the joints moved independently of each other.
         state: `"held"`, `"unclear"`, `"free"` or `"untried"`.
     """

@@ -20,7 +20,7 @@ CLEAR_STRENGTH = 5.0
 WEAK_STRENGTH = 1.8
 # the same with fewer trajectories than can give a clear answer
 FEW_STRENGTH = 4.0
-# strength of a row that lies before one that is held: held rows share what noise there is, the first gets the least
+# least strength of a row that is ranked before one found held: noise spreads unevenly, the first row has the least
 LEANING_STRENGTH = 1.3
 # a row must have this power of the strength of the rows before it
 KEPT_POWER = 0.25

@@ -129,8 +129,7 @@ def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]
 def _compared(
     robot: Robot, tip: Frame, postures: Sequence[Float[np.ndarray, "_ nv"]], rng: np.random.Generator
 ) -> tuple[Choice, tuple[int, ...]]:
-    """The choice among the candidates, and the trajectories that it rests on: those that agree on more rows than all
-    share are learnt without the others.
+    """The chosen mechanism and the trajectories used: a subset, if it agrees on more rows than all share.
 
     Raises:
         NotIdentifiableError: Nothing moves.
