@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import final, overload
 
 from manip_learn.errors import RecordingError, counted
-from manip_learn.recordings.data_frame import DataFrame, frame_of
+from manip_learn.recordings.data_frame import PandasFrame, frame_of
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import html_card
 
@@ -62,7 +62,7 @@ class Demonstrations(Sequence[Trajectory]):
         """
         return Demonstrations([t.with_joint_names(joint_names) for t in self.trajectories], self.notes)
 
-    def to_frame(self) -> DataFrame:
+    def to_frame(self) -> PandasFrame:
         """All samples in one table, which `load_demonstrations` reads again: one row per sample.
 
         Returns:
