@@ -187,7 +187,11 @@ ACROSS = np.array([[-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
         (("x z", "world"), np.eye(2)[:1], False, None, None, "The tip can move along z and is blocked along x."),
         (("xyz", "local"), ACROSS, False, None, LINE,
          "In its own axes, the tip can move along (0.80, 0.60, 0.00) and is blocked across it. "
-         "It looks like a straight line (a drawer), along (0.80, 0.60, 0.00). Direction known to 0.3 degrees."),
+         "It looks like a straight line (a drawer), along (0.80, 0.60, 0.00). Axis known to 0.3 degrees."),
+        (("xyz", "world"), ACROSS[:1], False, 2.0, LINE,
+         "The tip can move along (0.80, 0.60, 0.00) and z and is blocked along (-0.60, 0.80, 0.00). The path alone "
+         "looks like a straight line (a drawer), along (0.80, 0.60, 0.00). "
+         "Direction known to 2 degrees and axis to 0.3 degrees."),
         (("xyz", "world"), ACROSS[:1], False, None, None,
          "The tip can move along (0.80, 0.60, 0.00) and z and is blocked along (-0.60, 0.80, 0.00)."),
         (("xyz", "world"), np.eye(3), False, None, None, "The tip cannot move."),

@@ -30,9 +30,7 @@ from manip_learn.robot.robot import Reference
 
 # share of the trajectories that must show a constraint before one that does not show it is called odd
 MOST = 0.6
-PAIRS_BELOW = (
-    6  # recordings, of which two that agree are enough; of more, three: two free motions may share a direction
-)
+PAIRS_BELOW = 6  # of fewer recordings two that agree are enough; else three: free motions share directions by chance
 FEWEST_SAMPLES = 4  # of a stretch that is learnt from
 IN_ONE_ONLY = "appears in one recording only"
 DISAGREES = "does not agree with the other recordings"

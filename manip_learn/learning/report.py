@@ -164,16 +164,18 @@ class LearningReport:
 
     def known_to(self) -> str:
         """The uncertainty in words, as in the sentence: what is known how well; empty if nothing is known of it."""
-        said = known_to(self.uncertainty_deg, self.mechanism)
+        said = known_to(self.uncertainty_deg, self.mechanism, self._is_told)
         means = "scatter of the samples" if self.uncertainty_deg is None else "bootstrap"
         return f"{said} (68 %, {means})" if said else ""
 
     def mechanism_in_words(self) -> str:
         """What holds the hand, without the place if the sentence tells it; empty if nothing was found."""
         m = self.mechanism
-        if m is None:
-            return ""
-        return f"{m.type}; {m.turns}" if said_by_rows(m, self.row_names, self.reference) else m.sentence
+        return "" if m is None else f"{m.type}; {m.turns}" if self._is_told else m.sentence
+
+    @property
+    def _is_told(self) -> bool:
+        return said_by_rows(self.mechanism, self.row_names, self.reference, np.array(self.free_directions))
 
     def _phase_rows(self) -> list[tuple[object, ...]]:
         return [

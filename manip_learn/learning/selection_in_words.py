@@ -31,6 +31,7 @@ LOOKS = {
     "held-orientation": "a held orientation (a full cup)",
     "other": "a cylinder (a sleeve on a rod)",
 }
+FREE_MOVES = {"line": 1, "plane": 2}  # directions that a mechanism leaves free, where they are the same everywhere
 # what a mechanism leaves free whose rows depend on the place
 WAYS = {
     "line": "move along {axis} and cannot leave that line",
@@ -76,46 +77,48 @@ def describe(
     names = [n for n, u in zip(features.row_names, used, strict=True) if u]
     held = "blocked" if kind == "motion-constrained" else "steered on purpose"
     sentences = [f"{_subject(features)} {_freedom(free[:, used], names, features, held, mechanism)}."]
+    told = said_by_rows(mechanism, features.row_names, getattr(features, "reference", None), free)
     if mechanism is not None:
-        sentences.append(
-            f"It looks like {looks_like(mechanism, features.row_names, getattr(features, 'reference', None))}."
-        )
-    known = known_to(uncertainty_deg, mechanism)
+        words = LOOKS[mechanism.type]
+        if not told and mechanism.place:
+            words += f", {mechanism.place}"
+        if mechanism.orientation != "free" and not {"rx", "ry", "rz"} & set(names):
+            words += f"; {mechanism.turns}"
+        other = not told and mechanism.type in FREE_MOVES and getattr(features, "reference", None) == "world"
+        sentences.append(f"{'The path alone looks' if other and set(AXES) <= set(names) else 'It looks'} like {words}.")
+    known = known_to(uncertainty_deg, mechanism, told)
     if known:
         sentences.append(f"{known[0].upper()}{known[1:]}.")
     return " ".join(sentences)
 
 
-def looks_like(mechanism: Mechanism, names: Sequence[str], reference: str | None) -> str:
-    """The mechanism in words, without what the rows of that name say already: `"a straight line (a drawer)"`.
+def said_by_rows(
+    mechanism: Mechanism | None, names: Sequence[str], reference: str | None, free: Float[np.ndarray, "k p"]
+) -> bool:
+    """Whether what the rows leave free says already where the mechanism is.
 
     Args:
         mechanism: What holds the hand.
         names: Names of the feature rows.
-        reference: Their frame, `"world"` or `"local"`; None for rows that have none.
+        reference: Their frame, `"world"` or `"local"`; None for rows of the mechanism itself.
+        free: What they leave free.
     """
-    words = LOOKS[mechanism.type]
-    if not said_by_rows(mechanism, names, reference) and mechanism.place:
-        words += f", {mechanism.place}"
-    turned = mechanism.orientation != "free" and not {"rx", "ry", "rz"} & set(names)
-    return f"{words}; {mechanism.turns}" if turned else words
+    if mechanism is None or reference is None:
+        return mechanism is not None
+    moves = sum(bool(np.any(_entries(row, names, AXES))) for row in free)
+    return reference == "world" and set(AXES) <= set(names) and moves == FREE_MOVES.get(mechanism.type)
 
 
-def said_by_rows(mechanism: Mechanism, names: Sequence[str], reference: str | None) -> bool:
-    """Whether what the rows leave free says already where the mechanism is; arguments as for `looks_like`."""
-    straight = mechanism.type in ("line", "plane") and reference == "world" and "x" in names and "y" in names
-    return reference is None or straight
-
-
-def known_to(uncertainty_deg: float | None, mechanism: Mechanism | None = None) -> str:
+def known_to(uncertainty_deg: float | None, mechanism: Mechanism | None = None, told: bool = False) -> str:
     """How sure each thing is, once: `"direction known to 0.001 degrees"`; empty if nothing is known of it.
 
     Args:
         uncertainty_deg: Of the rows [deg].
-        mechanism: What holds the hand; its axis is told where it is not the direction of the rows.
+        mechanism: What holds the hand.
+        told: Whether the rows say where it is: then its axis is their direction.
     """
     errors = {} if mechanism is None else dict(mechanism.uncertainty)
-    straight = mechanism is not None and mechanism.type in ("line", "plane")
+    straight = told and mechanism is not None and mechanism.type in FREE_MOVES
     axis = errors.pop("axis", None) if straight else None
     angle = axis if uncertainty_deg is None else uncertainty_deg
     known = [] if angle is None else [("direction", angle, "degrees")]
