@@ -17,7 +17,7 @@ from manip_learn.commands.robot_options import robot_options
 # parameter of a command -> the function whose parameters are the flags, and which makes its value of them
 HEADINGS = {"learn": "Learning"}
 HEADINGS_AFTER = ("Reading recordings", "Robot", "Output")
-OUTPUT = {"--out", "--html", "--csv", "--open", "--browser", "--explain", "--json", "--help"}
+OUTPUT = {"out", "html", "csv", "open_browser", "browser", "explain", "as_json", "help"}
 SETS: dict[str, Callable[..., Any]] = {"robot_options": robot_options, "options": read_options}
 
 
@@ -56,7 +56,7 @@ class GroupedCommand(TyperCommand):
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
             if record is not None:
-                heading = "Output" if OUTPUT & {*parameter.opts} else shared.get(parameter.name or "", own)
+                heading = "Output" if parameter.name in OUTPUT else shared.get(parameter.name or "", own)
                 sections["Arguments" if parameter.param_type_name == "argument" else heading].append(record)
         for heading, records in sections.items():
             if records:
@@ -71,7 +71,7 @@ class GroupedCommand(TyperCommand):
         """
         for parameter in self.params:
             path = ctx.params.get(parameter.name)
-            if OUTPUT & {*parameter.opts} and isinstance(path, Path):
+            if parameter.name in OUTPUT and isinstance(path, Path):
                 check_folder(path)
         return super().invoke(ctx)
 

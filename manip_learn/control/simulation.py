@@ -122,7 +122,9 @@ def _check_order(robot: object, controller: object, q0: object) -> None:
     Raises:
         ConfigurationError: Says what was given where.
     """
-    commands = callable(controller) and not isinstance(controller, Constraint | type)
+    commands = isinstance(controller, ServoLoop) or (
+        callable(controller) and not isinstance(controller, Constraint | type)
+    )
     is_start = not (q0 is None or callable(q0) or isinstance(q0, Robot | str))
     if not ((robot is None or isinstance(robot, Robot)) and commands and is_start):
         raise ConfigurationError(

@@ -125,7 +125,7 @@ def _refuse_repeated(streams: Iterable[JointStateStream], chosen: dict[str, str]
             if count > 1 and chosen.get(name) == stream.topic:
                 raise MergeError(
                     "duplicate-column",
-                    f"joint {name!r} stands {count} times in each message of {stream.topic}, so it is "
+                    f"messages of {stream.topic} name the joint {name!r} {count} times, so it is "
                     "not known which position is its own: correct the publisher (or the renaming)",
                 )
 
