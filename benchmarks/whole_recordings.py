@@ -95,7 +95,7 @@ def judge(case: Case) -> Outcome:
         if truth["mechanisms"]:
             figures |= {"rows right": 0.0, "type right": 0.0}
         if not case.mixed:
-            figures |= {"lone wrong": float("one recording only" in str(refusal))}
+            figures |= {"lone wrong": float(any("one recording alone" in advice for advice in refusal.advice))}
         if truth["contaminated"]:
             figures |= {"odd missed": float(len(truth["contaminated"]))}
         return Outcome(case, figures, f"refused ({refusal.code}): {refusal}")

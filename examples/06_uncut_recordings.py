@@ -38,7 +38,7 @@ def main() -> None:
 
         print(f"\n{folder}: {what}")
         for number, constraint in enumerate(learner.constraints_, start=1):
-            print(f"constraint {number}: {constraint.n_constraints} row(s) held")
+            print(f"constraint {number}: {constraint.n_constraints} of {constraint.features.n_rows} rows held")
         print("mechanism:", "none" if report.mechanism is None else report.mechanism.sentence)
         print_phases(report.phases, recordings.trajectories[0].name)
         for trajectory, reason in report.odd_trajectories:

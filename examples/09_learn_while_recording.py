@@ -69,7 +69,8 @@ def main() -> None:
             continue
         spread = report.uncertainty_deg
         known = "uncertainty not known yet" if spread is None else f"+- {spread:.2g} degrees"
-        print(f"{motion.name}: {report.n_constraints} row(s) held, {known}, gap {report.gap:.3g} (10 is clear)")
+        held = f"{report.n_constraints} of {len(report.row_names)} rows held"
+        print(f"{motion.name}: {held}, {known}, gap {report.gap:.3g} (10 is clear)")
         if spread is not None and spread < ENOUGH and report.gap > 10:
             print(f"enough: {report.sentence}")
             learner.constraint_.save("drawer.json")

@@ -44,6 +44,19 @@ def write_atomically(path: str | os.PathLike[str], content: bytes | str) -> Path
     return target
 
 
+def check_folder(path: str | os.PathLike[str]) -> None:
+    """Refuse a path in a folder that is not there or not writable, before the work whose result it is to hold.
+
+    Raises:
+        OutputError: Says how to make the folder.
+    """
+    folder = Path(path).expanduser().absolute().parent
+    if not folder.is_dir():
+        raise OutputError(f"make the folder first, mkdir -p '{folder}': {path} cannot be written where no folder is")
+    if not os.access(folder, os.W_OK):
+        raise OutputError(f"name another folder than {folder}, which is write-protected: {path} cannot be written")
+
+
 def _checked_target(path: str | os.PathLike[str]) -> Path:
     text = os.fspath(path)
     if not text:

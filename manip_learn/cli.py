@@ -15,7 +15,7 @@ from manip_learn.commands.output import answer, progress, refused_by_system, wai
 from manip_learn.commands.read_options import ReadOptions
 from manip_learn.commands.refusal import nobody_reads, refuse
 from manip_learn.commands.robot_options import RobotOptions
-from manip_learn.commands.shared_options import flags_of, takes_shared_options
+from manip_learn.commands.shared_options import GroupedCommand, flags_of, takes_shared_options
 from manip_learn.commands.typed_command import typed
 from manip_learn.commands.vectors import direction as direction_of
 from manip_learn.commands.vectors import joined_vectors, vector
@@ -38,7 +38,7 @@ def front(version: shared.Version = False) -> None:
     """Learn which directions a demonstrated task constrains, and keep the arm away from its singularities."""
 
 
-@app.command()
+@app.command(cls=GroupedCommand)
 def robots(as_json: shared.Json = False) -> None:
     """List the robots that can be named, with their joints."""
     from manip_learn.commands.robots import known_robots
@@ -47,7 +47,7 @@ def robots(as_json: shared.Json = False) -> None:
     answer(as_json, listed.to_dict(), "print_robots", listed)
 
 
-@app.command()
+@app.command(cls=GroupedCommand)
 def demo(
     robot: Annotated[str, typer.Option(help="sawyer or planar3.")] = "sawyer",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("demo_out"),
@@ -63,7 +63,7 @@ def demo(
     answer(as_json, result.to_dict(), "print_demo", result, explain=explain)
 
 
-@app.command()
+@app.command(cls=GroupedCommand)
 @takes_shared_options
 def inspect(
     robot: shared.RobotName,
@@ -83,7 +83,7 @@ def inspect(
     answer(as_json, summary_dict(summary), "print_cross_check", summary)
 
 
-@app.command()
+@app.command(cls=GroupedCommand)
 @takes_shared_options
 def learn(
     robot: shared.RobotName,
@@ -122,7 +122,7 @@ def learn(
     answer(as_json, learnt.to_dict(), "print_learnt", learnt, explain=explain)
 
 
-@app.command()
+@app.command(cls=GroupedCommand)
 @takes_shared_options
 def audit(
     robot: shared.RobotName,
@@ -147,7 +147,7 @@ def audit(
     answer(as_json, audited.to_dict(), "print_audit", audited, explain=explain)
 
 
-@app.command()
+@app.command(cls=GroupedCommand)
 @takes_shared_options
 def control(
     robot: shared.RobotName,
@@ -189,7 +189,7 @@ def control(
     answer(as_json, result.to_dict(), "print_controlled", result, explain=explain)
 
 
-@app.command()
+@app.command(cls=GroupedCommand)
 @takes_shared_options
 def replay(
     robot: shared.RobotName,
@@ -215,7 +215,7 @@ def replay(
     answer(as_json, content, "print_replayed", page)
 
 
-@app.command()
+@app.command(cls=GroupedCommand)
 @takes_shared_options
 def export(
     robot: shared.RobotName,
@@ -235,7 +235,7 @@ def export(
     answer(as_json, result.to_dict(), "print_exported", result)
 
 
-@app.command()
+@app.command(cls=GroupedCommand)
 def reproduce(
     experiment: Annotated[
         str, typer.Argument(help="table, rmse, singular-start, near-singular-start, sawyer, beyond or all.")

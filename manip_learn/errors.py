@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import final
+from typing import SupportsInt, final
 
 # what Python, NumPy and zipfile raise for files that are broken, cut short, or of another kind
 DAMAGE: tuple[type[Exception], ...] = (
@@ -53,6 +53,53 @@ def advice(sentence: str, python: str, flag: str) -> str:
     if flags is None:
         return sentence.replace("{}", python)
     return sentence.replace("{}", flag) if flags.issuperset(FLAG.findall(flag)) else ""
+
+
+def counted(n: SupportsInt, noun: str) -> str:
+    """A number with its noun: "1 row", "2 trajectories", "3 stretches"."""
+    return f"{int(n):,} {noun if int(n) == 1 else _plural(noun)}"
+
+
+def named(noun: str, names: Iterable[str]) -> str:
+    """Names with their noun: "joint a", "joints a and b"."""
+    words = list(names)
+    return f"{noun if len(words) == 1 else _plural(noun)} {listed(words)}"
+
+
+def an(given: object) -> str:
+    """A value by its kind: `"a Robot"`, `"an ndarray of shape (7,)"`; `"None"`; a class as `"the class Robot"`."""
+    if given is None:
+        return "None"
+    if isinstance(given, type):
+        return f"the class {given.__name__}"
+    kind = type(given).__name__
+    shape = getattr(given, "shape", None)
+    article = "an" if kind[0] in "aeiouAEIO" or kind == "ndarray" else "a"
+    return f"{article} {kind} of shape {shape}" if shape else f"{article} {kind}"
+
+
+def error_in_words(value: float, unit: str) -> str:
+    """An uncertainty as it is said: `"0.0008 degrees"`, `"7.4 degrees"`."""
+    if value < 1e-4:  # nobody asks for more digits, and 3e-06 is no word
+        return f"better than 0.0001 {unit}"
+    return f"{value:.1g} {unit}" if value < 0.095 else f"{value:.2g} {unit}"
+
+
+def _plural(noun: str) -> str:
+    if noun[-1] == "y" and noun[-2] not in "aeiou":
+        return f"{noun[:-1]}ies"
+    return noun + ("es" if noun.endswith(("s", "x", "ch", "sh")) else "s")
+
+
+def listed(words: Iterable[str]) -> str:
+    """Words as said aloud: "a", "a and b", "a, b and c"."""
+    *most, last = words
+    return f"{', '.join(most)} and {last}" if most else last
+
+
+def number_if_known(n: int) -> str:
+    """Advice to give the number of rows, as the end of a sentence."""
+    return ", or give the number of rows if you know it" + advice(" ({})", f"n_constraints={n}", f"--constraints {n}")
 
 
 def spoken(python: str, command: str) -> str:
@@ -235,6 +282,25 @@ class NotIdentifiableError(ManipLearnError):
         super().__init__(message, code=code)
         self.gaps = dict(gaps or {})
         self.advice = tuple(advice)
+
+
+@final
+class NotFittedError(ManipLearnError, AttributeError):
+    """What a learner has learnt is asked for before `fit`; an AttributeError too, so that `hasattr` works.
+
+    Attributes:
+        name: The attribute that was asked for.
+    """
+
+    code = "not-fitted"
+
+    def __init__(self, name: str):
+        AttributeError.__init__(self, name=name)
+        ManipLearnError.__init__(self, f"call learner.fit(demonstrations) first: there is no {name} before it")
+        self.name = name
+
+    def __reduce__(self):
+        return NotFittedError, (self.name,)
 
 
 class TargetError(ManipLearnError):

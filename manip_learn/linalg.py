@@ -236,3 +236,18 @@ def inverse_triangles_beside(work: Float[np.ndarray, "s s n"]) -> Float[np.ndarr
         for i in range(j - 1, -1, -1):
             out[i, j] = -reciprocal[i] * np.sum(work[i, i + 1 : j + 1] * out[i + 1 : j + 1, j], axis=0)
     return out
+
+
+def along_axes(rows: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "k p"]:
+    """Orthonormal rows of the same space, turned towards single axes one after the other, largest first."""
+    remaining, out = rows.copy(), []
+    while remaining.shape[0]:
+        # the unit axis that lies deepest in what remains
+        share = np.sum(remaining**2, axis=0)
+        axis = int(np.argmax(share))
+        direction = remaining[:, axis] / np.linalg.norm(remaining[:, axis])
+        row = direction @ remaining
+        out.append(row if row[np.argmax(np.abs(row))] > 0 else -row)
+        remaining = null_basis(direction[None, :]).T @ remaining if remaining.shape[0] > 1 else remaining[:0]
+    # in the order of the axes that they point along most
+    return np.array(sorted(out, key=lambda row: int(np.argmax(np.abs(row)))))

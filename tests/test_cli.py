@@ -60,7 +60,7 @@ def test_learn_speaks_in_words(run):
     """Without --json the sentence, the gap and the file that was written are shown."""
     code, out, err = run("learn", "sawyer", *DRAWER, *FRAME, "--out", "drawer.json")
     assert code == 0, err
-    assert "moves freely along (0.91, 0.42, 0.00)" in " ".join(out.split())
+    assert "The tip can move along (0.91, 0.42, 0.00) and is blocked across it." in " ".join(out.split())
     assert "gap" in out
     assert Path("drawer.json").is_file()
 
@@ -344,3 +344,30 @@ def test_a_reader_that_leaves_is_no_error(words):
     usage = "learn --json" in words
     assert done.wait(60) == (2 if usage else 0)
     assert ("Traceback" not in said and "Broken" not in said) and (usage or said == "")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "learn nobody x.csv --out gone/c.json",
+        "control nobody c.json --out gone/r.npz",
+        "demo --robot nobody --out gone/x",
+    ],
+)
+def test_a_missing_folder_is_said_before_the_work(run, words):
+    """Nothing else is looked at before the folder that is not there; it is named, and how to make it."""
+    code, out, err = run(*words.split())
+    assert (code, out) == (2, "") and "make the folder first, mkdir -p '" in err and "nobody" not in err
+
+
+@pytest.mark.parametrize("columns", ["60", "80"])
+def test_help_has_headings(run, monkeypatch, columns):
+    """What learning, reading, the robot and the output have to offer, each under its heading, within the terminal."""
+    monkeypatch.setenv("COLUMNS", columns)
+    code, out, _ = run("learn", "--help")
+    assert code == 0
+    headings = [line for line in out.splitlines() if line.endswith(":") and line[0] != " "]
+    assert headings == ["Arguments:", "Learning:", "Reading recordings:", "Robot:", "Output:"]
+    place = {flag: out.index(f"  {flag} ") for flag in ("--axes", "--units", "--lock", "--json")}
+    assert sorted(place, key=place.__getitem__) == ["--axes", "--units", "--lock", "--json"]
+    assert max(map(len, out.splitlines())) <= int(columns)

@@ -136,4 +136,4 @@ def test_python_functions_cannot_be_saved(tmp_path):
 
 def test_it_prints_its_rows(features):
     """The rows are printed by name, without zeros."""
-    assert repr(Constraint([[0.0, 1.0, 0, 0, 0, 0]], features)).startswith("Constraint(+1 y of FrameJacobian")
+    assert repr(Constraint([[0.0, 1.0, 0, 0, 0, 0]], features)).startswith("Constraint(y of FrameJacobian")

@@ -20,6 +20,29 @@ ROBOTS = ["planar3", "sawyer", "panda", "kinova", "gantry", "wrist", "tree", "hu
 INVERSES = ["exact", "truncated", "damped"]
 
 
+@pytest.mark.parametrize(
+    ("call", "order", "said"),
+    [
+        (simulate, "controller robot start", "got a ResolvedRateController, a Robot and an ndarray of shape (7,)"),
+        (simulate, "robot start controller", "got a Robot, an ndarray of shape (7,) and a ResolvedRateController"),
+        (simulate, "robot constraint start", "got a Robot, a Constraint and an ndarray of shape (7,)"),
+        (ResolvedRateController, "task constraint nothing", "got a PointAttractor, a Constraint and None"),
+        (ResolvedRateController, "robot task nothing", "got a Robot, a PointAttractor and None"),
+        (ResolvedRateController, "constraint nothing task", "got a Constraint, None and a PointAttractor"),
+    ],
+)
+def test_arguments_in_another_order(robot_of, call, order, said):
+    """The error says the right call, and what was given where."""
+    robot, task = robot_of("sawyer"), PointAttractor(np.zeros(2))
+    constraint = oblique(robot, "sawyer", np.random.default_rng(0))
+    things = {"robot": robot, "constraint": constraint, "task": task, "nothing": None, "start": np.zeros(7)}
+    things["controller"] = ResolvedRateController(constraint, task)
+    right = {simulate: "robot, controller, q0", ResolvedRateController: "constraint, task, null_policy"}[call]
+    with pytest.raises((ConfigurationError, ConstraintError)) as caught:
+        call(*(things[name] for name in order.split()))
+    assert str(caught.value) == f"call {call.__name__}({right}): {said}, in this order"
+
+
 def oblique(robot, name: str, rng: np.random.Generator, s: int = 2) -> Constraint:
     """A dense constraint on the tip's position."""
     axes = "planar" if name == "planar3" else "xyz"

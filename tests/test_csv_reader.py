@@ -83,7 +83,7 @@ def test_several_bad_rows_are_counted(planar3: Robot, tmp_path: Path) -> None:
     table = TABLE.copy()
     table[[3, 10, 20, 30, 40, 50], 2] = np.nan
     error = refusal(written(tmp_path / "demo.csv", csv(table)), planar3)
-    assert "6 such sample(s): line 5, line 12, line 22, line 32, line 42, ..." in str(error)
+    assert "in 6 samples: line 5, line 12, line 22, line 32, line 42, ..." in str(error)
 
 
 def test_ignored_columns_may_hold_anything(planar3: Robot, tmp_path: Path) -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import pickle
+import re
 from pathlib import Path
 
 import pytest
+from library_source import library, listed
 
 from manip_learn import errors
 from manip_learn.errors import (
@@ -76,3 +79,52 @@ def test_missing_extra_says_how_to_get_it():
     error = MissingExtraError("reading ROS bags", "ros")
     assert error.extra == "ros"
     assert "pip install 'manip_learn[ros]'" in str(error)
+
+
+def said(node: ast.expr) -> str:
+    """The text of a message, with a letter for what is filled in."""
+    match node:
+        case ast.Constant(value=str(text)):
+            return text
+        case ast.JoinedStr(values=parts):
+            return "".join(map(said, parts))
+        case ast.BinOp(left=left, right=right):
+            return said(left) + said(right)
+        case ast.IfExp(body=body):
+            return said(body)
+        case ast.Call(args=arguments, func=ast.Name(id="advice" | "spoken")):
+            return said(arguments[0])
+    return "x"
+
+
+def test_messages_are_short_and_inflected():
+    """A refusal has at most two sentences, and nothing says "row(s)": numbers come with the noun that fits them."""
+    faults = []
+    for source in library():
+        for node in ast.walk(source.tree):
+            if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+                texts = list(map(said, node.exc.args))
+                if any(len(re.split(r"[.?!] (?=[A-Z])", text)) > 2 for text in texts):
+                    faults.append(f"{source.relative}:{node.lineno} has more than two sentences")
+            if isinstance(node, ast.Constant) and re.search(r"[a-z]\((s|es|ies)\)", str(node.value)):
+                faults.append(f"{source.relative}:{node.lineno} leaves the number open: {str(node.value)[:60]!r}")
+    assert not faults, listed(faults)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (errors.counted(1, "trajectory"), "1 trajectory"),
+        (errors.counted(1200, "trajectory"), "1,200 trajectories"),
+        (errors.counted(0, "stretch"), "0 stretches"),
+        (errors.counted(2, "day"), "2 days"),
+        (errors.named("joint", ["a"]), "joint a"),
+        (errors.named("joint", iter("abc")), "joints a, b and c"),
+        (errors.error_in_words(8.4e-4, "degrees"), "0.0008 degrees"),
+        (errors.error_in_words(7.43, "mm"), "7.4 mm"),
+        (errors.error_in_words(3e-6, "degrees"), "better than 0.0001 degrees"),
+    ],
+)
+def test_numbers_come_with_their_noun(words, expected):
+    """One thing is one, several are several, and an error has as many digits as one says aloud."""
+    assert words == expected

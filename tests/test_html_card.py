@@ -74,7 +74,7 @@ def test_a_prompt_shows_few_lines(objects: dict[str, object]):
     [
         ("robot", ["Robot sawyer", "right_j0", "rad/s", "locked: right_j6 at 0.5"]),
         ("demonstrations", ["6 recordings", "without velocities", "demo_01.csv", "100"]),
-        ("report", ["moves freely along", "10 is clear", "degrees", "Gap for each number of rows", "demo_06.csv"]),
+        ("report", ["The tip can move along", "10 is clear", "degrees", "Gap for each number of rows", "demo_06.csv"]),
         ("constraint", ["2 of 3 rows", "row of Λ", "FrameJacobian"]),
         ("rollout", ["51 samples over 0.5 s", "right_gripper_tip", "manipulability μ over time", "error at the end"]),
     ],

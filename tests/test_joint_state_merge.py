@@ -118,7 +118,7 @@ def test_the_last_message_of_equal_stamps_is_kept_with_its_velocity():
     np.testing.assert_array_equal(one.q, [[0, 1], [2, 3], [6, 7]])
     assert one.u is not None
     np.testing.assert_array_equal(one.u, [[0, 0], [1, -1], [3, -3]])
-    assert notes == ["/arm: 1 messages with a repeated stamp left out, the last one is kept"]
+    assert notes == ["/arm: 1 message left out for a repeated stamp, the last is kept"]
 
 
 def test_columns_follow_their_joints():
@@ -137,7 +137,7 @@ def test_a_clock_that_is_a_little_late_is_sorted_and_one_that_was_reset_is_refus
     (one,), notes = joint_groups([stream(late, START + np.arange(4) * MS)], CHOSEN)
     np.testing.assert_array_equal(one.stamps, np.sort(late))
     np.testing.assert_array_equal(one.q[:, 0], [0, 4, 2, 6])
-    assert notes == ["/arm: 1 messages came late, sorted by header stamp"]
+    assert notes == ["/arm: 1 message came late, sorted by header stamp"]
     reset = START + np.array([0, 2000, 999, 3000]) * MS
     with pytest.raises(MergeError, match="goes back by 1 s at message 2") as caught:
         joint_groups([stream(reset, START + np.arange(4) * MS)], CHOSEN)

@@ -19,7 +19,7 @@ from generated_motions import (
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.errors import FeatureError, NotIdentifiableError
+from manip_learn.errors import FeatureError, NotFittedError, NotIdentifiableError
 from manip_learn.experiments.metrics import manipulability_along, nmie
 from manip_learn.learning import ConstraintLearner
 from manip_learn.recordings import load_demonstrations
@@ -110,7 +110,10 @@ def test_the_drawer():
     truth = np.array([np.cos(np.radians(25)), np.sin(np.radians(25)), 0.0])
     assert free_direction_error(learner, truth) < 0.01
     assert report.gap > 100.0
-    assert "moves freely along (0.91, 0.42, 0.00) +- 0.00" in report.sentence
+    assert report.sentence == (
+        "The tip can move along (0.91, 0.42, 0.00) and is blocked across it. It looks like a straight line (a drawer). "
+        "Direction known to 0.0008 degrees."
+    )
     assert report.uncertainty_deg < 0.01
 
 
@@ -146,7 +149,7 @@ def test_the_planar_reach():
     _, truth = paper_motions([0, 1], np.random.default_rng(0), n_trajectories=1, n_points=1)
     assert learner.report_.n_constraints == 2
     assert nmie_along(demos, truth, learner.constraint_) < 1e-9
-    assert "commanded by the task: x; y" in learner.report_.sentence
+    assert learner.report_.sentence.startswith("The tip is steered on purpose along x and y; it can turn about z.")
 
 
 def test_asking_for_another_number_of_rows():
@@ -155,7 +158,7 @@ def test_asking_for_another_number_of_rows():
     demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, noise=0.01)
     learner = ConstraintLearner(truth.features, n_constraints=1).fit(demos)
     assert learner.constraint_.n_constraints == 1
-    assert any("1 row(s) are learnt, the gap supports 2" in w for w in learner.report_.warnings)
+    assert any("1 row learnt as asked, but the gap supports 2" in w for w in learner.report_.warnings)
 
 
 def test_refusal_of_the_last_candidate_does_not_hide_an_answer():
@@ -167,6 +170,17 @@ def test_refusal_of_the_last_candidate_does_not_hide_an_answer():
     assert ConstraintLearner([flat, features]).fit(demos).constraint_.features is features
     with pytest.raises(NotIdentifiableError, match="zero"):
         ConstraintLearner([flat]).fit(demos)
+
+
+def test_nothing_is_learnt_before_a_fit():
+    """What was learnt is asked for too early: the error says what to call, and `hasattr` answers no."""
+    learner = ConstraintLearner(planar_features())
+    for name in ("constraint_", "constraints_", "report_", "reports_"):
+        assert not hasattr(learner, name)
+        with pytest.raises(NotFittedError, match=rf"call learner.fit\(demonstrations\) first: there is no {name}"):
+            getattr(learner, name)
+    with pytest.raises(AttributeError, match="'report'"):
+        getattr(learner, "report")  # noqa: B009
 
 
 def test_settings_out_of_range():

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from generated_motions import arm_features, guided_motions, oblique, paper_motions
 
-from manip_learn.constraint.features import CustomFeatures
+from manip_learn.constraint.features import CustomFeatures, FrameJacobian, MechanismRows
+from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.estimators.conditional_pca import conditional_pca
 from manip_learn.learning.estimators.estimate import gaps_of_levels, gaps_of_residuals
@@ -16,8 +17,9 @@ from manip_learn.learning.estimators.null_space import fit_null_space, levels
 from manip_learn.learning.estimators.policy_model import PolynomialModel, RadialModel
 from manip_learn.learning.estimators.variable_projection import fit_joint, held_out_costs, scores
 from manip_learn.learning.samples import Samples
-from manip_learn.learning.selection_in_words import free_directions
+from manip_learn.learning.selection_in_words import describe, free_directions
 from manip_learn.linalg import orthonormal_rows, row_space_angle
+from manip_learn.robot import load_robot
 
 
 @pytest.fixture(scope="module")
@@ -161,6 +163,68 @@ def test_free_directions_are_free():
     assert free.shape == (1, 5)
     np.testing.assert_allclose(free @ selection.T, 0.0, atol=1e-14)
     np.testing.assert_array_equal(free[:, ~used], 0.0)
+
+
+LINE = Mechanism("line", axis=np.array([0.8, 0.6, 0.0]), uncertainty={"axis": 0.3})
+HINGE = Mechanism(
+    "hinge",
+    axis=np.array([0.0, 0.0, 1.0]),
+    point=np.array([0.4, 0.1, 0.0]),
+    radius=0.3,
+    orientation="carried",
+    uncertainty={"axis": 0.004, "point": 7e-5},
+)
+SENSORS = CustomFeatures(lambda q: np.eye(3), ("a", "b", "c"), 3)
+ACROSS = np.array([[-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("features", "held", "imposed", "angle", "mechanism", "words"),
+    [
+        (("xyz", "world"), ACROSS, False, 0.00084, LINE,
+         "The tip can move along (0.80, 0.60, 0.00) and is blocked across it. It looks like a straight line "
+         "(a drawer). Direction known to 0.0008 degrees."),
+        (("x z", "world"), np.eye(2)[:1], False, None, None, "The tip can move along z and is blocked along x."),
+        (("xyz", "local"), ACROSS, False, None, LINE,
+         "In its own axes, the tip can move along (0.80, 0.60, 0.00) and is blocked across it. "
+         "It looks like a straight line (a drawer), along (0.80, 0.60, 0.00). Axis known to 0.3 degrees."),
+        (("xyz", "world"), ACROSS[:1], False, 2.0, LINE,
+         "The tip can move along (0.80, 0.60, 0.00) and z and is blocked along (-0.60, 0.80, 0.00). The path alone "
+         "looks like a straight line (a drawer), along (0.80, 0.60, 0.00). "
+         "Direction known to 2 degrees and axis to 0.3 degrees."),
+        (("xyz", "world"), ACROSS[:1], False, None, None,
+         "The tip can move along (0.80, 0.60, 0.00) and z and is blocked along (-0.60, 0.80, 0.00)."),
+        (("xyz", "world"), np.eye(3), False, None, None, "The tip cannot move."),
+        (("xyz", "world"), np.eye(3)[:2], True, 7.4, None,
+         "The tip can move along z and is steered on purpose across it. Direction known to 7.4 degrees."),
+        (("x y rz", "world"), np.eye(3)[:2], True, 3e-6, None,
+         "The tip is steered on purpose along x and y; it can turn about z. "
+         "Direction known to better than 0.0001 degrees."),
+        (("pose", "world"), np.eye(6)[3:5], False, None, None,
+         "The tip can move freely; it can turn about z and is blocked about every other axis."),
+        (("pose", "world"), np.eye(6)[[0, 1, 3, 4, 5]], False, None, None,
+         "The tip can move along z and is blocked across it; it cannot turn."),
+        (("pose", "local"), np.insert(np.eye(6)[[0, 1, 5]], 0, [0, 0, 0.6, 0.8, 0, 0], axis=0), False, None, None,
+         "In its own axes, the tip can move along (0.00, 0.00, 0.80) while turning about (-0.60, 0.00, 0.00) and turn "
+         "about y, and is blocked in every other way."),
+        (("radial axial", None), np.eye(2), False, None, HINGE,
+         "The tip can move on a circle of radius 0.300 m about the axis (0.00, 0.00, 1.00) through (0.40, 0.10, 0.00) "
+         "and cannot leave it. It looks like a hinge (a door); the hand turns with it. "
+         "Axis known to 0.004 degrees and place to 0.07 mm."),
+        (SENSORS, ACROSS, False, 0.5, None,
+         "The motion is free along (0.80, 0.60, 0.00) in (a, b, c) and blocked in every other way. "
+         "Direction known to 0.5 degrees."),
+    ],
+)  # fmt: skip
+def test_the_first_sentence(features, held, imposed, angle, mechanism, words):
+    """What can move, what is blocked, what it looks like, how sure: each said once, for every kind of rows."""
+    if isinstance(features, tuple):
+        axes, reference = features
+        robot, frame = load_robot("sawyer"), "right_gripper_tip"
+        features = FrameJacobian(robot, frame, axes, reference) if reference else MechanismRows(robot, frame, axes)
+    kind = "self-imposed" if imposed else "motion-constrained"
+    used = np.ones(features.n_rows, dtype=bool)
+    assert describe(kind, free_directions(held, used), features, used, angle, mechanism) == words
 
 
 def test_report_in_json_and_in_words():

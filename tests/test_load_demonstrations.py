@@ -117,7 +117,7 @@ def test_trajectories_come_one_by_one(planar3: Robot, folder: Path) -> None:
     with pytest.raises(RecordingError, match="demo_2"):
         next(stream)
     notes: list[str] = []
-    assert len(list(iter_demonstrations(folder / "demo_1.csv", planar3, notes=notes, degrees=True))) == 1
+    assert len(list(iter_demonstrations(folder / "demo_1.csv", planar3, notes=notes, units="degrees"))) == 1
     assert len(notes) == 1
 
 

@@ -32,10 +32,10 @@ def test_names_exist_and_are_documented():
 
 
 def test_all_is_sorted_and_complete():
-    """__all__ is in order, without repeats, has nothing private, and dir() shows it."""
+    """__all__ is in order, without repeats, has nothing private, and dir() shows that and the version, nothing else."""
     assert list(ml.__all__) == sorted(set(ml.__all__))
     assert not [n for n in ml.__all__ if n.startswith("_")]
-    assert set(ml.__all__) <= set(dir(ml))
+    assert dir(ml) == sorted([*ml.__all__, "__version__"])
 
 
 def test_contract():

@@ -85,6 +85,22 @@ def test_recordings_read_in_parts_are_judged_together(option: dict) -> None:
         audit_episodes(Constraint([[1.0, 0, 0]], features), in_parts(RecordingSource(DRAWER, sawyer, **option)))
 
 
+@pytest.mark.parametrize(
+    ("robot", "header", "said"),
+    [
+        ("sawyer", HEADER, "it was recorded with 'planar3', not 'sawyer': name that robot"),
+        ("sawyer", "time,left_a,left_b,left_c", "was it recorded with another robot than 'sawyer'?"),
+        ("planar3", "time,q1,q2,q3", "another robot than 'planar3'? Then name that one; if it is this one, columns="),
+    ],
+)
+def test_another_robot_is_suspected(robot: str, header: str, said: str, tmp_path: Path) -> None:
+    """Columns that are no joints of the robot: first the robot is doubted, and the shipped one named that they fit."""
+    (tmp_path / "demo.csv").write_text(csv(TABLE, header))
+    with pytest.raises(RecordingError) as caught:
+        load_demonstrations(tmp_path, load_robot(robot))
+    assert said in str(caught.value) and "lock" not in str(caught.value)
+
+
 def test_a_header_may_be_missing_if_names_are_given(planar3: Robot, tmp_path: Path) -> None:
     """A table of bare numbers is read with the caller's names, first line included; their number must fit."""
     path = tmp_path / "bare.csv"

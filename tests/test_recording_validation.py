@@ -193,6 +193,14 @@ def test_one_column_in_degrees_is_not_the_whole_file(sawyer: Robot, rng, tmp_pat
     assert error.code == "degrees" and error.column == "right_j3" and "convert this column" in str(error)
 
 
+def test_radians_that_are_called_degrees(sawyer: Robot, rng, tmp_path: Path) -> None:
+    """A guided arm hardly moves in such degrees: it is asked about; `units` insists."""
+    time, q, _ = guided(sawyer, rng)
+    error = refused(sawyer, tmp_path, time, q, degrees=True)
+    assert error.code == "degrees" and "leave degrees=True out" in str(error) and "units='degrees'" in str(error)
+    np.testing.assert_allclose(load(sawyer, tmp_path, time, q, units="degrees")[0].q, np.radians(q))
+
+
 def test_gaps_split_the_demonstration(sawyer: Robot, rng, tmp_path: Path) -> None:
     """More than ten usual steps: two trajectories, said aloud; a lone sample between gaps is left out, said too."""
     time, q, u = guided(sawyer, rng, n=100)
@@ -201,7 +209,7 @@ def test_gaps_split_the_demonstration(sawyer: Robot, rng, tmp_path: Path) -> Non
     demos = load(sawyer, tmp_path, time, q, u)
     assert [(t.name, len(t)) for t in demos] == [("demo.npz part 1 of 2", 40), ("demo.npz part 2 of 2", 59)]
     np.testing.assert_array_equal(demos[1].u, u[41:])
-    assert "2 gap(s)" in demos.notes[0] and "after sample 39" in demos.notes[0] and "lone" in demos.notes[1]
+    assert "2 gaps" in demos.notes[0] and "after sample 39" in demos.notes[0] and "lone" in demos.notes[1]
 
 
 def test_bunched_stamps_are_told(sawyer: Robot, rng, tmp_path: Path) -> None:

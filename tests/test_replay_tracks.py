@@ -335,7 +335,7 @@ def test_evidence_in_words():
     }  # fmt: skip
     told = evidence_of(report)
     assert [fact[:2] for fact in told["facts"]] == [
-        ["Gap", "3,940"], ["Residual", "0.4 %"], ["Direction", "± 0.01°"], ["Learnt from", "1,200 samples"]
+        ["Gap", "3,940"], ["Residual", "0.4 %"], ["Direction", "0.01 degrees"], ["Learnt from", "1,200 samples"]
     ]  # fmt: skip
     assert "2 rows" in told["facts"][0][2] and "10 and above is clear" in told["facts"][0][2]
     assert told["rows"] == [

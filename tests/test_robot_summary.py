@@ -78,6 +78,16 @@ def test_summary_says_what_is_wrong(tmp_path):
     assert list(summary.meshes_missing) == ["gone.stl"]
 
 
+def test_equal_reasons_are_said_once(tmp_path):
+    """Several meshes that are not found are one line with their number; what is known of each stays."""
+    path = tmp_path / "arm.urdf"
+    meshes = "".join(f'<visual><geometry><mesh filename="gone{i}.stl"/></geometry></visual>' for i in range(3))
+    path.write_text(ARM.replace('<link name="tip"/>', f'<link name="tip">{meshes}</link>'), encoding="utf-8")
+    summary = inspect_robot(load_robot(path))
+    assert [w.partition(";")[0] for w in summary.warnings] == ["mesh 'gone0.stl' (and 2 more) was not found"]
+    assert len(summary.meshes_missing) == 3
+
+
 def test_c_stderr_is_caught_and_given_back(capfd):
     """Lines written below Python are collected, in order, also when the block fails; afterwards stderr works again."""
     with pytest.raises(ValueError), captured_c_stderr() as lines:

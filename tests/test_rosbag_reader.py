@@ -224,7 +224,7 @@ def test_messages_that_differ_are_named(planar3: Robot, tmp_path: Path) -> None:
     topic, received, (stamp, _, q, u) = messages[70]
     messages[70] = (topic, received, (stamp, ("joint1", "joint2", "jointX"), q, u))
     demos = load_demonstrations(write_bag(tmp_path / "names", "mcap", messages), planar3)
-    assert "1 messages of /joint_states with another list of joints are not used" in " ".join(demos.notes)
+    assert "1 message of /joint_states with another list of joints are not used" in " ".join(demos.notes)
     messages[70] = (topic, received, (stamp, JOINTS, q))
     demos = load_demonstrations(write_bag(tmp_path / "velocities", "mcap", messages), planar3)
     assert demos[0].u is None and "1 of 200 messages of /joint_states have no velocities" in " ".join(demos.notes)

@@ -144,7 +144,7 @@ def test_recorded_velocities_are_kept_and_lost_ends_are_said():
     lost = len(noisy[1]) - len(done[1])
     assert lost > 0
     assert done.notes[0] == "read from files"
-    assert f"velocities of 1 trajectory(ies) were derived from the positions; {lost} of 400 samples" in done.notes[1]
+    assert f"velocities of 1 recording derived from the positions; {lost} of 400 samples" in done.notes[1]
     assert with_velocities(Demonstrations([true[0]]), None)[0] is true[0]
 
 

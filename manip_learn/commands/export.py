@@ -11,7 +11,7 @@ from typing import Any, final
 from manip_learn.atomic_write import write_atomically
 from manip_learn.commands.robot_loading import load_for_files
 from manip_learn.commands.robot_options import RobotOptions
-from manip_learn.errors import OutputError
+from manip_learn.errors import OutputError, counted
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.load_demonstrations import ReadOptions
 from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajectory
@@ -94,7 +94,7 @@ def export(
     elif out.suffix.lower() in FORMATS[kind][0]:
         if len(motions) > 1:
             raise OutputError(
-                f"cannot write {len(motions)} trajectories to the one file {out}: name a folder, and --to {kind}"
+                f"cannot write {counted(len(motions), 'trajectory')} to one file, {out}: name a folder, and --to {kind}"
             )
         files = (write_atomically(out, FORMATS[kind][1](motions[0])),)
     else:

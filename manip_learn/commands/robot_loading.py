@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from manip_learn.commands.robot_options import RobotOptions
-from manip_learn.errors import DAMAGE, ConstraintMismatchError, RecordingError, UnknownNameError
+from manip_learn.errors import DAMAGE, ConstraintMismatchError, RecordingError, UnknownNameError, named
 from manip_learn.recordings.readers.recording_files import recording_files
 from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.saved_motion import FileHeader
@@ -120,4 +120,4 @@ def robot_of_constraint(robot_name: str, constraint_file: str, robot_options: Ro
 
 
 def _listed(objects: Sequence[str]) -> str:
-    return f"object(s) {', '.join(map(repr, objects))}" if objects else "no object"
+    return named("object", map(repr, objects)) if objects else "no object"

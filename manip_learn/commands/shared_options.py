@@ -1,16 +1,23 @@
-"""Commands with the shared sets of options: those of the robot, and those of reading recordings."""
+"""What commands share: the options of the robot and of reading, help under headings, a look at where they write."""
 
 from __future__ import annotations
 
 import functools
 import inspect
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
+from typer.core import TyperCommand
+
+from manip_learn.atomic_write import check_folder
 from manip_learn.commands.read_options import read_options
 from manip_learn.commands.robot_options import robot_options
 
 # parameter of a command -> the function whose parameters are the flags, and which makes its value of them
+HEADINGS = {"learn": "Learning"}
+HEADINGS_AFTER = ("Reading recordings", "Robot", "Output")
+OUTPUT = {"out", "html", "csv", "open_browser", "browser", "explain", "as_json", "help"}
 SETS: dict[str, Callable[..., Any]] = {"robot_options": robot_options, "options": read_options}
 
 
@@ -30,6 +37,43 @@ def takes_shared_options(command: Callable[..., None]) -> Callable[..., None]:
     merged = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in merged]
     vars(with_options).update(__signature__=inspect.Signature(merged), __annotations__={})
     return with_options
+
+
+class GroupedCommand(TyperCommand):
+    """A command whose options are listed under headings, and which looks where it is to write before it works."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Arguments, then the options of the command, of reading, of the robot, and of the output."""
+        shared = {
+            flag: heading
+            for name, heading in (("options", "Reading recordings"), ("robot_options", "Robot"))
+            for flag in inspect.signature(SETS[name]).parameters
+        }
+        sections: dict[str, list[Any]] = {
+            title: [] for title in ("Arguments", HEADINGS.get(self.name or "", "Options"), *HEADINGS_AFTER)
+        }
+        own = list(sections)[1]
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is not None:
+                heading = "Output" if parameter.name in OUTPUT else shared.get(parameter.name or "", own)
+                sections["Arguments" if parameter.param_type_name == "argument" else heading].append(record)
+        for heading, records in sections.items():
+            if records:
+                with formatter.section(heading):
+                    formatter.write_dl(records)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command.
+
+        Raises:
+            OutputError: The folder of a file to write is not there.
+        """
+        for parameter in self.params:
+            path = ctx.params.get(parameter.name)
+            if parameter.name in OUTPUT and isinstance(path, Path):
+                check_folder(path)
+        return super().invoke(ctx)
 
 
 def flags_of(program: Any, arguments: Sequence[str]) -> set[str]:

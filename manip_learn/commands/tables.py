@@ -13,6 +13,7 @@ from rich.table import Table
 
 from manip_learn.commands.wide_tables import audit_table, rollout_table
 from manip_learn.commands.words import print_words
+from manip_learn.errors import counted, listed
 
 if TYPE_CHECKING:  # so that printing one command's answer does not load the others
     from manip_learn.commands.audit import Audited
@@ -22,12 +23,10 @@ if TYPE_CHECKING:  # so that printing one command's answer does not load the oth
     from manip_learn.commands.learn import Learnt
     from manip_learn.commands.reproduce import Reproduction
     from manip_learn.commands.robots import KnownRobots
-    from manip_learn.constraint.mechanism import Mechanism
     from manip_learn.playback import ReplayResult
     from manip_learn.robot.robot_summary import RobotSummary
 
 MOST_ROWS = 20  # of an audit on a terminal
-NOT_AN_ANGLE = 45.0  # an uncertainty beyond says nothing [deg]
 WAY_TERMS = ("off", "fastest", "least mu")
 ROLLOUT_TERMS = ("error", "mu", "peak", "unhindered")
 AUDIT_TERMS = ("score", "sigma", "broken", "mm, deg", "margin", "speed", "jerk", "rest")
@@ -35,39 +34,16 @@ AUDIT_TERMS = ("score", "sigma", "broken", "mm, deg", "margin", "speed", "jerk",
 
 def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> None:
     """The sentence, the evidence, the warnings."""
-    from manip_learn.learning.estimators.estimate import CLEAR_GAP
     from manip_learn.learning.overview import RecordingOverview
 
     report = learnt.report
     console.print(f"[bold]{escape(report.sentence)}[/bold]", highlight=False)
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    rank = f"{CLEAR_GAP:g} is clear" if report.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
-    terms = ["row", "gap"]
-    table.add_row("estimator", f"{report.estimator} ({report.kind})")
-    table.add_row(
-        "constraints", f"{report.n_constraints} of {len(report.row_names)} rows, gap {_readable(report.gap)} ({rank})"
-    )
-    if report.reference:
-        table.add_row("reference", report.reference)
-    if report.policy_model:
-        table.add_row("policy model", report.policy_model)
-    if math.isfinite(report.held_out_residual):
-        terms.append("left-out")
-        table.add_row("left-out trajectories", f"{100 * report.held_out_residual:.2g} % of the motion unexplained")
-    if report.uncertainty_deg is not None:
-        terms.append("uncertainty")
-        table.add_row("uncertainty", f"{report.uncertainty_deg:.2g} degrees (68 %, bootstrap over trajectories)")
-    if report.row_evidence:
-        terms.append("strength")
-        held = [row for row in report.row_evidence if row.state == "held"]
-        strengths = ", ".join(f"{row.strength:.3g}" for row in held) or "none"
-        p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
-        table.add_row("evidence per row", f"strength {strengths}{p_value} (recombination test)")
-    if report.mechanism is not None:
-        table.add_row("mechanism", f"{report.mechanism.sentence}{_spread(report.mechanism)}")
-    table.add_row(
-        "learnt from", f"{report.n_samples} samples of {report.n_trajectories} trajectories in {report.seconds:.2g} s"
-    )
+    terms = []
+    for called, said, term in _learnt_facts(learnt):
+        if said:
+            table.add_row(called, escape(said))
+            terms += [term] if term else []
     console.print(table)
     print_words(console, terms, explain)
     for number, other in enumerate(learnt.reports[1:], start=2):
@@ -85,14 +61,38 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> Non
         console.print(f"replay: {escape(str(page.html))} ({page.bytes / 1e6:.1f} MB)", highlight=False, soft_wrap=True)
 
 
-def _spread(mechanism: Mechanism) -> str:
-    """The uncertainty of each parameter, one standard deviation."""
-    units = {"axis": (1.0, "degrees"), "point": (1e3, "mm"), "radius": (1e3, "mm"), "pitch": (1e3, "mm/rad")}
-    spread = mechanism.uncertainty
-    parts = [f"{name} {units[name][0] * x:.2g} {units[name][1]}" for name, x in spread.items()]
-    if spread.get("axis", 0.0) > NOT_AN_ANGLE:  # linear errors of a direction that nothing determines
-        parts[list(spread).index("axis")] = "axis not determined"
-    return f" (+- {', '.join(parts)})" if parts else ""
+def _learnt_facts(learnt: Learnt) -> list[tuple[str, str | None, str]]:
+    """What each fact is called, the fact or nothing, and the term that explains it."""
+    from manip_learn.learning.estimators.estimate import CLEAR_GAP
+
+    report = learnt.report
+    rank = f"{CLEAR_GAP:g} is clear" if report.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
+    held = [row for row in report.row_evidence if row.state == "held"]
+    strengths = listed(f"{row.strength:.3g}" for row in held) if held else "none"
+    p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
+    amount = f"{report.n_constraints} of {len(report.row_names)}"
+    left_out = report.held_out_residual
+    source = f"{counted(report.n_samples, 'sample')} of {counted(report.n_trajectories, 'recording')}"
+    return [
+        ("estimator", f"{report.estimator} ({report.kind})", ""),
+        ("reference", report.reference, ""),
+        ("policy model", report.policy_model, ""),
+        (
+            "held rows" if report.kind == "motion-constrained" else "steered rows",
+            learnt.constraint.rows_in_words(),
+            "row",
+        ),
+        ("number of rows", f"{amount}, gap {_readable(report.gap)} ({rank})", "gap"),
+        ("left out", f"{_share(left_out)} of the motion unexplained" if math.isfinite(left_out) else "", "left-out"),
+        ("uncertainty", report.known_to(), "uncertainty"),
+        (
+            "evidence",
+            f"strength {strengths}{p_value} (recombination test)" if report.row_evidence else "",
+            "strength",
+        ),
+        ("mechanism", report.mechanism_in_words(), ""),
+        ("learnt from", f"{source} in {report.seconds:.2g} s", ""),
+    ]
 
 
 def print_demo(console: Console, demo: Demo, explain: bool = False) -> None:
@@ -114,7 +114,7 @@ def print_demo(console: Console, demo: Demo, explain: bool = False) -> None:
 def print_robots(console: Console, listed: KnownRobots) -> None:
     """Names and numbers of joints, those of the package first."""
     for robot in listed.robots:
-        joints = f"{len(robot.joints)} joints" if not robot.refused else "refused: see `manip-learn inspect`"
+        joints = f"{counted(len(robot.joints), 'joint')}" if not robot.refused else "refused: see `manip-learn inspect`"
         origin = "" if robot.origin == "package" else "  (extra robots)"
         console.print(f"{escape(robot.name):24} {joints}{origin}", highlight=False)
     if not listed.extra:
@@ -213,7 +213,8 @@ def print_audit(console: Console, audited: Audited, explain: bool = False) -> No
     left = report.leave_out
     threshold = f"robust z above {report.threshold:.1f}" if math.isfinite(report.threshold) else "too few to tell"
     console.print(
-        f"[bold]leave out {len(left)} of {len(report.episodes)} episodes[/bold] ({threshold})", highlight=False
+        f"[bold]leave out {len(left)} of {counted(len(report.episodes), 'episode')}[/bold] ({threshold})",
+        highlight=False,
     )
     for e in left:
         console.print(
@@ -246,6 +247,11 @@ def _readable(value: float) -> str:
     return f"{value:,.0f}" if value >= 10 else f"{value:.2g}"
 
 
+def _share(value: float) -> str:
+    """A share in percent: 0.16 %, less than 0.001 %."""
+    return f"{100 * value:.2g} %" if value >= 1e-5 else "less than 0.001 %"
+
+
 def _limit(value: float) -> str:
     return f"{value:.4g}" if math.isfinite(value) else "none"
 
@@ -256,4 +262,6 @@ def print_exported(console: Console, exported: Exported) -> None:
         console.print(f"note: {escape(note)}", highlight=False, soft_wrap=True)
     for file in exported.files:
         console.print(f"{exported.format}: {escape(str(file))}", highlight=False, soft_wrap=True)
-    console.print(f"{exported.trajectories} trajectories, {exported.samples} samples", highlight=False)
+    console.print(
+        f"{counted(exported.trajectories, 'trajectory')}, {counted(exported.samples, 'sample')}", highlight=False
+    )

@@ -1,4 +1,4 @@
-"""The terms that the commands print, explained: a line under a table, or with --explain a paragraph."""
+"""The terms that the commands print, explained: a short line each under a table, or with --explain a paragraph."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ if TYPE_CHECKING:
 # term -> a few words, and a paragraph
 WORDS: dict[str, tuple[str, str]] = {
     "row": (
-        "a direction of the tip's motion that is held",
+        "a combination of velocities that the task holds",
         "Each row of Lambda is one combination of velocities that the task holds: a drawer holds two of x, y, z. The "
         "directions that are left are free.",
     ),
     "gap": (
-        "how many times less the held rows move than the next free one; 10 is clear, below 3 nothing is shown",
+        "weakest free direction over strongest held one; 10 is clear, below 3 none",
         "Directions of the motion are put in order of how much they are used. The gap is the ratio between the first "
         "one that is free and the last one that is held. Noise and softness make it smaller; 10 and above is clear, "
         "3 to 10 is weak. The joint estimator compares what fits with one row fewer leave unexplained; there 1.5 says "
         "something.",
     ),
     "left-out": (
-        "recordings that were not learnt from, each in turn; unexplained: 0 % is best",
+        "tested on recordings that were not learnt from; 0 % is best",
         "The constraint is learnt again without some of the recordings and asked about those. What it does not explain "
         "of their motion is noise, softness, or a constraint that is not theirs.",
     ),
     "uncertainty": (
-        "angle within which 68 % of repetitions with other choices of the recordings lie",
+        "68 % of repetitions with other recordings stay within it",
         "The recordings are drawn again with repetition and learnt from, many times (bootstrap). It says how much the "
         "answer depends on which recordings there are, not whether they are of the right task.",
     ),
     "strength": (
-        "how many times as much a row would move if the joints moved independently; p: chance of that",
+        "how much more a row moves by chance; 5 and above is held",
         "Joints are exchanged between recordings, so that nothing is held any more (recombination test). A row that "
-        "the world holds then moves many times as much; a row that nobody tried does not. p is the chance of the "
-        "difference.",
+        "the world holds then moves far more; a row that nobody tried does not. Strength is the ratio, p the chance "
+        "of it.",
     ),
     "mu": (
-        "manipulability of the task, 0 at its singularity; compare policies, not tasks",
+        "manipulability of the task, 0 at its singularity; compare policies only",
         "The volume of velocities along the held rows that joint velocities of length 1 reach: the product of the "
         "singular values of A(q). At 0 the arm cannot follow the task in some direction.",
     ),
@@ -71,7 +71,7 @@ WORDS: dict[str, tuple[str, str]] = {
         "limits, acceleration limits or a singularity slowed, bent or stopped it; replay shows where.",
     ),
     "score": (
-        "how unusual the episode is among these; left out by the threshold below",
+        "how unusual the episode is; left out above the threshold below",
         "Root of the sum of squares of all z-scores that are worse than usual. Episodes are compared with the median "
         "of those given, so it says nothing if most of them are of another task.",
     ),
@@ -100,8 +100,9 @@ def print_words(console: Console, terms: Sequence[str], explain: bool) -> None:
         for term in terms:
             console.print(f"[bold]{escape(term)}[/bold]: {escape('. '.join(_sentences(term)))}", highlight=False)
         return
-    said = "; ".join(f"{term}: {WORDS[term][0].split(';')[0]}" for term in terms)
-    console.print(f"[dim]{escape(said)} (--explain says more)[/dim]", highlight=False)
+    for term in terms:
+        console.print(f"[dim]{escape(f'{term}: {WORDS[term][0]}')}[/dim]", highlight=False)
+    console.print("[dim]--explain says more[/dim]", highlight=False)
 
 
 def _sentences(term: str) -> tuple[str, str]:

@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.features.described_features import described_features
-from manip_learn.constraint.features.feature_map import FeatureMap, Vjp
+from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, row_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.mechanism import Mechanism, read_mechanism
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, spoken
-from manip_learn.linalg import orthonormal_rows
+from manip_learn.linalg import along_axes, orthonormal_rows
 from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
 
@@ -248,8 +248,11 @@ class Constraint:
             raise ConstraintMismatchError(f"{source}: {error}") from error
 
     def __repr__(self) -> str:
-        rows = "; ".join(_row_in_words(row, self.features.row_names) for row in self.selection)
-        return f"Constraint({rows} of {self.features!r})"
+        return f"Constraint({self.rows_in_words()} of {self.features!r})"
+
+    def rows_in_words(self) -> str:
+        """The held rows, turned towards single axes: `"(-0.42, 0.91, 0.00); z"`; the same space as `selection`."""
+        return "; ".join(row_in_words(row, self.features.row_names) for row in along_axes(self.selection))
 
     def _repr_html_(self) -> str:
         rows = [[str(i + 1), *(f"{entry:.4f}" for entry in row)] for i, row in enumerate(self.selection)]
@@ -334,8 +337,3 @@ def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf:
                 "learn it again, or name the description that it was learnt with",
             )
         )
-
-
-def _row_in_words(row: np.ndarray, names: tuple[str, ...]) -> str:
-    terms = [f"{c:+.3g} {n}" for c, n in zip(row, names, strict=True) if abs(c) > 1e-3]
-    return " ".join(terms)

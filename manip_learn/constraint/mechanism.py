@@ -36,6 +36,15 @@ _TURNS: dict[Orientation, str] = {
     "fixed": "the hand does not turn",
     "carried": "the hand turns with it",
 }
+_NAMES: dict[MechanismType, str] = {
+    "line": "a line ",
+    "plane": "a plane ",
+    "hinge": "a hinge: ",
+    "ball": "a ball: ",
+    "screw": "a screw: ",
+    "held-orientation": "a held orientation",
+    "other": "a cylinder: ",
+}
 
 
 @final
@@ -98,32 +107,29 @@ class Mechanism:
 
     @property
     def sentence(self) -> str:
-        """The mechanism in words and numbers, as for a report."""
-        if self.axis is None and self.grip == "firm" and self.type in ("hinge", "screw", "line"):
-            far = "" if self.radius is None else f" {self.radius:.3f} m from its origin"
-            return (
-                f"a {self.type} fixed to the hand, its axis{far}" if self.type != "line" else "a line of the hand's own"
-            )
-        words = {
-            "line": f"a line along {_numbers(self.axis)}",
-            "plane": f"a plane across {_numbers(self.axis)}",
-            "hinge": f"a hinge: axis {_numbers(self.axis)} through {_numbers(self.point)}",
-            "ball": f"a ball: centre {_numbers(self.point)}",
-            "screw": f"a screw: axis {_numbers(self.axis)} through {_numbers(self.point)}",
-            "other": f"a cylinder: axis {_numbers(self.axis)} through {_numbers(self.point)}",
-            "held-orientation": "a held orientation",
-        }[self.type]
+        """The mechanism in words and numbers, e.g. `"a line along (1.00, 0.00, 0.00); the hand may turn"`."""
+        return f"{_NAMES[self.type]}{self.place}; {self.turns}"
+
+    @property
+    def place(self) -> str:
+        """Its axis, centre, pitch and distance in words, in the robot's base frame; empty for an orientation."""
+        if self.axis is None and self.grip == "firm" and self.type in ("line", "hinge", "screw"):
+            return "fixed to the hand" + ("" if self.radius is None else f", {self.radius:.3f} m from its origin")
+        axis, point = in_words(self.axis), in_words(self.point)
+        words = {"line": f"along {axis}", "plane": f"across {axis}", "ball": f"centre {point}", "held-orientation": ""}
+        said = words.get(self.type, f"axis {axis} through {point}")
         if self.pitch is not None:
-            words += f", {1e3 * self.pitch:.2f} mm a radian"
-        if self.radius is not None:
-            words += f", {self.radius:.3f} m from the hand"
+            said += f", {1e3 * self.pitch:.2f} mm a radian"
+        return said if self.radius is None else f"{said}, {self.radius:.3f} m from the hand"
+
+    @property
+    def turns(self) -> str:
+        """How the hand may turn, in words."""
         around = "its normal" if self.type == "plane" else "the axis"
         if self.type == "held-orientation" and self.axis is not None:
-            around = _numbers(self.axis)
-        turns = _TURNS[self.orientation].format(axis=around)
-        if self.name.startswith("sleeve"):
-            turns += " and may slide along it"
-        return f"{words}; {turns}"
+            around = in_words(self.axis)
+        slides = " and may slide along it" if self.name.startswith("sleeve") else ""
+        return _TURNS[self.orientation].format(axis=around) + slides
 
     def to_dict(self) -> dict[str, Any]:
         """Type, axis, point, radius, pitch and uncertainty, and how the hand is held, ready for JSON."""
@@ -151,7 +157,8 @@ class Mechanism:
         return self.sentence
 
 
-def _numbers(vector: np.ndarray | None) -> str:
+def in_words(vector: np.ndarray | None) -> str:
+    """A direction or a place with two digits; `"unknown"` for None."""
     if vector is None:
         return "unknown"
     return "(" + ", ".join(f"{x + 0.0:.2f}" for x in np.round(vector, 2)) + ")"

@@ -26,7 +26,7 @@ from manip_learn.control.polytope_projection import Solver, projection_by
 from manip_learn.control.resolved_rate_law import ResolvedRateLaw
 from manip_learn.control.singularity import approach_bound
 from manip_learn.control.tasks import Hold, Task
-from manip_learn.errors import ConfigurationError, ConstraintError, advice
+from manip_learn.errors import ConfigurationError, ConstraintError, advice, an
 from manip_learn.linalg import Inverse
 from manip_learn.robot.frame_kinematics import is_plain
 from manip_learn.robot.robot import Robot
@@ -67,7 +67,8 @@ class ResolvedRateController:
             machine is compiled for half a minute).
 
     Raises:
-        ConstraintError: The null policy belongs to another number of joints, or settings that are not positive.
+        ConstraintError: Arguments in another order, a null policy of another number of joints, or settings that are
+            not positive.
 
     Example:
         >>> import manip_learn as ml
@@ -93,6 +94,7 @@ class ResolvedRateController:
         robot: Robot | None = None,
         solver: Solver = "qp",
     ):
+        _check_order(constraint, task, null_policy)
         if inverse not in ("exact", "truncated", "damped"):
             raise ConstraintError(f"inverse must be 'exact', 'truncated' or 'damped', not {inverse!r}")
         for name, value in (("threshold", threshold), ("damping", damping), ("dt", dt)):
@@ -234,4 +236,18 @@ class ResolvedRateController:
         return (
             f"ResolvedRateController({self.constraint!r}, task={self.task!r}, null_policy={self.null_policy!r}, "
             f"inverse={self.inverse!r})"
+        )
+
+
+def _check_order(constraint: object, task: object, null_policy: object) -> None:
+    """Refuse arguments that are not what their places want.
+
+    Raises:
+        ConstraintError: Says what was given where.
+    """
+    policy = null_policy is None or (callable(null_policy) and not isinstance(null_policy, Task | Constraint))
+    if not (isinstance(constraint, Constraint) and (task is None or isinstance(task, Task)) and policy):
+        raise ConstraintError(
+            "call ResolvedRateController(constraint, task, null_policy): got "
+            f"{an(constraint)}, {an(task)} and {an(null_policy)}, in this order"
         )

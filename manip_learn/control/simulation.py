@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
@@ -18,7 +19,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.integration import Method, next_posture
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
-from manip_learn.errors import ConfigurationError
+from manip_learn.errors import ConfigurationError, an
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.batch.postures import checked_postures, positions_of
 from manip_learn.robot.identity import RobotIdentity
@@ -87,7 +88,8 @@ def simulate(
         per start.
 
     Raises:
-        ConfigurationError: The start has the wrong size or is not finite; a step or duration that is not positive.
+        ConfigurationError: The arguments are in another order; the start has the wrong size or is not finite; a step
+            or duration that is not positive.
         ConstraintError: `compiled=True` for a controller that cannot be compiled.
         MissingExtraError: `compiled=True` without numba.
 
@@ -100,6 +102,7 @@ def simulate(
         >>> rollout.q.shape, rollout.u.shape
         ((201, 3), (201, 3))
     """
+    _check_order(robot, controller, q0)
     if not (np.isfinite(dt) and dt > 0.0 and np.isfinite(duration) and duration >= 0.0):
         raise ConfigurationError(f"duration and dt must be positive numbers of seconds, got {duration!r} and {dt!r}")
     if method not in ("euler", "rk4"):
@@ -120,6 +123,22 @@ def simulate(
         return rollout
     q = np.array(q0, dtype=np.float64) if robot is None else np.array(robot.checked_posture(q0))
     return _integrated(robot, controller, q, steps, dt, method, report)
+
+
+def _check_order(robot: object, controller: object, q0: object) -> None:
+    """Refuse a robot, a controller and a start that are not what their places want.
+
+    Raises:
+        ConfigurationError: Says what was given where.
+    """
+    commands = isinstance(controller, ServoLoop) or (
+        callable(controller) and not isinstance(controller, Constraint | type)
+    )
+    is_start = not (q0 is None or callable(q0) or isinstance(q0, Robot | str))
+    if not ((robot is None or isinstance(robot, Robot)) and commands and is_start):
+        raise ConfigurationError(
+            f"call simulate(robot, controller, q0): got {an(robot)}, {an(controller)} and {an(q0)}, in this order"
+        )
 
 
 def _integrated(

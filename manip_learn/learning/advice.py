@@ -8,7 +8,7 @@ import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.errors import NotIdentifiableError, advice
+from manip_learn.errors import NotIdentifiableError, advice, counted, named, number_if_known
 from manip_learn.learning.division import Division
 from manip_learn.learning.overview import distinct_names, lone_contacts
 from manip_learn.learning.phases.find_phases import one_constraint_fits
@@ -19,6 +19,7 @@ STILL = 1e-6
 # speed of the fastest joint below which encoder noise of 1e-4 rad at 100 Hz hides the motion [rad/s]
 SLOW = 0.02
 FEWEST = 3
+ADVICES_SAID = 2  # in the sentence, the likeliest ones; more would hide them
 ADVISED = ("weak-gap", "no-evidence", "no-freedom")
 
 
@@ -49,29 +50,32 @@ def advise(
         *_still_joints(demonstrations),
         *_too_slow(demonstrations),
     ]
-    if not causes:
-        return advise_in_general(refusal)
-    said = f"{refusal}; what the data show: {'; '.join(causes)}"
-    return NotIdentifiableError(said, code=refusal.code, gaps=refusal.gaps, advice=(*refusal.advice, *causes))
+    return _advised(refusal, causes) if causes else advise_in_general(refusal)
 
 
 def advise_in_general(refusal: NotIdentifiableError) -> NotIdentifiableError:
     """The refusal with what usually helps, where nothing of the data is known."""
     if refusal.code != "weak-gap":
-        return refusal
-    usual = (
-        "record more varied motions, try other axes or the other reference, or give the number of rows if you know it"
-        + advice(" ({})", "n_constraints=2", "--constraints 2")
+        return _advised(refusal, ())
+    usual = "record more varied motions, try other axes or the other reference" + number_if_known(2)
+    return _advised(refusal, (usual,))
+
+
+def _advised(refusal: NotIdentifiableError, causes: Sequence[str]) -> NotIdentifiableError:
+    """What to do, then why, in two sentences; the first advices are said, all are kept."""
+    everything = (*refusal.advice, *causes)
+    said = f"{'; or '.join(everything[:ADVICES_SAID])}. {str(refusal)[0].upper()}{str(refusal)[1:]}"
+    return NotIdentifiableError(
+        said if everything else str(refusal), code=refusal.code, gaps=refusal.gaps, advice=everything
     )
-    said = f"{refusal}; {usual}"
-    return NotIdentifiableError(said, code=refusal.code, gaps=refusal.gaps, advice=(*refusal.advice, usual))
 
 
 def _too_few(demonstrations: Demonstrations) -> list[str]:
     if len(demonstrations) >= FEWEST:
         return []
     return [
-        f"{len(demonstrations)} recording(s) only: record at least {FEWEST}, better 5, that differ in way and posture"
+        f"record at least {FEWEST}, better 5, that differ in way and posture, not "
+        f"{counted(len(demonstrations), 'recording')}"
     ]
 
 
@@ -80,18 +84,19 @@ def _several_phases(division: Division, phases: str, n: int) -> list[str]:
         return []
     if phases == "off":
         return [
-            "no single constraint fits the recordings as a whole: cut them"
+            "cut the recordings to the contact, since no single constraint fits them as a whole"
             + advice(", or allow {}", "phases='auto'", "--phases auto")
         ]
     if n < 2:
         return [
-            "no single constraint fits the recording as a whole: cut it"
+            "cut the recording to the contact"
             + advice(" with {}", "trajectory[start:until]", "--from and --until")
+            + ", since no single constraint fits it as a whole"
         ]
     return [
-        "no stretch of the recordings obeys a constraint that several of them confirm: this looks like free motion. A "
-        "contact without any constant direction, other than with a tether, is learnt from recordings that are cut to "
-        + advice("it ({})", "trajectory[start:until]", "--from and --until")
+        "cut the recordings to the contact"
+        + advice(" ({})", "trajectory[start:until]", "--from and --until")
+        + ", for no stretch of them obeys a constraint that several confirm, as in free motion"
     ]
 
 
@@ -106,7 +111,7 @@ def _other_rows(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMa
             other = FrameJacobian(first.robot, first.frame.name, axes, reference)
             if (other.row_names, reference) not in tried and one_constraint_fits(other, demonstrations):
                 python, flags = f"axes={axes!r}, reference={reference!r}", f"--axes {axes} --reference {reference}"
-                return [f"with other rows one constraint does fit{advice(': try {}', python, flags)}"]
+                return [f"try other rows{advice(', {}', python, flags)}, with which one constraint does fit"]
     return []
 
 
@@ -119,11 +124,9 @@ def _still_joints(demonstrations: Demonstrations) -> list[str]:
     if not still:
         return []
     python, flags = f"load_robot(..., locked={still})", " ".join(f"--lock {name}" for name in still)
-    return [f"joint(s) {', '.join(still)} hardly move: move them too, or lock them{advice(': {}', python, flags)}"]
+    return [f"move {named('joint', still)} too, or lock what shall hardly move{advice(' ({})', python, flags)}"]
 
 
 def _too_slow(demonstrations: Demonstrations) -> list[str]:
     speed = max((float(np.max(np.abs(t.u))) for t in demonstrations if t.u is not None), default=0.0)
-    return (
-        [f"the fastest joint moves at {speed:.2g} rad/s: move faster, noise hides such motion"] if speed < SLOW else []
-    )
+    return [f"move faster, noise hides a motion in which no joint exceeds {speed:.2g} rad/s"] if speed < SLOW else []

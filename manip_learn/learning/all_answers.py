@@ -21,8 +21,8 @@ def find_answers(
 ) -> tuple[list[Answer], Division]:
     """Learn a constraint from each part.
 
-    Two doors share a sphere, so that what tells their recordings apart is known only with the mechanism: trajectories
-    that do not obey it are learnt from by themselves. They make a constraint of their own if it holds as many rows.
+    Recordings of two doors can lie on one sphere. Only the mechanism tells them apart, so trajectories that do not obey
+    it are learnt separately. They make a constraint of their own if it holds as many rows.
 
     Args:
         division: The recordings, divided.

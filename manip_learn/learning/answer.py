@@ -12,7 +12,7 @@ import numpy as np
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
-from manip_learn.errors import NotIdentifiableError, advice
+from manip_learn.errors import NotIdentifiableError, counted, number_if_known
 from manip_learn.learning.candidate import Candidate, LearnerSettings
 from manip_learn.learning.data_summary import DataSummary
 from manip_learn.learning.division import Part
@@ -26,7 +26,7 @@ from manip_learn.recordings.demonstrations import Demonstrations
 
 # (what to learn from, which Phi, with which settings) -> the best candidate, and a summary of all samples
 Fit = Callable[[Part, LearnerSettings], tuple[Candidate, DataSummary]]
-# rows about an axis replace as many constant ones that leave so many times the energy unexplained
+# constant rows give way to as many rows about an axis if they leave this many times more energy unexplained
 TIGHTER = 1.1
 # refusals that rows which depend on the place, or the evidence alone, may answer
 RESCUED = ("weak-gap", "no-freedom", "no-evidence")
@@ -153,11 +153,11 @@ def _with_rows(answer: Answer, settings: LearnerSettings, fit: Fit, asked: int |
         held = dataclasses.replace(settings, estimator="null-space", n_constraints=supported)
         again, data = fit(answer.part, held)
         said = (
-            f"the gap supports {s} row(s), the recombination test {supported}, which is the answer; "
+            f"the gap supports {counted(s, 'row')}, the recombination test {supported}, which is the answer: "
             f"{evidence.sentence()}"
         )
         return dataclasses.replace(answer, candidate=again, data=data, warnings=(said,))
-    said = f"the recombination test finds {supported} row(s) weakly, the gap {s}, which is the answer"
+    said = f"the recombination test finds {counted(supported, 'row')} weakly, the gap {s}, which is the answer"
     return dataclasses.replace(answer, warnings=(said,))
 
 
@@ -167,18 +167,17 @@ def _unsupported(answer: Answer) -> Answer:
         return answer
     if evidence.enough:
         raise NotIdentifiableError(
-            f"the motion leaves {s} direction(s) unused (gap {answer.candidate.gap:.3g}), but nothing shows that they "
-            f"are held: {evidence.sentence()}. A motion that is repeated looks like this, too: vary the way and the "
-            "posture between recordings, or give the number of rows if you "
-            f"know it{advice(' ({})', f'n_constraints={s}', f'--constraints {s}')}",
+            f"nothing shows that what the motion leaves unused ({counted(s, 'direction')}, gap "
+            f"{answer.candidate.gap:.3g}) is held rather than never tried: {evidence.sentence()}",
             code="no-evidence",
             gaps=dict(zip(answer.candidate.estimate.table.counts, answer.candidate.estimate.table.gaps, strict=True)),
+            advice=("vary the way and the posture between recordings" + number_if_known(s),),
         )
     return dataclasses.replace(
         answer,
         warnings=(
-            f"{evidence.n_trajectories} trajectory(ies) cannot show that these {s} row(s) are held rather than never "
-            "tried: record at least 3, better 5, that differ",
+            f"record 3, better 5, that differ: {counted(evidence.n_trajectories, 'recording')} cannot show that "
+            f"{counted(s, 'row')} held rather than never tried",
         ),
     )
 
@@ -186,7 +185,7 @@ def _unsupported(answer: Answer) -> Answer:
 def _doubt_given_rows(evidence: RowEvidence, s: int) -> tuple[str, ...]:
     if evidence.n_rows == s:
         return _doubt(evidence)
-    return (f"you asked for {s} row(s); the recombination test supports {evidence.n_rows}: {evidence.sentence()}",)
+    return (f"{counted(s, 'row')} asked for, the recombination test supports {evidence.n_rows}: {evidence.sentence()}",)
 
 
 def _doubt(evidence: RowEvidence) -> tuple[str, ...]:
@@ -242,12 +241,7 @@ def _despite(refusal: NotIdentifiableError, part: Part, settings: LearnerSetting
                 said = f"no gap shows the number of rows, the recombination test does: {evidence.sentence()}"
                 return Answer(part, candidate, data, evidence, mechanism, (said,))
     if mechanism is not None and mechanism.mechanism is None and mechanism.warnings:
-        raise NotIdentifiableError(
-            f"{refusal}; {'; '.join(mechanism.warnings)}",
-            code=refusal.code,
-            gaps=refusal.gaps,
-            advice=mechanism.warnings,
-        )
+        raise NotIdentifiableError(str(refusal), code=refusal.code, gaps=refusal.gaps, advice=mechanism.warnings)
     raise refusal
 
 

@@ -17,7 +17,7 @@ from scipy.special import stdtrit
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.errors import RecordingError
+from manip_learn.errors import RecordingError, counted
 from manip_learn.learning.data_summary import check_joints
 from manip_learn.learning.episode_measures import EpisodeAudit, measure
 from manip_learn.linalg import one_thread
@@ -204,7 +204,7 @@ def audit_episodes(
     if imposed:
         notes.append("the constrained rows were moved on purpose: motion along them is no violation and does not count")
     if len(rows) < FEWEST:
-        notes.append(f"{len(rows)} episode(s) are too few to say which are odd: at least {FEWEST} are needed")
+        notes.append(f"too few to say which are odd: {counted(len(rows), 'episode')}, at least {FEWEST} are needed")
     return _judged(rows, imposed, tuple(dict.fromkeys(notes)))
 
 

@@ -9,7 +9,7 @@ from typing import Literal, final
 import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.errors import NotIdentifiableError, advice
+from manip_learn.errors import NotIdentifiableError, advice, counted
 from manip_learn.learning.data_summary import DataSummary
 from manip_learn.learning.estimators.estimate import CLEAR_GAP, Estimate
 from manip_learn.learning.estimators.null_space import estimate_null_space, null_space_gap
@@ -223,8 +223,8 @@ def _check_number_of_rows(estimate: Estimate, nv: int, n_constraints: int | None
     verdict, gap = table.verdict(s), table.gap(s)
     if verdict == "none" and n_constraints is None:
         raise NotIdentifiableError(
-            f"the demonstrations do not show a constraint: the largest gap, {gap:.2g} for {s} row(s), is below "
-            f"{table.weak_from:g} (10 is clear)",
+            f"the recordings do not show a constraint: the largest gap is {gap:.2g}, for {counted(s, 'row')}, and "
+            f"{table.weak_from:g} is the least that counts",
             code="weak-gap",
             gaps=dict(zip(table.counts, table.gaps, strict=True)),
         )
@@ -232,12 +232,13 @@ def _check_number_of_rows(estimate: Estimate, nv: int, n_constraints: int | None
         raise NotIdentifiableError(f"{s} constraints leave no null space for {nv} joints", code="no-freedom")
     if verdict != "clear":
         warnings.append(
-            f"weak gap: {gap:.2g} for {s} row(s), {CLEAR_GAP:g} and above would be clear; the constraint may be "
-            "soft, or the recordings noisy"
+            f"weak gap: {gap:.2g} for {counted(s, 'row')}, {CLEAR_GAP:g} is clear; the constraint may be soft, or the "
+            "recordings noisy"
         )
     if n_constraints is not None and table.best != s and table.verdict(table.best) != "none":
         warnings.append(
-            f"{s} row(s) are learnt, the gap supports {table.best} (gap {table.gap(table.best):.3g} against {gap:.3g})"
+            f"{counted(s, 'row')} learnt as asked, but the gap supports {table.best}: "
+            f"{table.gap(table.best):.3g} against {gap:.3g}"
         )
     return warnings
 

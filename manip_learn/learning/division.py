@@ -30,7 +30,7 @@ from manip_learn.robot.robot import Reference
 
 # share of the trajectories that must show a constraint before one that does not show it is called odd
 MOST = 0.6
-PAIRS_BELOW = 6  # recordings of which two that agree are believed: pairs share a direction in free motion, too
+PAIRS_BELOW = 6  # of fewer recordings two that agree are enough; else three: free motions share directions by chance
 FEWEST_SAMPLES = 4  # of a stretch that is learnt from
 IN_ONE_ONLY = "appears in one recording only"
 DISAGREES = "does not agree with the other recordings"
@@ -288,7 +288,7 @@ def _missing(
     for i, t in enumerate(demonstrations):
         if i not in shown:
             why = reason(features, [*usual, t], constraint.selection, len(usual), range(len(usual)))
-            out[i] = f"constraint {number} is not seen in it, {len(shown)} other(s) show it; {why}"
+            out[i] = f"constraint {number} is not seen in it, but in {len(shown)} of the others; {why}"
     return out
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import NotIdentifiableError, RecordingError
+from manip_learn.errors import NotIdentifiableError, RecordingError, counted, named
 from manip_learn.learning.data_summary import DataSummary
 from manip_learn.learning.samples import Samples
 
@@ -81,8 +81,8 @@ def check_samples(samples: Samples, joint_names: Sequence[str], n_constraints: i
         different = len(np.unique(moving, axis=0))
     if different < needed:
         raise NotIdentifiableError(
-            f"{different} different moving sample(s) cannot determine a constraint on {r} rows: at least {needed} are "
-            "needed, and many more are better",
+            f"record more: {counted(different, 'different moving sample')} cannot determine a constraint on "
+            f"{counted(r, 'row')}, {needed} can and many more are better",
             code="too-few-samples",
         )
     return _warn(samples, joint_names)
@@ -94,8 +94,7 @@ def _warn(samples: Samples, joint_names: Sequence[str]) -> list[str]:
     still = [name for name, part in zip(joint_names, share, strict=True) if part < STILL_SHARE]
     if still and len(still) < samples.nv:
         warnings.append(
-            f"joint(s) {', '.join(still)} hardly moved: what the arm did not try cannot be told from what it could "
-            "not do"
+            f"{named('joint', still)} hardly moved: what the arm did not try cannot be told from what it could not do"
         )
     squares = samples.u**2
     norm = squares.sum(axis=1)

@@ -11,7 +11,7 @@ import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.errors import FeatureError, NotIdentifiableError, NumberOfConstraintsError
+from manip_learn.errors import FeatureError, NotFittedError, NotIdentifiableError, NumberOfConstraintsError, an
 from manip_learn.learning.advice import advise, advise_in_general
 from manip_learn.learning.all_answers import find_answers
 from manip_learn.learning.answer import Answer
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 ESTIMATORS = ("auto", "joint", "null-space", "separate")
 Switch = Literal["auto", "off"]
 SWITCHES = ("auto", "off")
+LEARNT = ("constraint_", "constraints_", "report_", "reports_")  # there after `fit` only
 
 
 @final
@@ -65,7 +66,8 @@ class ConstraintLearner:
         reports_: One report per constraint.
 
     Raises:
-        FeatureError: No features, or settings out of range.
+        FeatureError: No features, features that are something else, or settings out of range.
+        NotFittedError: What was learnt is asked for before `fit`.
 
     Example:
         >>> import numpy as np
@@ -111,9 +113,15 @@ class ConstraintLearner:
         self.phases: Switch = phases
         self.mechanism: Switch = mechanism
         self.seed = seed
-        candidates = [features] if isinstance(features, FeatureMap) else list(features)
+        candidates = [features] if not isinstance(features, Sequence) else list(features)
         if not candidates:
             raise FeatureError("give the learner at least one feature map")
+        for given in candidates:
+            if not isinstance(given, FeatureMap):
+                raise FeatureError(
+                    f'call ConstraintLearner(features), e.g. of FrameJacobian(robot, frame="tool"): got {an(given)} '
+                    "where features belong"
+                )
         if n_constraints is not None and (isinstance(n_constraints, bool) or not isinstance(n_constraints, int)):
             raise FeatureError(f"n_constraints must be an integer or None, got {n_constraints!r}")
         for candidate in candidates:
@@ -283,9 +291,16 @@ class ConstraintLearner:
     def _with_velocities(self, demonstrations: Demonstrations) -> Demonstrations:
         return with_velocities(demonstrations, getattr(self._feature_maps[0], "robot", None), self.velocities)
 
+    if not TYPE_CHECKING:  # else every name would be an attribute
+
+        def __getattr__(self, name: str) -> Any:
+            if name in LEARNT:
+                raise NotFittedError(name)
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}", name=name, obj=self)
+
     def _forget(self) -> None:
         """A fit that refuses must not leave the answer to other demonstrations behind."""
-        for learnt in ("constraint_", "constraints_", "report_", "reports_"):
+        for learnt in LEARNT:
             vars(self).pop(learnt, None)
 
     def __repr__(self) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, final
 
+from manip_learn.errors import counted
 from manip_learn.learning.answer import Answer
 from manip_learn.learning.division import IN_ONE_ONLY, Division
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -95,7 +96,7 @@ class RecordingOverview:
             more = f" and {len(spans) - SPANS_SHOWN} more" if len(spans) > SPANS_SHOWN else ""
             out.append(f"constraint {k + 1} is held {', '.join(spans[:SPANS_SHOWN])}{more}")
         if free:
-            out.append(f"free motion in {free} stretch(es)")
+            out.append(f"free motion in {counted(free, 'stretch')}")
         out += [f"not learnt from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}: {p.reason}" for p in unlearnt]
         return tuple(out)
 
@@ -110,11 +111,10 @@ def lone_contacts(division: Division, names: Sequence[str]) -> tuple[str, ...]:
     if not contacts:
         return ()
     more = f" and {len(contacts) - SPANS_SHOWN} more" if len(contacts) > SPANS_SHOWN else ""
-    if len(contacts) == 1:
-        return (f"a contact {contacts[0]} appears in one recording only; record it again, at least twice, to learn it",)
+    seen = counted(len(contacts), "contact")
     return (
-        f"{len(contacts)} contacts appear in one recording only, each: {', '.join(contacts[:SPANS_SHOWN])}{more}; "
-        "record each again, at least twice, to learn it",
+        f"record again, at least twice, {seen} that one recording alone shows: "
+        f"{', '.join(contacts[:SPANS_SHOWN])}{more}",
     )
 
 

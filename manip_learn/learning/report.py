@@ -12,13 +12,14 @@ import numpy as np
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.errors import counted, listed
 from manip_learn.learning.answer import Answer
 from manip_learn.learning.candidate import Candidate
 from manip_learn.learning.data_summary import DataSummary
 from manip_learn.learning.estimators.estimate import CLEAR_GAP
 from manip_learn.learning.excitation import energy_shares
 from manip_learn.learning.overview import OddTrajectory, Phase, RecordingOverview
-from manip_learn.learning.selection_in_words import describe, free_directions
+from manip_learn.learning.selection_in_words import describe, free_directions, known_to, said_by_rows
 from manip_learn.robot import html_card
 
 MOST_NOTES = 20
@@ -36,7 +37,7 @@ class RowSupport(NamedTuple):
     """Evidence that one row is held, from the recombination test.
 
     Attributes:
-        strength: How many times as much the motion uses the row when joints are exchanged between trajectories.
+        strength: How much more the motion uses the row when joints are exchanged between trajectories (a ratio).
         p_value: Chance of so low a use if the joints moved independently of each other.
         state: `"held"`, `"unclear"`, `"free"` or `"untried"`.
     """
@@ -124,8 +125,8 @@ class LearningReport:
         return "\n".join(lines)
 
     def __repr__(self) -> str:
-        warned = f", {len(self.warnings)} warning(s)" if self.warnings else ""
-        return f"LearningReport({self.sentence}; gap {self.gap:.3g}, {self.n_samples:,} samples{warned})"
+        warned = f", {counted(len(self.warnings), 'warning')}" if self.warnings else ""
+        return f"LearningReport({self.sentence} Gap {self.gap:.3g}, {counted(self.n_samples, 'sample')}{warned})"
 
     def _repr_html_(self) -> str:
         return html_card.card(
@@ -147,7 +148,7 @@ class LearningReport:
 
     def _facts(self) -> list[tuple[str, object]]:
         """Name -> value in words, with units and what would be good; None where there is nothing to say."""
-        residual, spread = self.held_out_residual, self.uncertainty_deg
+        residual = self.held_out_residual
         unexplained = f"{100 * residual:.2g} % of the motion on recordings that were left out"
         return [
             ("rows", f"{self.n_constraints} of {len(self.row_names)} ({' '.join(self.row_names)})"),
@@ -155,10 +156,29 @@ class LearningReport:
             ("estimator", f"{self.estimator} ({self.kind})"),
             ("gap", f"{self.gap:.3g} (a ratio; {CLEAR_GAP:g} is clear)"),
             ("unexplained", unexplained if math.isfinite(residual) else None),
-            ("uncertainty", None if spread is None else f"{spread:.2g} degrees (68 %, bootstrap over recordings)"),
-            ("mechanism", self.mechanism),
-            ("learnt from", f"{self.n_samples:,} samples of {self.n_trajectories:,} recordings, {self.seconds:.2g} s"),
+            ("uncertainty", self.known_to() or None),
+            ("mechanism", self.mechanism_in_words() or None),
+            (
+                "learnt from",
+                f"{counted(self.n_samples, 'sample')} of {counted(self.n_trajectories, 'recording')} "
+                f"in {self.seconds:.2g} s",
+            ),
         ]
+
+    def known_to(self) -> str:
+        """The uncertainty in words, as in the sentence: what is known how well; empty if nothing is known of it."""
+        said = known_to(self.uncertainty_deg, self.mechanism, self._is_told)
+        means = "scatter of the samples" if self.uncertainty_deg is None else "bootstrap"
+        return f"{said} (68 %, {means})" if said else ""
+
+    def mechanism_in_words(self) -> str:
+        """What holds the hand, without the place if the sentence tells it; empty if nothing was found."""
+        m = self.mechanism
+        return "" if m is None else f"{m.type}; {m.turns}" if self._is_told else m.sentence
+
+    @property
+    def _is_told(self) -> bool:
+        return said_by_rows(self.mechanism, self.row_names, self.reference, np.array(self.free_directions))
 
     def _phase_rows(self) -> list[tuple[object, ...]]:
         return [
@@ -206,15 +226,12 @@ def build_report(
     used = np.linalg.norm(samples.whitening, axis=0) > 0.0
     unused = [n for n, u in zip(features.row_names, used, strict=True) if not u]
     if unused:
-        warnings.append(f"row(s) {', '.join(unused)} are always zero for this robot and frame and were left out")
+        warnings.append(f"always zero for this robot and frame, so left out: {listed(unused)}")
     kind = "motion-constrained" if estimate.name == "null-space" else "self-imposed"
     free = free_directions(selection, used)
     mechanism = answer.mechanism.mechanism if answer and answer.mechanism else None
-    sentence = describe(kind, selection, free, features, used, uncertainty_deg)
-    if mechanism is not None and isinstance(features, MechanismRows):
-        sentence = f"held about the mechanism's axis or centre: {' '.join(features.row_names)}"
     report = LearningReport(
-        sentence=sentence if mechanism is None else f"{sentence}; {mechanism.sentence}",
+        sentence=describe(kind, free, features, used, uncertainty_deg, mechanism),
         estimator=estimate.name,
         kind=kind,
         n_constraints=selection.shape[0],

@@ -1,15 +1,55 @@
-"""A learnt selection matrix in words: what moves freely, what is held, how sure it is."""
+"""What was learnt in words: what can move, what is blocked, what it looks like, how sure that is."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.linalg import null_basis
+from manip_learn.constraint.features.centre_of_mass import CentreOfMass
+from manip_learn.constraint.features.feature_map import NEGLIGIBLE, FeatureMap, row_in_words
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.constraint.mechanism import Mechanism, in_words
+from manip_learn.errors import error_in_words, listed
+from manip_learn.linalg import along_axes, null_basis
 
-# entries of a unit vector that are printed as 0: half of the last of two digits
-NEGLIGIBLE = 5e-3
+AXES = ("x", "y", "z")
+# verb -> preposition, rows, all of them in words, and all but one direction
+VERBS = {
+    "move": ("along", AXES, "in every direction", "across it"),
+    "turn": ("about", ("rx", "ry", "rz"), "about every axis", "about every other axis"),
+}
+LOOKS = {
+    "line": "a straight line (a drawer)",
+    "plane": "a plane (a table)",
+    "hinge": "a hinge (a door)",
+    "ball": "a ball joint (a tether)",
+    "screw": "a screw (a valve)",
+    "held-orientation": "a held orientation (a full cup)",
+    "other": "a cylinder (a sleeve on a rod)",
+}
+FREE_MOVES = {"line": 1, "plane": 2}  # directions that a mechanism leaves free, where they are the same everywhere
+# what a mechanism leaves free whose rows depend on the place
+WAYS = {
+    "line": "move along {axis} and cannot leave that line",
+    "plane": "move in the plane across {axis} and cannot leave it",
+    "hinge": "move on a circle{radius} about the axis {axis} through {point} and cannot leave it",
+    "ball": "move on a sphere{radius} about {point} and cannot leave it",
+    "screw": "move on a helix{radius} about the axis {axis} through {point} and cannot leave it",
+    "held-orientation": "turn about {axis} and is blocked about every other axis",
+    "other": "move on a cylinder{radius} about the axis {axis} through {point} and cannot leave it",
+}
+# what the error of a parameter is called, and its unit
+PARAMETERS = {
+    "axis": ("axis", 1.0, "degrees"),
+    "point": ("place", 1e3, "mm"),
+    "radius": ("radius", 1e3, "mm"),
+    "pitch": ("pitch", 1e3, "mm/rad"),
+}
+NOT_AN_ANGLE = 45.0  # [deg]: an error of a direction beyond it says that nothing determines the direction
 
 
 def free_directions(selection: Float[np.ndarray, "s p"], used: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "k p"]:
@@ -21,50 +61,133 @@ def free_directions(selection: Float[np.ndarray, "s p"], used: Bool[np.ndarray, 
     inner = null_basis(selection[:, used]).T
     if inner.shape[0]:
         out = np.zeros((inner.shape[0], selection.shape[1]))
-        out[:, used] = _echelon(inner)
+        out[:, used] = along_axes(inner)
     return out
 
 
 def describe(
     kind: str,
-    selection: Float[np.ndarray, "s p"],
     free: Float[np.ndarray, "k p"],
     features: FeatureMap,
     used: Bool[np.ndarray, " p"],
     uncertainty_deg: float | None,
+    mechanism: Mechanism | None = None,
 ) -> str:
-    """One sentence: what moves freely, what is held or commanded, how sure it is."""
-    verb = "held" if kind == "motion-constrained" else "commanded by the task"
-    angle = uncertainty_deg or 0.0
-    digits = f"{angle:.2f}" if angle >= 0.095 else f"{angle:.1g}"
-    spread = "" if uncertainty_deg is None else f" +- {digits} degrees"
+    """What can move and what is blocked; what it looks like; how sure it is: up to three sentences."""
     names = [n for n, u in zip(features.row_names, used, strict=True) if u]
-    where = getattr(features, "reference", None)
-    place = f" in the {where} frame" if where else ""
-    rows = "; ".join(_row(row[used], names) for row in _echelon(selection))
-    if free.shape[0] == 0:
-        return f"{verb}{place}: all of {' '.join(names)}; nothing of it is free"
-    freedom = " and ".join(_row(row[used], names) for row in free)
-    return f"moves freely along {freedom}{spread} in ({', '.join(names)}){place}; {verb}: {rows}"
+    held = "blocked" if kind == "motion-constrained" else "steered on purpose"
+    sentences = [f"{_subject(features)} {_freedom(free[:, used], names, features, held, mechanism)}."]
+    told = said_by_rows(mechanism, features.row_names, getattr(features, "reference", None), free)
+    if mechanism is not None:
+        words = LOOKS[mechanism.type]
+        if not told and mechanism.place:
+            words += f", {mechanism.place}"
+        if mechanism.orientation != "free" and not {"rx", "ry", "rz"} & set(names):
+            words += f"; {mechanism.turns}"
+        other = not told and mechanism.type in FREE_MOVES and getattr(features, "reference", None) == "world"
+        sentences.append(f"{'The path alone looks' if other and set(AXES) <= set(names) else 'It looks'} like {words}.")
+    known = known_to(uncertainty_deg, mechanism, told)
+    if known:
+        sentences.append(f"{known[0].upper()}{known[1:]}.")
+    return " ".join(sentences)
 
 
-def _echelon(rows: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "k p"]:
-    """Orthonormal rows of the same space, turned towards single axes one after the other, largest first."""
-    remaining, out = rows.copy(), []
-    while remaining.shape[0]:
-        # the unit axis that lies deepest in what remains
-        share = np.sum(remaining**2, axis=0)
-        axis = int(np.argmax(share))
-        direction = remaining[:, axis] / np.linalg.norm(remaining[:, axis])
-        row = direction @ remaining
-        out.append(row if row[np.argmax(np.abs(row))] > 0 else -row)
-        remaining = null_basis(direction[None, :]).T @ remaining if remaining.shape[0] > 1 else remaining[:0]
-    # in the order of the axes that they point along most
-    return np.array(sorted(out, key=lambda row: int(np.argmax(np.abs(row)))))
+def said_by_rows(
+    mechanism: Mechanism | None, names: Sequence[str], reference: str | None, free: Float[np.ndarray, "k p"]
+) -> bool:
+    """Whether what the rows leave free says already where the mechanism is.
+
+    Args:
+        mechanism: What holds the hand.
+        names: Names of the feature rows.
+        reference: Their frame, `"world"` or `"local"`; None for rows of the mechanism itself.
+        free: What they leave free.
+    """
+    if mechanism is None or reference is None:
+        return mechanism is not None
+    moves = sum(bool(np.any(_entries(row, names, AXES))) for row in free)
+    return reference == "world" and set(AXES) <= set(names) and moves == FREE_MOVES.get(mechanism.type)
 
 
-def _row(row: np.ndarray, names: list[str]) -> str:
-    large = [i for i in range(len(row)) if abs(row[i]) >= NEGLIGIBLE]
-    if len(large) == 1:
-        return names[large[0]]
-    return "(" + ", ".join(f"{c + 0.0:.2f}" for c in np.where(np.abs(row) < NEGLIGIBLE, 0.0, row)) + ")"
+def known_to(uncertainty_deg: float | None, mechanism: Mechanism | None = None, told: bool = False) -> str:
+    """How sure each thing is, once: `"direction known to 0.001 degrees"`; empty if nothing is known of it.
+
+    Args:
+        uncertainty_deg: Of the rows [deg].
+        mechanism: What holds the hand.
+        told: Whether the rows say where it is: then its axis is their direction.
+    """
+    errors = {} if mechanism is None else dict(mechanism.uncertainty)
+    straight = told and mechanism is not None and mechanism.type in FREE_MOVES
+    axis = errors.pop("axis", None) if straight else None
+    angle = axis if uncertainty_deg is None else uncertainty_deg
+    known = [] if angle is None else [("direction", angle, "degrees")]
+    known += [(PARAMETERS[name][0], PARAMETERS[name][1] * value, PARAMETERS[name][2]) for name, value in errors.items()]
+    lost = [f"{what} not determined" for what, value, unit in known if unit == "degrees" and value > NOT_AN_ANGLE]
+    sure = [(w, error_in_words(value, unit)) for w, value, unit in known if unit != "degrees" or value <= NOT_AN_ANGLE]
+    said = [f"{what} {'to' if k else 'known to'} {amount}" for k, (what, amount) in enumerate(sure)]
+    return listed([*said, *lost]) if known else ""
+
+
+def _subject(features: FeatureMap) -> str:
+    if isinstance(features, RelativeFrameJacobian):
+        return f"Seen from {features.relative_to.name!r}, the tip"
+    if isinstance(features, FrameJacobian):
+        return "The tip" if features.reference == "world" else "In its own axes, the tip"
+    if isinstance(features, MechanismRows):
+        return "The tip"
+    return "The centre of mass" if isinstance(features, CentreOfMass) else "The motion"
+
+
+def _freedom(
+    free: Float[np.ndarray, "k r"], names: list[str], features: FeatureMap, held: str, mechanism: Mechanism | None
+) -> str:
+    """What can move, and what is `held`, without the subject."""
+    if isinstance(features, MechanismRows) and mechanism is not None:
+        radius = "" if mechanism.radius is None else f" of radius {mechanism.radius:.3f} m"
+        way = WAYS[mechanism.type].format(axis=in_words(mechanism.axis), point=in_words(mechanism.point), radius=radius)
+        return f"can {way}"
+    if not isinstance(features, FrameJacobian | RelativeFrameJacobian | CentreOfMass):
+        ways = listed([row_in_words(row, names) for row in free]) if len(free) else ""
+        return f"is free along {ways} in ({', '.join(names)}) and {held} in every other way" if ways else f"is {held}"
+    small = np.where(np.abs(free) < NEGLIGIBLE, 0.0, free)
+    parts = {verb: [_entries(row, names, rows) for row in small] for verb, (_, rows, *_) in VERBS.items()}
+    if any(np.any(move) and np.any(turn) for move, turn in zip(*parts.values(), strict=True)):
+        ways = listed(_way(move, turn) for move, turn in zip(*parts.values(), strict=True))
+        return f"can {ways}, and is {held} in every other way"
+    known = {verb: np.array([n in names for n in rows]) for verb, (_, rows, *_) in VERBS.items()}
+    clauses = [_clause(verb, [x for x in parts[verb] if np.any(x)], known[verb], held) for verb in VERBS]
+    return "; it ".join(clause for clause in clauses if clause)
+
+
+def _entries(row: np.ndarray, names: Sequence[str], rows: Sequence[str]) -> Float[np.ndarray, " 3"]:
+    """The entries of these rows, 0 for those that the features lack."""
+    return np.array([row[names.index(n)] if n in names else 0.0 for n in rows])
+
+
+def _way(move: Float[np.ndarray, " 3"], turn: Float[np.ndarray, " 3"]) -> str:
+    """One direction, with the proportion if it has both kinds: `"move along (...) while turning about (...)"`."""
+    if np.any(move) and np.any(turn):
+        return f"move along {in_words(move)} while turning about {in_words(turn)}"
+    return f"move along {row_in_words(move, AXES)}" if np.any(move) else f"turn about {row_in_words(turn, AXES)}"
+
+
+def _clause(verb: str, free: list[Float[np.ndarray, " 3"]], known: Bool[np.ndarray, " 3"], held: str) -> str:
+    """What can move or turn, and what of the rows that are `known` is held; empty if none is."""
+    preposition, _, everywhere, elsewhere = VERBS[verb]
+    n = int(np.count_nonzero(known))
+    if len(free) == n:
+        return f"can {verb} freely" if n == 3 else f"can {verb} {preposition} {_directions(free)}" if n else ""
+    if n == 3 and not free:
+        return f"cannot {verb}" if held == "blocked" else f"is {held} {everywhere}"
+    rest = along_axes(null_basis(np.array([*free, *np.eye(3)[~known]])).T)
+    blocked = f"{preposition} {_directions(rest)}"
+    if not free:
+        return f"cannot {verb} {blocked}" if held == "blocked" else f"is {held} {blocked}"
+    blocked = elsewhere if n == 3 and len(free) == 1 else blocked
+    return f"can {verb} {preposition} {_directions(free)} and is {held} {blocked}"
+
+
+def _directions(vectors: Iterable[Float[np.ndarray, " 3"]]) -> str:
+    """Each with all of its entries, or as the one axis: `"(0.91, 0.42, 0.00) and z"`."""
+    return listed(row_in_words(v, AXES) for v in vectors)

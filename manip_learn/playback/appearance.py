@@ -13,7 +13,7 @@ from manip_learn.playback.shapes import Appearance, Shape, TriangleMesh
 from manip_learn.playback.stick_figure import rods, stick_figure
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.visual_elements import Box, Capsule, Cylinder, Sphere, Triangles, Visual
-from manip_learn.robot.visuals.visual_shapes import visual_shapes
+from manip_learn.robot.visuals.visual_shapes import said_once, visual_shapes
 
 MAX_TRIANGLES = 60_000  # about 0.9 MB in the page
 
@@ -81,9 +81,10 @@ def _plain_shapes(v: Visual) -> list[Shape]:
 
 def _fault_notes(faults: Iterable[Visual]) -> list[str]:
     """One sentence per reason, with the links that it concerns."""
-    links: dict[str, list[str]] = {}
+    faults, links = list(faults), dict[str, list[str]]()
+    said = said_once(v.stand_in for v in faults)
     for v in faults:
-        names = links.setdefault(v.stand_in, [])
+        names = links.setdefault(said[v.stand_in], [])
         if v.link not in names:
             names.append(v.link)
     notes = []

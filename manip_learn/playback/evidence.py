@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
+from manip_learn.errors import counted, error_in_words
+
 MAX_TEXT = 2000
 MOST_ROWS = 60
 STATES = {
@@ -53,7 +55,7 @@ def _gap(content: Mapping[str, Any]) -> list[str] | None:
         return None
     joint = content.get("estimator") == "joint"
     scale = "1.5 and above is clear" if joint else "10 and above is clear, below 3 says little"
-    rows = f"{n} rows" if isinstance(n, int) and n != 1 else "1 row" if n == 1 else "this number of rows"
+    rows = counted(n, "row") if isinstance(n, int) else "this number of rows"
     return ["Gap", f"{gap:,.3g}" if gap < 1000 else f"{gap:,.0f}", f"how clearly the data ask for {rows}: {scale}"]
 
 
@@ -72,7 +74,7 @@ def _uncertainty(content: Mapping[str, Any]) -> list[str] | None:
     angle = _number(content.get("uncertainty_deg"))
     if angle is None:
         return None
-    return ["Direction", f"± {angle:.2g}°", "68 % of repetitions with other recordings stay within this angle"]
+    return ["Direction", error_in_words(angle, "degrees"), "68 % of repetitions with other recordings stay within it"]
 
 
 def _samples(content: Mapping[str, Any]) -> list[str] | None:
@@ -83,8 +85,8 @@ def _samples(content: Mapping[str, Any]) -> list[str] | None:
     said = f"estimator: {estimator}" if estimator else ""
     return [
         "Learnt from",
-        f"{n:,} samples",
-        f"of {recordings:,} recording{'s' * (recordings != 1)}" + f"; {said}" * bool(said),
+        counted(n, "sample"),
+        f"of {counted(recordings, 'recording')}" + f"; {said}" * bool(said),
     ]
 
 

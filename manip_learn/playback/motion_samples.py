@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.control.rollout import Rollout
-from manip_learn.errors import RecordingError
+from manip_learn.errors import RecordingError, counted
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_velocities
 from manip_learn.robot.robot import Robot
@@ -87,7 +87,7 @@ def finite(name: str, what: str, values: object, ndim: int) -> np.ndarray:
         raise RecordingError(f"rollout {name!r}: {what} must be numbers: {error}", code="not-a-number") from error
     if array.ndim != ndim:
         raise RecordingError(
-            f"rollout {name!r}: {what} must have {ndim} dimension(s), got shape {array.shape}", code="shape"
+            f"rollout {name!r}: {what} must have {counted(ndim, 'dimension')}, got shape {array.shape}", code="shape"
         )
     if not np.all(np.isfinite(array)):
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])

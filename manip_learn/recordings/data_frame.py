@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterator, Sequence, Sized
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
@@ -32,12 +32,21 @@ class DataFrame(Protocol):
         """Row numbers, names or times."""
         ...
 
-    def to_csv(self, path_or_buf: object) -> str | None:
+    @property
+    def to_csv(self) -> Any:  # the overloads of pandas-stubs fit no signature of our own
         """Write a text table."""
         ...
 
 
-def frame_of(trajectories: Sequence[Trajectory]) -> DataFrame:
+if TYPE_CHECKING:  # what comes back is a table of pandas; at run time pandas need not be there
+    import pandas as pd
+
+    PandasFrame: TypeAlias = pd.DataFrame
+else:
+    PandasFrame = DataFrame
+
+
+def frame_of(trajectories: Sequence[Trajectory]) -> PandasFrame:
     """See `Demonstrations.to_frame`.
 
     Raises:

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import final, overload
 
-from manip_learn.errors import RecordingError
-from manip_learn.recordings.data_frame import DataFrame, frame_of
+from manip_learn.errors import RecordingError, counted
+from manip_learn.recordings.data_frame import PandasFrame, frame_of
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import html_card
 
@@ -71,7 +71,7 @@ class Demonstrations(Sequence[Trajectory]):
         """
         return Demonstrations([t.with_joint_names(joint_names) for t in self.trajectories], self.notes)
 
-    def to_frame(self) -> DataFrame:
+    def to_frame(self) -> PandasFrame:
         """All samples in one table, which `load_demonstrations` reads again: one row per sample.
 
         Returns:
@@ -114,7 +114,8 @@ class Demonstrations(Sequence[Trajectory]):
         seconds = sum(t.duration for t in self.trajectories)
         some = any(t.u is not None for t in self.trajectories)
         velocities = "with" if self.has_velocities else "some with" if some else "without"
-        return f"{len(self):,} recordings, {self.n_samples:,} samples over {seconds:.4g} s, {velocities} velocities"
+        amount = f"{counted(len(self), 'recording')}, {counted(self.n_samples, 'sample')}"
+        return f"{amount} over {seconds:.4g} s, {velocities} velocities"
 
     def __len__(self) -> int:
         return len(self.trajectories)

@@ -39,7 +39,7 @@ class ReadOptions(TypedDict, total=False):
     """Keywords of `load_demonstrations` and `iter_demonstrations`.
 
     Attributes:
-        degrees: The same as `units="degrees"`.
+        degrees: The same as `units="degrees"`, but what looks like radians is refused.
         units: Unit of angles in the files: `"radians"`, `"degrees"` or `"normalised"` (-100 .. 100 between the joint
             limits). Not given: radians; what looks like degrees is refused. Prismatic joints are metres in any case.
         time_unit: `"s"`, `"ms"`, `"us"` or `"ns"`. Not given: seconds; what looks like another unit is refused.
@@ -203,6 +203,7 @@ def _request(robot: Robot, options: ReadOptions) -> ReadRequest:
             f"there is no option {unknown[0]!r}; there are {', '.join(sorted(ReadOptions.__annotations__))}",
             code="option",
         )
+    fields["units_insisted"] = fields.get("units") is not None
     if degrees:
         if fields.get("units") not in (None, "degrees"):
             raise RecordingError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from manip_learn.errors import RecordingError
+from manip_learn.errors import RecordingError, counted
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 
@@ -63,6 +63,8 @@ def prepared(demonstrations: Demonstrations, *, trim: bool = True, samples: int 
     for trajectory in demonstrations:
         kept = trim_standstill(trajectory) if trim else trajectory
         if len(kept) < len(trajectory):
-            notes.append(f"{trajectory.name}: {len(trajectory) - len(kept)} samples of standstill were left out")
+            notes.append(
+                f"{trajectory.name}: {counted(len(trajectory) - len(kept), 'sample')} of standstill were left out"
+            )
         out.append(subsample(kept, samples) if samples else kept)
     return Demonstrations(out, notes)

@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import RecordingError
+from manip_learn.errors import RecordingError, counted
 
 
 @final
@@ -65,7 +65,7 @@ class Trajectory:
             raise RecordingError(f"{self.name}: {what} must be numbers: {error}", code="not-a-number") from error
         if array.ndim != ndim:
             raise RecordingError(
-                f"{self.name}: {what} must have {ndim} dimension(s), got shape {array.shape}", code="shape"
+                f"{self.name}: {what} must have {counted(ndim, 'dimension')}, got shape {array.shape}", code="shape"
             )
         if not np.all(np.isfinite(array)):
             where = np.argwhere(~np.isfinite(array))[0]
@@ -111,7 +111,8 @@ class Trajectory:
         """Number of samples, duration, joints, and whether velocities were recorded."""
         joints = len(self.joint_names) or (self.q if self.u is None else self.u).shape[1]
         velocities = "without" if self.u is None else "with"
-        return f"{len(self):,} samples over {self.duration:.4g} s, {joints} joints, {velocities} velocities"
+        amount = f"{counted(len(self), 'sample')} over {self.duration:.4g} s"
+        return f"{amount}, {counted(joints, 'joint')}, {velocities} velocities"
 
     @property
     def duration(self) -> float:

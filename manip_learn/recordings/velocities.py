@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import RecordingError
+from manip_learn.errors import RecordingError, counted
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.local_fit import DEGREES, HALF_WIDTHS, best_windows, fits, local_fit, noise_variance
 from manip_learn.recordings.pose_velocities import continuous_rotation_vectors, smooth_pose
@@ -165,7 +165,7 @@ def _windows(
     degrees = DEGREES if degree is None else (degree,)
     if half_width is not None and T < 2 * half_width + 1:
         raise RecordingError(
-            f"{trajectory.name}: {T} samples are fewer than the smoothing window of {2 * half_width + 1}",
+            f"{trajectory.name}: {counted(T, 'sample')} are fewer than the smoothing window of {2 * half_width + 1}",
             code="too-short",
         )
     if half_width is not None and degree is not None and 1 <= degree <= 2 * half_width:
@@ -200,8 +200,8 @@ def _note(before: Sequence[Trajectory], after: Sequence[Trajectory]) -> str:
     lost = sum(len(t) for t in before) - sum(len(t) for t in after)
     total, n = sum(len(t) for t in before), sum(t.u is None for t in before)
     return (
-        f"velocities of {n} trajectory(ies) were derived from the positions; {lost} of {total} samples at the ends, "
-        "where they are poorly determined, were left out"
+        f"velocities of {counted(n, 'recording')} derived from the positions; {lost:,} of {total:,} samples left out "
+        "at the ends, where they are poorly determined"
     )
 
 

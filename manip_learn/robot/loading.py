@@ -33,7 +33,7 @@ def load_robot(
     xacro: bool | Mapping[str, str] = False,
     objects: Sequence[str] = (),
 ) -> Robot:
-    """Load a robot by its name or from a file; nothing is repaired or ignored without a sentence in `Robot.warnings`.
+    """Load a robot by its name or from a file; what is repaired or ignored is listed in `Robot.warnings`.
 
     Args:
         name: `"planar3"`, `"sawyer"`, a robot of example-robot-data such as `"panda"`, or the path of a URDF or MJCF

@@ -124,7 +124,7 @@ def learn_from_files(hour: Hour, package: Path) -> None:
     out = ("--out", "line.json", "--html", "recordings.html")
     words = hour.type("learn in words", "learn", urdf, bags, *FRAME, *out)
     hour.note(
-        "it says what is free", "" if "moves freely along (0.80, 0.60, 0.00)" in " ".join(words.split()) else words
+        "it says what is free", "" if "The tip can move along (0.80, 0.60, 0.00)" in " ".join(words.split()) else words
     )
 
 

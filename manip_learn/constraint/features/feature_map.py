@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.errors import FeatureError, TargetError
 
+NEGLIGIBLE = 5e-3  # entries of a unit vector below it are printed as 0: half of the last of two digits
 CHUNK = 512  # configurations whose dPhi/dq are held at a time
 # vector-Jacobian product of A(q): weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k
 Vjp = Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]
@@ -140,3 +141,11 @@ class FeatureMap(ABC):
             FeatureError: It cannot be written down (functions in Python).
         """
         raise FeatureError(f"{self!r} is made of Python functions and cannot be saved")
+
+
+def row_in_words(row: Float[np.ndarray, " p"], names: Sequence[str]) -> str:
+    """A combination of rows: the name of the only one that counts, else all entries, e.g. `(0.91, 0.42, 0.00)`."""
+    counts = np.abs(row) >= NEGLIGIBLE
+    if np.count_nonzero(counts) == 1:
+        return names[int(np.argmax(counts))]
+    return "(" + ", ".join(f"{c + 0.0:.2f}" for c in np.where(counts, row, 0.0)) + ")"

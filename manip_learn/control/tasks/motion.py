@@ -138,8 +138,8 @@ def _check_way(known: Mechanism | None, unit: Unit) -> None:
     if known is None or known.type not in (TURNS if unit == "m" else SLIDES):
         return
     does, fits = (
-        ("turns", advice(": use {}", "turn= [rad]", "--turn DEGREES"))
+        ("turns and does not slide", advice(": use {}", "turn= [rad]", "--turn DEGREES"))
         if unit == "m"
-        else ("slides", advice(": use {}", "along= [m]", "--along METRES"))
+        else ("slides and does not turn", advice(": use {}", "along= [m]", "--along METRES"))
     )
-    raise ConstraintError(f"what was learnt is {known.sentence}; it {does}{fits}")
+    raise ConstraintError(f"what was learnt {does} ({known.sentence}){fits}")

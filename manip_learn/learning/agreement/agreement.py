@@ -17,9 +17,9 @@ from manip_learn.learning.phases.search import refit, scale_of
 from manip_learn.recordings.trajectory import Trajectory
 
 REFITS = 3
-# several clusters must explain so many times the evidence of a single one
+# several clusters must explain this many times the evidence of a single one
 SPLIT_GAIN = 1.4
-# a trajectory is odd if it drifts along the held rows more than so many times as far as is usual, more than so many
+# a trajectory is odd if it drifts along the held rows more than this many times the usual distance, more than this many
 # (robust) standard deviations of the logarithm above it, and by this share of its motion; in 50 sets of recordings that
 # all agree the largest drift was 3 times the usual one
 ODD_FACTOR = 2.5

@@ -19,8 +19,8 @@ REFITS = 4
 MOST_ALONE, MOST_PAIRS = 16, 24
 # a hypothesis with more rows is preferred from this share of the best one's support
 NESTED_SHARE = 0.3
-# least evidence of a trajectory that obeys a constraint, of what so firm a constraint would give it if it were held
-# throughout
+# a trajectory obeys a constraint if it has at least this share of the evidence that it would have if the constraint
+# held exactly and throughout
 OBEYED = 0.4
 
 

@@ -12,11 +12,11 @@ from manip_learn.learning.agreement.reason import way_along
 from manip_learn.learning.phases.result import Stretch
 from manip_learn.recordings.trajectory import Trajectory
 
-# what leaves the held rows has gone so many times as far as is usual
+# a stretch has left the held rows where it is this many times farther out than the members usually get at most
 FAR = 5.0
 # least share of the time in which they are held: a grip that slips halfway leaves less on either side
 CORE = 0.7
-# a stretch that lasts so many times as long shows the contact, the shorter one in the same recording is chance
+# of two stretches in a recording, the shorter one is chance if the other lasts this many times longer
 LONGER = 2.0
 
 

@@ -14,7 +14,7 @@ from manip_learn.recordings.trajectory import Trajectory
 
 # longest interruption: who lets go for longer does so on purpose [s]
 LONGEST = 1.5
-# a slip goes along the held rows so many times as far as a whole contact, and at least so far [m or rad]
+# a slip goes this many times farther along the held rows than a whole contact, and at least this far [m or rad]
 FACTOR, LEAST = 5.0, 2e-3
 
 

@@ -15,7 +15,7 @@ from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthon
 
 MAX_ITERATIONS = 50
 MAX_FOLDS = 10
-SAME_COST = 1e-13  # relative: a rise that is rounding, after which the step counts as one that gains nothing
+SAME_COST = 1e-13  # a relative rise of the cost below this is rounding: the step counts as no gain
 # a velocity to be explained, block by block: u itself, or the null-space part that a separation found
 Velocity = Callable[[Block], np.ndarray]
 

@@ -8,6 +8,8 @@ from typing import Literal, final
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.errors import counted, listed
+
 Verdict = Literal["clear", "weak", "none"]
 RowState = Literal["held", "unclear", "free", "untried"]
 
@@ -18,7 +20,7 @@ CLEAR_STRENGTH = 5.0
 WEAK_STRENGTH = 1.8
 # the same with fewer trajectories than can give a clear answer
 FEW_STRENGTH = 4.0
-# strength of a row that lies before one that is held: held rows share what noise there is, the first gets the least
+# least strength of a row that is ranked before one found held: noise spreads unevenly, the first row has the least
 LEANING_STRENGTH = 1.3
 # a row must have this power of the strength of the rows before it
 KEPT_POWER = 0.25
@@ -102,37 +104,33 @@ class RowEvidence:
     def sentence(self) -> str:
         """The evidence in words, for reports."""
         if not self.strengths:
-            return "the trajectories do not move: nothing can be said about rows that are held"
+            return "the recordings do not move, so nothing shows which rows are held"
         return f"{self._held()}; {self._rest()}{self._few()}"
 
     def _held(self) -> str:
         n = self.n_rows
         if n == 0:
             return (
-                "no row is shown to be held: with the joints exchanged between trajectories the motion uses the least "
-                f"used row {self.strengths[0]:.2g} times as much (p = {self.p_values[0]:.2g})"
+                f"no row is shown to be held (best strength {self.strengths[0]:.2g}, p = {self.p_values[0]:.2g}; "
+                f"{WEAK_STRENGTH:g} is the least that counts)"
             )
-        times = ", ".join(f"{s:.3g}" for s in self.strengths[:n])
-        softly = "held softly, or by the way of moving only" if self.enough else "seem to be held"
+        softly = "held softly, or by the way of moving only" if self.enough else "held, it seems"
         firmly = "held" if self.verdict == "clear" else softly
-        return (
-            f"{n} row(s) {firmly}: with the joints exchanged between trajectories the motion uses them {times} times "
-            f"as much (p = {max(self.p_values[:n]):.2g})"
-        )
+        strengths = listed(f"{s:.3g}" for s in self.strengths[:n])
+        return f"{counted(n, 'row')} {firmly} (strength {strengths}, p = {max(self.p_values[:n]):.2g})"
 
     def _rest(self) -> str:
         n, states = self.n_rows, self.states
         if n == len(states):
             return "nothing of the features is left free"
         if "untried" in states:
-            return (
-                f"{states.count('untried')} further row(s) were hardly tried, so that held cannot be told from not "
-                "wanted"
-            )
-        kind = "it is free" if states[n] == "free" else "it may be held softly, or only at each place by itself"
-        return f"the next row {self.strengths[n]:.2g} times, {kind}"
+            return f"{counted(states.count('untried'), 'direction')} hardly tried, so held or free cannot be told"
+        kind = "is free" if states[n] == "free" else "may be held softly, or only at each place by itself"
+        return f"the next row (strength {self.strengths[n]:.2g}) {kind}"
 
     def _few(self) -> str:
-        if self.enough:
-            return ""
-        return f"; {self.n_trajectories} trajectory(ies) are too few to be sure, record 5 or more"
+        return (
+            ""
+            if self.enough
+            else f"; too few to be sure with {counted(self.n_trajectories, 'recording')}, record 5 or more"
+        )

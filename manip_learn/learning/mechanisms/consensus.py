@@ -22,9 +22,9 @@ from manip_learn.learning.mechanisms.residuals import QUANTITIES
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 
 LEAST = 3  # trajectories that must agree
-EXPLAINED = 0.7  # share of the trajectories that obey one of the two most obeyed places, where no majority obeys one
+EXPLAINED = 0.7  # without a majority for one place: least share of the trajectories in the two largest groups
 AS_TIGHT = 3.0  # residuals of two mechanisms are alike up to this factor
-CANNOT = 1.2  # times the residual that is asked for, which a place cannot reach: then it is not looked for
+CANNOT = 1.2  # a mechanism whose least residual exceeds this times the one allowed is not fitted
 SETTLING = 4  # fits to those that agree, until they stay the same
 TRIED = ("line, not turning", "hinge, firm", "screw, firm", "line", "hinge")  # one way to go: seen in one trajectory
 

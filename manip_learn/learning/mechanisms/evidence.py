@@ -12,8 +12,8 @@ from manip_learn.learning.mechanisms.fits import SMALLEST, Fit, fit_candidate
 from manip_learn.learning.mechanisms.residuals import QUANTITIES
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 
-HELD = 8.0  # a held row varies so many times less than the motion
-UNEVEN = 50.0  # rows of one mechanism are held alike: none varies so many times more than another
+HELD = 8.0  # a held row varies this many times less than the motion
+UNEVEN = 50.0  # rows of one mechanism are held alike: none varies this many times more than another
 LEVER = 0.5  # [m/rad] to compare rotations with positions
 PRICE = 0.15  # of a parameter, in logarithms of a residual
 ENOUGH = 2.5  # recombined residuals over the data's: 1 is no evidence, free motion reaches 2.1

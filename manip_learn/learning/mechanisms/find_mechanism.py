@@ -129,8 +129,7 @@ def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]
 def _compared(
     robot: Robot, tip: Frame, postures: Sequence[Float[np.ndarray, "_ nv"]], rng: np.random.Generator
 ) -> tuple[Choice, tuple[int, ...]]:
-    """The choice among the candidates, and the trajectories that it rests on: those that agree on more rows than all
-    share are learnt without the others.
+    """The chosen mechanism and the trajectories used: a subset, if it agrees on more rows than all share.
 
     Raises:
         NotIdentifiableError: Nothing moves.
@@ -186,9 +185,8 @@ def _poor(mechanism: Mechanism) -> str:
         return ""
     needed = min(np.degrees(arc) * np.sqrt(4.0 * worst), 90.0)
     return (
-        f"the recordings look like {mechanism.sentence}, but they turn by {np.degrees(arc):.0f} degrees only: the axis "
-        f"is known to {u.get('axis', 0.0):.1f} degrees and its place to {1e3 * u['point']:.0f} mm; move it by at least "
-        f"{needed:.0f} degrees"
+        f"move it by at least {needed:.0f} degrees, not {np.degrees(arc):.0f}: it looks like {mechanism.sentence}, but "
+        f"the axis is known to {u.get('axis', 0.0):.1f} degrees only and its place to {1e3 * u['point']:.0f} mm"
     )
 
 

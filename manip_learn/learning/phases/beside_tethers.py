@@ -1,4 +1,4 @@
-"""Contacts that one recording alone shows beside a tether, or beside a door that is found as one."""
+"""Contacts seen in a single recording, next to a tether or a door taken for one."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def turned(motion: PhaseMotion, rng: np.random.Generator) -> PhaseMotion:
 
 
 def donors_apart(g: int, nv: int, rng: np.random.Generator) -> Int[np.ndarray, "g nv"]:
-    """Donors of the joints of g recordings, no more of a recording's joints from one donor than there must be.
+    """For each of g recordings and each joint, the recording that lends it, as few as possible from the same lender.
 
     Where donors are drawn for each joint by itself, one recording in thirty has three joints of one donor, and with
     them nearly its contact.

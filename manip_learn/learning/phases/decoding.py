@@ -54,7 +54,7 @@ def supports(motion: PhaseMotion, found: Sequence[Found]) -> Float[np.ndarray, "
 def refitted(motion: PhaseMotion, found: Sequence[Found]) -> list[Found]:
     """All constraints fitted to the samples that each explains best; those before a fit that loses evidence.
 
-    A recording in which the hand slips can make a fit soft; what is soft then takes in free motion, and becomes softer.
+    A recording in which the hand slips can make a fit soft; a soft fit accepts free motion, and so becomes softer.
     """
     best, now, most = list(found), list(found), -np.inf
     for turn in range(REFITS + 1):

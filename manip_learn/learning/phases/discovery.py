@@ -33,7 +33,7 @@ MOST_REJECTIONS = 3
 MOST_STEPS = 10
 # versions of the recordings without a contact, of each kind, that are searched for comparison
 CHANCE_RUNS = 5
-# least support of a constraint [nats], and over what is found by chance (mean and three standard deviations)
+# least support of a constraint [nats], and its ratio (of soft ones) to what chance reaches (mean + 3 deviations)
 LEAST = 40.0
 MARGIN, SOFT_MARGIN = 1.4, 2.0
 # share of the best support from which a hypothesis with more rows is tried first

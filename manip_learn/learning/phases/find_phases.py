@@ -18,7 +18,8 @@ from manip_learn.recordings.trajectory import Trajectory
 
 # a recording shorter than this has no phases to be told apart [s]
 SHORTEST_RECORDING = 1.5
-# one constraint fits if its levels are this much below the others, and so few samples move along its rows by so much
+# one constraint fits if its levels are 10 times below the others, and at most 2 % of the moving samples move along its
+# rows with more than 0.2 of the free speed
 CLEAR_GAP, FEW, BROKEN = 10.0, 0.02, 0.2
 NOISY = 3.0  # standard deviations of the velocities' noise, which break no row
 

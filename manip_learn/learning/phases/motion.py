@@ -122,7 +122,7 @@ class PhaseMotion:
         return self.chosen(keep, float(step))
 
     def chosen(self, keep: Bool[np.ndarray, " n"], times: float = 1.0) -> PhaseMotion:
-        """Some of the samples, each standing for so many times its own time."""
+        """Some of the samples, each standing for `times` its own time."""
         count = np.concatenate([[0], np.cumsum(keep)])
         return PhaseMotion(
             self.time[keep],

@@ -16,7 +16,8 @@ from manip_learn.learning.phases.search import FEWER, FEWER_REFINED, FEWER_REFIT
 from manip_learn.learning.phases.segmentation import held_samples
 from manip_learn.recordings.trajectory import Trajectory
 
-# one recording shows a contact by firmness alone: free motion is straight or flat too, but to a few percent at best
+# in a single recording only firmness tells a contact from free motion, which also runs straight or flat, but never to
+# better than a few per cent
 FIRM_ALONE = 0.01
 # least evidence [nats], and how many times that of the best recording without a contact
 LEAST_ALONE, MARGIN_ALONE = 60.0, 1.5

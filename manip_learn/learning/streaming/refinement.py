@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.errors import counted
 from manip_learn.learning.bootstrap import TrajectoryBlocks
 from manip_learn.learning.candidate import Candidate
 from manip_learn.learning.data_summary import DataSummary
@@ -160,7 +161,7 @@ def refine(candidate: Candidate, summary: PassSummary, executor: Executor) -> tu
     elif estimate.name == "null-space":
         start = NullSpaceIterate(estimate.whitened_selection)
     else:
-        note = f"learnt from {len(samples)} samples, chosen evenly out of {data.n_samples}"
+        note = f"learnt from {counted(len(samples), 'sample')}, chosen evenly out of {data.n_samples}"
         return candidate, dataclasses.replace(data, notes=(*data.notes, note))
     end, equations = _descend(start, samples, summary, executor)
     s = len(end.whitened_selection)

@@ -151,10 +151,9 @@ def refuse_side_files(path: Path) -> None:
         side = path.with_name(path.name + end)
         if side.is_file() and side.stat().st_size:
             raise RecordingError(
-                f"{path.name}: {side.name} ({side.stat().st_size:,} bytes) lies beside it: the recorder was killed, "
-                "and the last messages are in there only. In a copy of the folder, put them into the database: "
-                f"sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE); SELECT count(*) FROM messages;', then run "
-                "`ros2 bag reindex` on the folder",
+                f"{path.name}: in a copy of the folder, put the last messages into the database: sqlite3 {path.name} "
+                "'PRAGMA wal_checkpoint(TRUNCATE); SELECT count(*) FROM messages;', then run `ros2 bag reindex` on the "
+                f"folder. The recorder was killed, and they are in {side.name} only ({side.stat().st_size:,} bytes)",
                 code="unfinished",
                 path=path,
             )

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from typing import final
 
 from manip_learn.errors import advice, closest_names
+from manip_learn.robot import Robot, load_robot
+from manip_learn.robot.description.catalogue import SHIPPED
 
 JOINT, INDEX = "{joint}", "{index}"
 SHOWN = 8
@@ -175,7 +177,8 @@ def _is_run(numbers: list[int]) -> bool:
 
 def numbered_advice(names: Sequence[str | None], moving: Sequence[str]) -> str:
     """What to type for numbered columns, with the joints that their numbers would stand for; empty without any."""
-    families = {p: c for p, c in numbered_families(names).items() if len(c) <= len(moving)}
+    n = len(moving)  # a few numbered columns, as of one wrist, are not the joints of an arm
+    families = {p: c for p, c in numbered_families(names).items() if n < 2 * len(c) <= 2 * n}
     kinds = {p: kind_of(p) for p in families}
     positions = [p for p in families if kinds[p] == "position"] or [p for p in families if kinds[p] == ""]
     speeds = [p for p in families if kinds[p] == "velocity"]
@@ -186,6 +189,15 @@ def numbered_advice(names: Sequence[str | None], moving: Sequence[str]) -> str:
         order = ", ".join(f"{names[i]} as {j}" for i, j in zip(families[pattern], moving, strict=False))
         said.append(advice(f"{{}} reads {order}", python, " ".join(f"--columns '{p}'" for p in patterns)))
     return "; or ".join(s for s in said if s)
+
+
+def another_robot(names: Iterable[str | None], robot: Robot) -> str:
+    """What to do about a recording whose columns are not joints of the robot; names the shipped one that they fit."""
+    recorded = {n.removesuffix("_velocity") for n in names if n and n != "time"}
+    fitting = [name for name in SHIPPED if recorded == set(load_robot(name).joint_names)]
+    if fitting:
+        return f"it was recorded with {fitting[0]!r}, not {robot.name!r}: name that robot"
+    return f"was it recorded with another robot than {robot.name!r}? Then name that one"
 
 
 def by_recorded_names(

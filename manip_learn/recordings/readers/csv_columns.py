@@ -16,6 +16,7 @@ from manip_learn.errors import RecordingError, advice, closest_names
 from manip_learn.recordings.readers.column_patterns import (
     Found,
     PatternError,
+    another_robot,
     by_joint_names,
     by_patterns,
     by_recorded_names,
@@ -124,7 +125,7 @@ def _joint_columns(path: Path, dialect: CsvDialect, names: list[str | None], req
     what = numbered_advice(names, moving)
     if what:
         raise _header_error(
-            path, dialect, "numbered-columns", f"no column has the name of a joint of robot {robot.name!r}: {what}"
+            path, dialect, "numbered-columns", f"{another_robot(names, robot)}; if it is this one, {what}"
         )
     return None
 

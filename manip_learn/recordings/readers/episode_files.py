@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from manip_learn.errors import RecordingError
+from manip_learn.errors import RecordingError, counted
 from manip_learn.recordings.readers.file_format import LEROBOT
 from manip_learn.recordings.readers.lerobot_episodes import episode_numbers, episodes_of_task
 from manip_learn.recordings.readers.read_request import ReadRequest
@@ -43,7 +43,7 @@ def select_episodes(files: list[RecordingFile], request: ReadRequest) -> tuple[l
                 code="no-episode",
             )
         chosen &= shown
-    note = f"{where}: {len(chosen)} of {len(known)} episodes selected, as asked"
+    note = f"{where}: {len(chosen)} of {counted(len(known), 'episode')} selected, as asked"
     return files, replace(request, chosen=chosen), note
 
 

@@ -10,7 +10,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.errors import advice
+from manip_learn.errors import advice, counted
 from manip_learn.recordings.readers.joint_state_streams import JointStateStream
 from manip_learn.recordings.readers.recording import GAP_FACTOR
 
@@ -115,7 +115,7 @@ def joint_groups(streams: list[JointStateStream], chosen: dict[str, str]) -> tup
         if len(free) < len(mine):
             n = sum(len(s.stamps) for s in sets[topic, mine])
             lost = ", ".join(j for j in mine if j not in free)
-            notes.append(f"{n} messages of {topic} with another list of joints are not used for {lost}")
+            notes.append(f"{counted(n, 'message')} of {topic} with another list of joints are not used for {lost}")
     return groups, notes
 
 
@@ -125,7 +125,7 @@ def _refuse_repeated(streams: Iterable[JointStateStream], chosen: dict[str, str]
             if count > 1 and chosen.get(name) == stream.topic:
                 raise MergeError(
                     "duplicate-column",
-                    f"{len(stream.stamps)} messages of {stream.topic} name the joint {name!r} {count} times, so it is "
+                    f"messages of {stream.topic} name the joint {name!r} {count} times, so it is "
                     "not known which position is its own: correct the publisher (or the renaming)",
                 )
 
@@ -171,11 +171,11 @@ def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) 
         )
     order = by_arrival[np.argsort(arrived, kind="stable")]
     if np.any(back < 0):
-        notes.append(f"{topic}: {np.count_nonzero(back < 0)} messages came late, sorted by header stamp")
+        notes.append(f"{topic}: {counted(np.count_nonzero(back < 0), 'message')} came late, sorted by header stamp")
     keep = np.append(np.diff(stamps[order]) != 0, True)
     if not np.all(keep):
         notes.append(
-            f"{topic}: {np.count_nonzero(~keep)} messages with a repeated stamp left out, the last one is kept"
+            f"{topic}: {counted(np.count_nonzero(~keep), 'message')} left out for a repeated stamp, the last is kept"
         )
     order = order[keep]
     return JointGroup(topic, names, stamps[order], q[order], None if u is None else u[order]), notes
@@ -217,7 +217,7 @@ def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> MergedS
     if not np.any(inside):
         raise MergeError("no-overlap", "the publishers of the joints do not overlap in time: record them together")
     if not np.all(inside):
-        notes.append(f"{np.count_nonzero(~inside)} samples left out, where not all publishers have data")
+        notes.append(f"{counted(np.count_nonzero(~inside), 'sample')} left out, where not all publishers have data")
     without = [g.topic for g in groups if g.u is None]
     some_u = [x for x in u if x is not None]
     all_u = np.hstack(some_u)[inside] if not without else None

@@ -10,7 +10,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float, Int
 
-from manip_learn.errors import RecordingError, advice
+from manip_learn.errors import RecordingError, advice, counted
 from manip_learn.recordings.readers.bag_file import BagFile
 from manip_learn.recordings.readers.joint_state_layout import JointStateLayout
 
@@ -85,7 +85,9 @@ def joint_state_streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[Joi
         )
         for (topic, publisher, names), p in pieces.items()
     ]
-    notes = [f"{n} messages of {topic} have no positions, not used" for topic, n in without_positions.items()]
+    notes = [
+        f"{counted(n, 'message')} of {topic} have no positions, not used" for topic, n in without_positions.items()
+    ]
     notes += [
         f"{n} of {sum(map(len, p.stamps))} messages of {topic} have no velocities, so those of the others are not used"
         for (topic, _, _), p in pieces.items()

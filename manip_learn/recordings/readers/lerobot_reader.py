@@ -12,7 +12,7 @@ from typing import Any, final
 
 import numpy as np
 
-from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError, advice
+from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError, advice, counted
 from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER, LeRobotDataset, open_dataset
 from manip_learn.recordings.readers.lerobot_episodes import episode_number
 from manip_learn.recordings.readers.lerobot_state import StateFeature, state_feature
@@ -214,7 +214,7 @@ def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: 
                 yield from _split(file, batch, dataset, feature, request)
             groups = sum(parquet.metadata.row_group(i).num_rows for i in range(parquet.num_row_groups))
             if not found == stated == groups:
-                text = f"{found} samples are there, it states {stated}, in parts {groups}: download it again"
+                text = f"{counted(found, 'sample')} are there, it states {stated}, in parts {groups}: download it again"
                 raise _refusal(file, "lost-samples", text)
     except RecordingError:
         raise
@@ -229,7 +229,7 @@ def _refuse_bomb(file: Path, n_rows: int) -> None:
     size = file.stat().st_size
     if FEWEST_BYTES * n_rows > max(ALWAYS_FINE, BOMB_RATIO * size):
         raise _refusal(
-            file, "bomb", f"{size:,} bytes claim to hold {n_rows:,} samples: no recorded motion packs so well"
+            file, "bomb", f"{size:,} bytes claim to hold {counted(n_rows, 'sample')}: no recorded motion packs so well"
         )
 
 
@@ -273,7 +273,7 @@ def _vector(file: Path, batch: Any, name: str) -> np.ndarray:
 def _matrix(file: Path, batch: Any, name: str) -> np.ndarray:
     array = batch.column(name)
     if array.null_count:
-        raise _refusal(file, "not-finite", f"{array.null_count} samples of {name!r} are missing")
+        raise _refusal(file, "not-finite", f"{counted(array.null_count, 'sample')} of {name!r} are missing")
     if pa.types.is_fixed_size_list(array.type):
         width = array.type.list_size
     elif pa.types.is_list(array.type) or pa.types.is_large_list(array.type):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from manip_learn.errors import advice, closest_names
+from manip_learn.errors import advice, closest_names, counted
 from manip_learn.recordings.readers.npz_archive import NpzArchive
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
@@ -76,11 +76,11 @@ def _joint_names(archive: NpzArchive, request: ReadRequest) -> tuple[str, ...]:
     else:
         raise archive.refusal(
             "no-joint-names",
-            f"the archive has no 'joint_names' for the {archive.shape('q')[1]} columns of q: save them"
+            f"the archive has no 'joint_names' for the {counted(archive.shape('q')[1], 'column')} of q: save them"
             + advice(", or pass {} in the order of the columns", "joint_names=[...]", "--joint-names NAME,NAME,..."),
         )
     if len(names) != width:
         raise archive.refusal(
-            "shape", f"there are {len(names)} joint names for {width} columns: one name per column is needed"
+            "shape", f"there are {len(names)} joint names for {counted(width, 'column')}: one name per column is needed"
         )
     return names

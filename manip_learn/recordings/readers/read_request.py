@@ -28,6 +28,7 @@ class ReadRequest:
         robot: The robot whose joints are read.
         units: Unit of angles in the files; None: radians, and values that look like another unit are
             refused. `"normalised"` is -100 .. 100 between the joint limits.
+        units_insisted: Whether `units` was given as a word: then what looks like radians may be degrees.
         time_unit: Unit of the time column; None: seconds, and values that look like another unit are refused.
         ignore_columns: Names of columns that are not read.
         rename: Name in the file -> `"time"` or the name of a joint.
@@ -49,6 +50,7 @@ class ReadRequest:
 
     robot: Robot
     units: Units | None = None
+    units_insisted: bool = False
     time_unit: TimeUnit | None = None
     ignore_columns: tuple[str, ...] = ()
     rename: Mapping[str, str] = field(default_factory=dict)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
-from manip_learn.errors import RecordingError
+from manip_learn.errors import RecordingError, counted
 from manip_learn.recordings.readers.file_format import CSV, FileFormat, folder_format, looks_like_table, recognise
 from manip_learn.recordings.readers.natural_order import natural_order
 from manip_learn.recordings.readers.recording import reason
@@ -44,7 +44,7 @@ def recording_files(
             files.append(RecordingFile(path, recognise(path)))
     unique = {os.path.realpath(f.path): f for f in reversed(files)}
     if len(unique) < len(files):
-        notes.append(f"{len(files) - len(unique)} recording(s) given more than once are read once")
+        notes.append(f"given more than once, read once: {counted(len(files) - len(unique), 'recording')}")
         files = [f for i, f in enumerate(files) if all(f.path.resolve() != g.path.resolve() for g in files[:i])]
     return files, notes
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from manip_learn.errors import RecordingError, advice, closest_names
+from manip_learn.recordings.readers.column_patterns import another_robot
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.validation.object_poses import with_rotation_vectors
@@ -98,6 +99,13 @@ def _missing(recording: Recording, robot: Robot, missing: list[str]) -> Recordin
             f"nothing is recorded for {shown}, the pose of object {thing!r}{hint}. It needs {thing}.x {thing}.y "
             f"{thing}.z [m] and {thing}.rx {thing}.ry {thing}.rz (rotation vector [rad]) or {thing}.qx {thing}.qy "
             f"{thing}.qz {thing}.qw; leave the object out if its pose was not recorded",
+            column=missing[0],
+        )
+    unknown = [n for n in recording.position_names if n not in {*robot.joint_names, *unmoved_joint_names(robot)}]
+    if not near and 2 * len(unknown) > len(recording.position_names):
+        return recording.refusal(
+            "missing-joint",
+            f"{another_robot(recording.position_names, robot)}; nothing is recorded for joint {shown}{hint}",
             column=missing[0],
         )
     locked = ", ".join(map(repr, missing))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from manip_learn.errors import advice
+from manip_learn.errors import advice, counted
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.validation.object_poses import object_coordinates
@@ -49,7 +49,7 @@ def check_limits(
     if slight.size:
         worst = int(np.argmax(beyond))
         notes.append(
-            f"{slight.size} joint(s) get beyond their limits, {robot.joint_names[worst]!r} the farthest: by "
+            f"beyond their limits: {counted(slight.size, 'joint')}, {robot.joint_names[worst]!r} the farthest: by "
             f"{beyond[worst]:.3g} {'rad' if angular[worst] else 'm'}"
         )
     if not recording.trusted and request.outside_limits == "refuse":
@@ -109,11 +109,14 @@ def _refuse_far(recording: Recording, request: ReadRequest, q: Float[np.ndarray,
     guess = _other_guess(robot, q[:, i], i)
     if guess is None and request.joint_names:
         guess = "the wrong order in joint_names?"
+    guess = guess or "wrong units, columns with the wrong names, or another robot?"
+    if np.all(outside > 0) and "another robot" not in guess:
+        guess += " Or another robot?"
     raise recording.refusal(
         "outside-limits",
         f"{q[sample, i]:.6g} is outside the limits [{lower:.4g}, {upper:.4g}] of robot {robot.name!r} at "
-        f"{np.count_nonzero(outside > 0)} of {q.shape[0]} samples: "
-        f"{guess or 'wrong units, columns with the wrong names, or another robot?'} Correct the file"
+        f"{np.count_nonzero(outside > 0)} of {counted(q.shape[0], 'sample')}: "
+        f"{guess} Correct the file"
         + advice(", or pass {} if it is right", "outside_limits='note'", "--outside-limits note"),
         sample=sample,
         column=robot.joint_names[i],

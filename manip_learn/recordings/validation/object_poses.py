@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool
 
+from manip_learn.errors import counted
 from manip_learn.recordings.pose_velocities import continuous_rotation_vectors
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.robot import Robot
@@ -61,7 +62,7 @@ def _converted(recording: Recording, name: str, columns: list[str], in_degrees: 
         raise recording.refusal(
             "quaternion",
             f"the quaternion of object {name!r} has length {length[bad[0]]:.4g}, 1 is needed (order qx qy qz qw); "
-            f"{bad.size} such sample(s)",
+            f"so in {counted(bad.size, 'sample')}",
             sample=int(bad[0]),
             column=columns[0],
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import advice
+from manip_learn.errors import advice, counted, named
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.pose_velocities import continuous_rotation_vectors
 from manip_learn.recordings.readers.read_request import ReadRequest
@@ -26,6 +26,8 @@ from manip_learn.recordings.validation.velocity_checks import FEWEST, check_velo
 from manip_learn.robot import Robot
 
 SHOWN = 5
+# [rad]: a guided arm stays within a turn of its zeros and travels less than half a turn; in degrees that were nothing
+RADIANS, TRAVEL = 2.0 * np.pi, np.pi
 NO_MEASUREMENT = 1e50  # finite, but its square would overflow
 
 
@@ -83,11 +85,28 @@ def _refuse_not_finite(recording: Recording) -> None:
         if wrong.size:
             raise recording.refusal(
                 "not-finite",
-                f"{values[row, wrong[0]]}{word} where a finite number is needed; {rows.size} such sample(s): {places}; "
+                f"{values[row, wrong[0]]}{word} where a finite number is needed, in {counted(rows.size, 'sample')}: "
+                f"{places}; "
                 "remove them (a gap of more than ten steps then splits the demonstration)",
                 sample=row,
                 column=columns[wrong[0]],
             )
+
+
+def _refuse_radians(recording: Recording, request: ReadRequest, angles: Float[np.ndarray, "T k"]) -> None:
+    """Refuse angles that were called degrees and look like radians."""
+    if request.units_insisted or not angles.size:
+        return
+    largest, travel = float(np.abs(angles).max()), float(np.ptp(angles, axis=0).max())
+    if largest > RADIANS or travel > TRAVEL:
+        return
+    python, flag = "units='degrees'", "--units degrees"
+    leave_out = advice("leave {} out", "degrees=True", "--degrees") or "say radians"
+    raise recording.refusal(
+        "degrees",
+        f"{leave_out} if these are radians, as they look: no joint gets beyond {largest:.3g} or travels more than "
+        f"{travel:.3g}; {advice('if they are degrees, insist with {}', python, flag) or 'else convert the file'}",
+    )
 
 
 def _in_radians(
@@ -103,6 +122,7 @@ def _in_radians(
             "units", f"a rollout of this library is in radians and metres{advice('; leave {} out', python, flag)}"
         )
     if request.units == "degrees":
+        _refuse_radians(recording, request, q[:, angular & ~object_coordinates(robot)])
         factor = np.where(angular, np.pi / 180, 1.0)
         lengths = [n for n, a in zip(robot.joint_names, angular, strict=True) if not a]
         kept = f"; {', '.join(lengths)} taken as metres" if lengths else ""
@@ -151,8 +171,11 @@ def _unwrapped(robot: Robot, q: Float[np.ndarray, "T nv"]) -> tuple[Float[np.nda
         return q, poses
     q = q.copy()
     q[:, wrapped] = np.unwrap(q[:, wrapped], axis=0)
-    names = ", ".join(robot.joint_names[i] for i in wrapped)
-    return q, [*poses, f"continuous joint(s) {names}: full turns added where the angle wraps (the posture is the same)"]
+    names = [robot.joint_names[i] for i in wrapped]
+    return q, [
+        *poses,
+        f"full turns added where the angle wraps (the posture is the same): {named('joint', names)}",
+    ]
 
 
 def _continuous_poses(robot: Robot, q: Float[np.ndarray, "T nv"]) -> tuple[Float[np.ndarray, "T nv"], list[str]]:
@@ -182,9 +205,11 @@ def _split(
         return Demonstrations((Trajectory(time, q, u, robot.joint_names, recording.name),), notes)
     long_parts = [p for p in parts if p.stop - p.start >= 2]
     shown = ", ".join(f"{time[g + 1] - time[g]:.3g} s after {recording.place(int(g))}" for g in gaps[:SHOWN])
-    notes.append(f"split at {gaps.size} gap(s) longer than ten steps ({shown}{', ...' if gaps.size > SHOWN else ''})")
+    notes.append(
+        f"split at {counted(gaps.size, 'gap')} longer than ten steps ({shown}{', ...' if gaps.size > SHOWN else ''})"
+    )
     if len(long_parts) < len(parts):
-        notes.append(f"{len(parts) - len(long_parts)} lone sample(s) between gaps left out")
+        notes.append(f"left out between gaps: {counted(len(parts) - len(long_parts), 'lone sample')}")
     if not long_parts:
         raise recording.refusal("too-short", "the samples are so far apart that no two belong together")
     n = len(long_parts)

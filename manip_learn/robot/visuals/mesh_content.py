@@ -10,7 +10,7 @@ import struct
 from collections import Counter
 from pathlib import Path
 
-from manip_learn.errors import RobotError
+from manip_learn.errors import RobotError, counted
 from manip_learn.robot.description.description_file import read_regular_file
 from manip_learn.robot.visuals.visual_elements import Colour
 
@@ -137,7 +137,7 @@ def buffer_files(content: bytes, path: Path) -> dict[str, bytes]:
 def _check_names(names: list[bytes], path: Path) -> None:
     different = {name.strip() for name in names}
     if len(different) > MAX_SIDE_FILES:
-        raise _refusal(path, "mesh-side-file", f"it names {len(different)} other files")
+        raise _refusal(path, "mesh-side-file", f"it names {counted(len(different), 'other file')}")
     for name in sorted(different):
         _check_name(name.decode("utf-8", "replace"), path)
 

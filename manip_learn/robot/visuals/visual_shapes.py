@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import final
@@ -33,6 +35,7 @@ from manip_learn.robot.visuals.visual_elements import (
 STAND_IN: Colour = (0.55, 0.60, 0.68, 1.0)
 GREY: Colour = (0.7, 0.7, 0.72, 1.0)
 THIN = 0.02  # [m]
+MESH_REASON = re.compile(r"mesh (?P<name>'[^']*'|\"[^\"]*\")(?P<why>.*)")
 
 __all__ = [
     "Box",
@@ -62,8 +65,22 @@ class MeshReport:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """One sentence per mesh that cannot be used."""
-        return tuple(self.missing.values())
+        """One sentence per reason why meshes cannot be used."""
+        return tuple(dict.fromkeys(said_once(self.missing.values()).values()))
+
+
+def said_once(reasons: Iterable[str]) -> dict[str, str]:
+    """Reason -> sentence; reasons that differ in the name of the mesh only share one, with their number."""
+    names: dict[str, list[str]] = {}
+    found = {reason: MESH_REASON.fullmatch(reason) for reason in reasons}
+    for match in filter(None, found.values()):
+        names.setdefault(match["why"], []).append(match["name"])
+    return {
+        reason: f"mesh {same[0]} (and {len(same) - 1} more){match['why']}"
+        if match and len(same := names[match["why"]]) > 1
+        else reason
+        for reason, match in found.items()
+    }
 
 
 def resolve_meshes(robot: Robot) -> MeshReport:
