@@ -48,8 +48,13 @@ ExportTo = Annotated[
     str | None, typer.Option(help="mcap, csv, lerobot, rrd or trajectory: format of the files in a folder.")
 ]
 Rollouts = Annotated[list[str], typer.Argument(metavar="ROLLOUT...", help="Written by `control --out`; or recordings.")]
-Start = Annotated[str | None, typer.Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the rest posture.")]
-Target = Annotated[str | None, typer.Option(help="Target position, one value per axis (default: hold still).")]
+Start = Annotated[
+    str | None,
+    typer.Option(
+        help="Joint positions [rad], e.g. 0.1,-0.5,0; default: of a way the first posture shown, else neutral."
+    ),
+]
+Target = Annotated[str | None, typer.Option(help="Point to go to, one value per axis [m or rad].")]
 Phases = Annotated[
     str, typer.Option(help="auto: find the stretches in which a constraint holds; off: take recordings as a whole.")
 ]

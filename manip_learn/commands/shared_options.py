@@ -15,8 +15,9 @@ from manip_learn.commands.read_options import read_options
 from manip_learn.commands.robot_options import robot_options
 
 # parameter of a command -> the function whose parameters are the flags, and which makes its value of them
-HEADINGS = {"learn": "Learning"}
-HEADINGS_AFTER = ("Reading recordings", "Robot", "Output")
+HEADINGS = {"learn": "Learning", "control": "Task"}
+HEADINGS_AFTER = ("Controller", "Reading recordings", "Robot", "Output")
+CONTROLLER = {"policy", "rest", "gain", "task_gain", "inverse", "duration", "dt"}
 OUTPUT = {"out", "html", "csv", "open_browser", "browser", "explain", "as_json", "help"}
 SETS: dict[str, Callable[..., Any]] = {"robot_options": robot_options, "options": read_options}
 
@@ -43,7 +44,7 @@ class GroupedCommand(TyperCommand):
     """A command whose options are listed under headings, and which looks where it is to write before it works."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Arguments, then the options of the command, of reading, of the robot, and of the output."""
+        """Arguments, then options of the command, the controller, of reading, of the robot, and of the output."""
         shared = {
             flag: heading
             for name, heading in (("options", "Reading recordings"), ("robot_options", "Robot"))
@@ -56,7 +57,8 @@ class GroupedCommand(TyperCommand):
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
             if record is not None:
-                heading = "Output" if parameter.name in OUTPUT else shared.get(parameter.name or "", own)
+                named = dict.fromkeys(OUTPUT, "Output") | dict.fromkeys(CONTROLLER, "Controller") | shared
+                heading = named.get(parameter.name or "", own)
                 sections["Arguments" if parameter.param_type_name == "argument" else heading].append(record)
         for heading, records in sections.items():
             if records:

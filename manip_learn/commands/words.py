@@ -46,23 +46,24 @@ WORDS: dict[str, tuple[str, str]] = {
         "singular values of A(q). At 0 the arm cannot follow the task in some direction.",
     ),
     "off": (
-        "farthest that the hand left the line, the plane or the circle on the way",
+        "how far the hand strayed from the line, plane or circle",
         "The held rows, integrated: a drawer pushes back as soon as the hand leaves its line. Near a singularity the "
         "arm cannot follow in every direction, and the hand strays.",
     ),
     "fastest": (
-        "the joint that came nearest to its speed limit",
+        "fastest joint, of its speed limit",
         "Of all joints and moments of the motion, the largest share of a velocity limit. At 100 % the arm was as fast "
         "as it may be and the hand had to wait for it.",
     ),
     "least mu": (
-        "smallest manipulability of what is held and driven, 0 at its singularity",
+        "smallest manipulability on the way, 0 at a singularity",
         "The product of the singular values of A(q), the rows that the task holds and the direction that it drives. "
         "The smaller it is, the faster the joints must move for the same motion of the hand.",
     ),
     "error": (
-        "distance to the target along the held rows at the end [m or rad]",
-        "Directions that the constraint leaves free do not count, so the tip may end elsewhere along them.",
+        "distance to the target at the end, along the rows driven [m or rad]",
+        "All directions that the target names are driven, and the tip goes to the point. With --rows held those that "
+        "the constraint leaves free do not count, and the tip may end elsewhere along them.",
     ),
     "peak": ("the fastest joint [rad/s or m/s]", "The largest speed of any joint during the motion."),
     "unhindered": (

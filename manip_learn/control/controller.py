@@ -135,7 +135,8 @@ class ResolvedRateController:
             previous: Velocity commanded in the step before [rad/s or m/s], within whose reach the acceleration limits
                 keep the command; None bounds no acceleration.
             slide: 0 keeps the task's direction where limits allow any motion along it, and else the nearest one; 1
-                comes as near to the task's velocity as limits allow, whatever the direction.
+                comes as near to the task's velocity as limits allow, whatever the direction. Only for a task that
+                `slides`.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite, or dt is not positive.
@@ -147,7 +148,7 @@ class ResolvedRateController:
             raise ConfigurationError(f"dt must be a positive number of seconds, got {dt!r}")
         if not (self._features_check and type(q) is np.ndarray and is_plain(q)):
             q = self._checked_posture(q)
-        return self._limited(q, dt, self._law(q, t, dt), previous, slide)
+        return self._limited(q, dt, self._law(q, t, dt), previous, slide if self.task.slides else 0.0)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]."""

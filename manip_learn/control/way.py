@@ -24,6 +24,7 @@ AT_LIMIT = (
     2e-3  # [rad or m] a joint this near to its position limit stands at it: the braking distance of 0.1 s at 0.04
 )
 SLACK = 1.5  # [s] beyond the time that the way takes where nothing slows it down
+STANDING = 2.0  # [s] without progress after which the arm counts as stopped: a singular start is left within one
 AT_REST = 0.3  # [s] that a motion is shown after its end
 LONGEST = 4.0  # times the time that the way takes where nothing slows it down: then it counts as stopped
 
@@ -96,7 +97,7 @@ def simulate_way(
         progress: As for `simulate`.
 
     Returns:
-        The rollout, cut shortly after the way was done, and what became of the way.
+        The rollout, cut shortly after the way was done or stood still, and what became of the way.
 
     Raises:
         ConfigurationError: Another task; or as `simulate` raises it.
@@ -108,41 +109,58 @@ def simulate_way(
     length = nominal + SLACK if duration is None else duration
     while True:
         rollout = simulate(robot, controller, q0, length, dt, progress=progress)
-        way, places = _way_done(task, rollout, robot)
-        moving = len(places) and abs(places[-1] - places[-min(len(places), round(1.0 / dt) + 1)]) > DONE[task.unit]
-        if way.is_done or duration is not None or length >= LONGEST * nominal or not (moving or way.begins is None):
+        end = _end(task, rollout)
+        if end is not None or duration is not None or length >= LONGEST * nominal:
             break
         length = min(2.0 * length, LONGEST * nominal)
-    if duration is None and way.is_done and way.begins is not None and way.seconds is not None:
-        rollout = _until(rollout, way.begins + way.seconds + AT_REST)
-    return rollout, way
+    if end is not None and duration is None:
+        rollout = _until(rollout, end)
+    return rollout, _way_done(task, rollout, robot)
 
 
-def _way_done(task: FreeDirection, rollout: Rollout, robot: Robot) -> tuple[WayDone, Float[np.ndarray, " k"]]:
-    """What became of the way, and how far it had come at each sample since it began."""
-    begins, wanted, unit = task.way_begins, task.wanted, task.unit
+def _places(task: FreeDirection, rollout: Rollout) -> tuple[int, Float[np.ndarray, " k"]]:
+    """The sample at which the way begins, and how far it had come at each from there on [m or rad]."""
+    begins = task.way_begins
     first = len(rollout) if begins is None else int(np.searchsorted(rollout.time, begins - 1e-9))
     places = np.zeros(len(rollout) - first)
     for i, q in enumerate(rollout.q[first:]):
         places[i] = task.progress_near(q, places[i - 1] if i else 0.0)
+    return first, places
+
+
+def _end(task: FreeDirection, rollout: Rollout) -> float | None:
+    """When the way was done, or stood still for good, and a moment beyond [s]; None if it goes on."""
+    first, places = _places(task, rollout)
+    time = rollout.time[first:]
+    there = np.flatnonzero(np.abs(places - task.wanted) <= DONE[task.unit])
+    if len(there):
+        return float(time[there[0]]) + AT_REST
+    before = np.interp(time - STANDING, time, places) if len(time) else places
+    still = np.flatnonzero((np.abs(places - before) < DONE[task.unit]) & (time >= time[:1] + STANDING))
+    return float(time[still[0]]) if len(still) else None
+
+
+def _way_done(task: FreeDirection, rollout: Rollout, robot: Robot) -> WayDone:
+    """What became of the way."""
+    wanted, unit = task.wanted, task.unit
+    first, places = _places(task, rollout)
     off = [task.deviation(q, s) for q, s in zip(rollout.q[first:], places, strict=True)]
     done = float(places[-1]) if len(places) else 0.0
     there = np.flatnonzero(np.abs(places - wanted) <= DONE[unit])
     shares = np.max(np.abs(rollout.u) / robot.velocity_limit, axis=0)
     fastest = int(np.argmax(shares))
     is_done = abs(done - wanted) <= DONE[unit]
-    mu = rollout.manipulability[min(first, len(rollout) - 1) :]
     return WayDone(
         wanted,
         done,
         unit,
-        None if begins is None else float(rollout.time[first]),
+        float(rollout.time[first]) if len(places) else None,
         float(rollout.time[first + there[0]] - rollout.time[first]) if is_done else None,
         max(off, default=0.0),
-        float(np.min(mu)),
+        float(np.min(rollout.manipulability[min(first, len(rollout) - 1) :])),
         (robot.joint_names[fastest], float(shares[fastest])),
         None if is_done else _reason(task, rollout, robot),
-    ), places
+    )
 
 
 def _reason(task: FreeDirection, rollout: Rollout, robot: Robot) -> str:

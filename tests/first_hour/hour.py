@@ -128,10 +128,20 @@ def learn_from_files(hour: Hour, package: Path) -> None:
     )
 
 
+def does_the_way(answer: dict[str, Any]) -> str:
+    """The whole way, to a millimetre, and within 2 mm of the line."""
+    wrong = abs(answer["done"] - answer["wanted"]) > 1e-3 or answer["deviation"] > 2e-3
+    return f"{answer['sentence']}, {answer['stopped_by']}, {answer['deviation']} m off" if wrong else ""
+
+
 def control_and_replay(hour: Hour, package: Path) -> None:
     urdf = str(package / "urdf" / "my_arm.urdf")
     motion = ("--start", START, "--target", TARGET, "--duration", "3", "--out", "run.npz")
     hour.type("control", "control", urdf, "line.json", *motion)
+    there = ("control", urdf, "line.json", "--along", "0.1")
+    way = hour.type("open what was learnt", *there, "--out", "run.npz", "--json", check=does_the_way)
+    hour.note("it says how far", "" if way and "opened 0.100 of 0.100 m" in way else way)
+    hour.type("the same from elsewhere", *there, "--start", START, "--json", check=does_the_way)
     hour.type("replay", "replay", urdf, "run.npz", "--html", "run.html")
     hour.type("replay of the bags", "replay", urdf, "ROS_2_bags", "--constraint", "line.json", "--html", "bags.html")
     for page in ("recordings.html", "run.html", "bags.html"):
@@ -145,6 +155,8 @@ def make_mistakes(hour: Hour, package: Path) -> None:
     hour.refused("a frame with a typing error", "learn", urdf, "ROS_2_bags", "--frame", "tool", words="tool0")
     hour.refused("a folder that is not there", "learn", urdf, "bgas", *FRAME, words="bgas")
     hour.refused("another robot's constraint", "control", "sawyer", "line.json", words="my_arm")
+    hour.refused("a turn of a line", "control", urdf, "line.json", "--turn", "30", words="--along")
+    hour.refused("a way that is too long", "control", urdf, "line.json", "--along", "9", "--check", words="of 9.000 m")
     hour.refused("a target of the wrong size", "control", urdf, "line.json", "--target", "1,2,3,4", words="target")
     hour.refused("a robot that does not exist", "inspect", "sayer", words="sawyer")
 

@@ -77,6 +77,8 @@ class FreeDirection(Task):
         0.3
     """
 
+    slides = False  # beside the way is what the constraint holds: an arm that cannot go on stands
+
     def __init__(
         self,
         constraint: Constraint,

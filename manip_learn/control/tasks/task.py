@@ -14,6 +14,9 @@ from manip_learn.constraint.constraint import Constraint
 class Task(ABC):
     """b(q, t) of equation (1), A(q) u = b."""
 
+    # whether an arm that limits keep from going on may leave the task's direction, to come as near as it can
+    slides: bool = True
+
     @abstractmethod
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
         """b along the constraint's rows, in their units per second."""

@@ -1,0 +1,147 @@
+"""`manip-learn control`: the task that was learnt is done, and the words say how far it came."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_motion import LEARNT, learnt, screw
+
+from manip_learn.cli import main
+
+WAYS = {
+    "drawer": ("--along", "0.15"),
+    "door": ("--turn", "40"),
+    "table": ("--along", "0.15", "--direction", "1,0.3,0"),
+    "screw": ("--turn", "40", "--start", "0,-0.3,0,-2,0,1.8,0.7"),
+}
+
+
+@pytest.fixture
+def run(capsys, monkeypatch, tmp_path):
+    """Run one command line in an empty folder: exit code, standard output, standard error."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def call(*arguments):
+        code = main([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        return code, " ".join(out.split()), err
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    """Name of what was learnt -> robot, and its constraint file."""
+    folder = tmp_path_factory.mktemp("learnt")
+    made = {name: learnt(name)[0].save(folder / f"{name}.json") for name in LEARNT}
+    made["screw"] = screw().save(folder / "screw.json")
+    return lambda name: (LEARNT.get(name, ("", "panda"))[1], made[name])
+
+
+@pytest.mark.parametrize("name", WAYS)
+def test_a_way_is_done_as_far_as_was_asked(run, file, name):
+    """Within 1 mm or 0.2 degrees of the way and 2 mm of the mechanism, within all limits; the file is there."""
+    code, out, err = run("control", *file(name), *WAYS[name], "--out", "run.npz", "--json")
+    answer = json.loads(out)
+    assert (code, err) == (0, "")
+    assert answer["stopped_by"] is None and answer["reached"] is True
+    assert abs(answer["done"] - answer["wanted"]) < (1e-3 if answer["unit"] == "m" else 0.2)
+    assert answer["wanted"] == float(WAYS[name][1])
+    assert 0.0 <= answer["deviation"] < 2e-3
+    assert answer["fastest_joint"]["share_of_limit"] <= 1.0
+    assert answer["seconds"] > 0.0 and Path("run.npz").is_file()
+
+
+def test_the_words_say_how_far(run, file):
+    """The first words are those of a person: how much of the drawer is open, from where, and what stopped it."""
+    code, out, _err = run("control", *file("drawer"), "--along", "0.15")
+    assert code == 0 and out.startswith("opened 0.150 of 0.150 m start: the first posture in which the task was shown")
+    _code, out, _err = run("control", *file("door"), "--turn", "-30")
+    assert out.startswith("opened 30.0 of 30.0 degrees")
+    _code, out, _err = run("control", *file("table"), "--along", "0.1", "--direction", "0", "1", "0")
+    assert out.startswith("moved 0.100 of 0.100 m")
+    code, out, _err = run("control", *file("drawer"), "--along", "3")
+    assert code == 0 and "of 3.000 m" in out and "stopped by " in out and "opened 3.000" not in out
+
+
+def test_a_way_that_is_too_long_is_refused_before_anything_is_written(run, file):
+    """With --check: exit code 2, how far it gets and what stops it, and no file."""
+    code, out, err = run("control", *file("drawer"), "--along", "3", "--check", "--out", "run.npz")
+    assert (code, out) == (2, "")
+    assert "of 3.000 m: stopped by " in err and not list(Path().iterdir())
+    code, _out, err = run("control", *file("drawer"), "--along", "0.1", "--check")
+    assert (code, err) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("name", "typed", "words"),
+    [
+        ("drawer", "--turn 40", "slides and does not turn (a line along"),
+        ("drawer", "--turn 40", "use --along METRES"),
+        ("door", "--along 0.1", "use --turn DEGREES"),
+        ("table", "--along 0.1", "2 directions free"),
+        ("table", "--along 0.1", "--direction "),
+        ("drawer", "--along 0.1 --target 0.1,0.2,0.3", "give one of them"),
+        (
+            "drawer",
+            "--target 0.1,0.2",
+            "3 numbers (x, y, z), got shape (2,): a number per row of Lambda needs --rows held",
+        ),
+        ("drawer", "--target 0.1,0.2,0.3 --rows some", "--rows must be all or held, not 'some'"),
+        ("drawer", "--along nothing", "'--along'"),
+        ("drawer", "--along 0", "0"),
+        ("door", "--target 0.4,0.1", "three finite numbers"),
+    ],
+)
+def test_what_does_not_fit_is_refused(run, file, name, typed, words):
+    """Exit code 2, one sentence with what was learnt and the option that fits."""
+    code, out, err = run("control", *file(name), *typed.split())
+    assert (code, out) == (2, "")
+    assert words in err and err.count("\n") == 1
+
+
+def test_a_target_is_the_point(run, file):
+    """The tip goes to the point; with --rows held, the paper's law, to the line through it, and the words say so."""
+    constraint, _ = learnt("drawer")
+    q0 = np.array(constraint.provenance["postures"][0])
+    free = np.linalg.svd(constraint.selection)[2][2]
+    point = constraint.robot.position(q0, constraint.features.frame) + 0.1 * free
+    typed = ("--start", ",".join(map(str, q0)), "--target", ",".join(map(str, point)))
+    _code, out, _err = run("control", *file("drawer"), *typed, "--json")
+    answer = json.loads(out)
+    assert answer["reached"] is True and answer["tip_to_target"] < 0.01 and answer["ignored_target_axes"] == []
+    _code, out, _err = run("control", *file("drawer"), *typed)
+    assert out.startswith("at the target") and "blocked" not in out
+    _code, out, _err = run("control", *file("drawer"), *typed, "--rows", "held", "--policy", "zero", "--json")
+    answer = json.loads(out)
+    assert answer["reached"] is False and answer["final_error"] < 0.01 < answer["tip_to_target"]
+    _code, out, _err = run("control", *file("drawer"), *typed, "--rows", "held", "--policy", "zero")
+    assert out.startswith("on the line, 0.1 m from the point") and "--rows held leaves" in out
+
+
+def test_a_target_off_the_line_is_told(run, file):
+    """A point across what the recordings show to be blocked: the hand goes there, and a sentence says so."""
+    constraint, _ = learnt("drawer")
+    q0 = np.array(constraint.provenance["postures"][0])
+    point = constraint.robot.position(q0, constraint.features.frame) + 0.05 * constraint.selection[0]
+    typed = ("--start", ",".join(map(str, q0)), "--target", ",".join(map(str, point)))
+    _code, out, _err = run("control", *file("drawer"), *typed)
+    assert "the hand moved 0.05 along what the recordings show to be blocked" in out
+
+
+def test_a_door_goes_to_a_point(run, file):
+    """A point beside a hinge is an angle: the handle comes as near to it as its circle allows."""
+    constraint, _ = learnt("door")
+    rollout_end = np.array(constraint.provenance["postures"][20])
+    point = constraint.robot.position(rollout_end, constraint.features.frame)
+    _code, out, err = run("control", *file("door"), "--target", ",".join(map(str, point)), "--json")
+    start = constraint.provenance["postures"][0]
+    _code, out, err = run(
+        "control", *file("door"), "--start", ",".join(map(str, start)), "--target", ",".join(map(str, point)), "--json"
+    )
+    answer = json.loads(out)
+    assert err == "" and answer["stopped_by"] is None and answer["unit"] == "deg"
