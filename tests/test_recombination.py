@@ -89,7 +89,6 @@ def test_held_rows_are_counted_and_clear(s):
         found = evidence(features, trajectories)
         assert (found.n_rows, found.verdict) == (s, "clear"), found
         assert found.states == ("held",) * s + ("free",) * (3 - s)
-        assert found.explores
 
 
 def test_the_rows_found_are_those_that_are_held():
@@ -108,7 +107,6 @@ def test_a_repeated_reach_is_untried_not_held():
     found = evidence(features, free_motions("repeated reach", features.robot, np.random.default_rng(1)))
     assert found.n_rows == 0
     assert "untried" in found.states
-    assert not found.explores
     assert "hardly tried" in found.sentence()
 
 
@@ -237,7 +235,6 @@ def test_one_point_to_point_motion_shows_nothing():
         single = reach(features.robot, random_posture(features.robot, rng, 0.2), rng.standard_normal(7) * 0.3, 2.0)
         found = evidence(features, [single], seed)
         assert found.verdict == "none", found
-        assert not found.explores
 
 
 def test_trajectories_that_say_nothing_are_left_out():
@@ -251,7 +248,7 @@ def test_trajectories_that_say_nothing_are_left_out():
     assert (found.n_rows, found.n_trajectories) == (2, 6)
     for nothing in ([], [still, still, still]):
         empty = evidence(features, nothing)
-        assert (empty.n_rows, empty.verdict, empty.explores) == (0, "none", False)
+        assert (empty.n_rows, empty.verdict) == (0, "none")
         assert "do not move" in empty.sentence()
 
 

@@ -96,11 +96,6 @@ class RowEvidence:
                 states.append("free" if level >= USED_SHARE * most and level > 0.0 else "untried")
         return tuple(states)
 
-    @property
-    def explores(self) -> bool:
-        """Whether the motion uses every direction that is not held; False also if nothing moves."""
-        return bool(self.states) and "untried" not in self.states
-
     def sentence(self) -> str:
         """The evidence in words, for reports."""
         if not self.strengths:

@@ -86,40 +86,28 @@ def _missing(recording: Recording, robot: Robot, missing: list[str]) -> Recordin
     shown = ", ".join(map(repr, missing[:3])) + (f" and {len(missing) - 3} more" if len(missing) > 3 else "")
     free = [n for n in recording.position_names if n not in robot.joint_names]
     near = closest_names(missing[0], free)
+    seen = f", it has {', '.join(map(repr, near or recording.position_names[:10])) or 'none'}"
+    fixes = []
     if near:
-        hint = f"; did you mean {', '.join(map(repr, near))}?"
-        hint += advice(" If so: {}", f"rename={{{near[0]!r}: {missing[0]!r}}}", f"--rename {near[0]}={missing[0]}")
-    else:
-        columns = ", ".join(map(repr, recording.position_names[:10])) or "none"
-        hint = f"; it has {columns}"
+        renaming = f"rename={{{near[0]!r}: {missing[0]!r}}}", f"--rename {near[0]}={missing[0]}"
+        fixes.append(advice(f"{{}} if {near[0]!r} is meant", *renaming))
     thing = next((n for n in robot.objects if missing[0].startswith(f"{n}.")), None)
     if thing is not None:
-        return recording.refusal(
-            "missing-object",
-            f"nothing is recorded for {shown}, the pose of object {thing!r}{hint}. It needs {thing}.x {thing}.y "
-            f"{thing}.z [m] and {thing}.rx {thing}.ry {thing}.rz (rotation vector [rad]) or {thing}.qx {thing}.qy "
-            f"{thing}.qz {thing}.qw; leave the object out if its pose was not recorded",
-            column=missing[0],
+        wanted = f"{thing}.x .y .z [m] and {thing}.rx .ry .rz (rotation vector [rad]) or {thing}.qx .qy .qz .qw"
+        fixes += [f"record {wanted}", "leave the object out"]
+        said = (
+            f"nothing is recorded for {shown}, the pose of object {thing!r}{seen}: {'; or '.join(filter(None, fixes))}"
         )
+        return recording.refusal("missing-object", said, column=missing[0])
     unknown = [n for n in recording.position_names if n not in {*robot.joint_names, *unmoved_joint_names(robot)}]
+    nothing = f"nothing is recorded for joint {shown} of robot {robot.name!r}{seen}"
     if not near and 2 * len(unknown) > len(recording.position_names):
-        return recording.refusal(
-            "missing-joint",
-            f"{another_robot(recording.position_names, robot)}; nothing is recorded for joint {shown}{hint}",
-            column=missing[0],
-        )
-    locked = ", ".join(map(repr, missing))
+        said = f"{another_robot(recording.position_names, robot)}; {nothing}"
+        return recording.refusal("missing-joint", said, column=missing[0])
+    python = f"load_robot(..., locked=[{', '.join(map(repr, missing))}])"
     flags = " ".join(f"--lock {name}" for name in missing)
-    return recording.refusal(
-        "missing-joint",
-        f"nothing is recorded for joint {shown} of robot {robot.name!r}{hint}"
-        + advice(
-            ". A joint that does not move in the recordings can be locked: {}",
-            f"load_robot(..., locked=[{locked}])",
-            flags,
-        ),
-        column=missing[0],
-    )
+    fixes.append(advice("{} if nothing of it moves", python, flags) or "name the robot that was recorded")
+    return recording.refusal("missing-joint", f"{nothing}: {'; or '.join(filter(None, fixes))}", column=missing[0])
 
 
 def _surplus_notes(recording: Recording, robot: Robot) -> list[str]:
