@@ -7,11 +7,13 @@ driven. A drawer counts as opened if the hand came the whole way and was never f
 would have to bend the rail, or let go.
 
     python benchmarks/opening_drawers.py [--starts 200] [--seed 20000] [--out docs/figures_opening.md]
+    python benchmarks/opening_drawers.py --physics     # side force on the rail, from the demo's start (MuJoCo)
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import final
@@ -109,12 +111,14 @@ class Bench:
     def open(self, q: np.ndarray, policy: str, keep_orientation: bool) -> tuple[ml.Rollout, WayDone]:
         """One drawer, opened as far as it gets."""
         task = self.motion(keep_orientation)
-        policies = {
-            "zero": None,
-            "attractor": ml.JointAttractor(self.rest, robot=self.robot),
-            "manipulability": ml.ManipulabilityAscent(task.constraint),
-        }
-        return simulate_way(self.robot, ml.ResolvedRateController(self.constraint, task, policies[policy]), q)
+        controller = ml.ResolvedRateController(self.constraint, task, self.policy(policy, task))
+        return simulate_way(self.robot, controller, q)
+
+    def policy(self, name: str, task: ml.FreeDirection) -> ml.NullSpacePolicy | None:
+        """A null-space policy by its name."""
+        if name == "attractor":
+            return ml.JointAttractor(self.rest, robot=self.robot)
+        return ml.ManipulabilityAscent(task.constraint) if name == "manipulability" else None
 
 
 def opened(way: WayDone) -> bool:
@@ -145,13 +149,41 @@ def page(bench: Bench, n: int, seed: int) -> str:
     return "\n".join(lines)
 
 
+def side_forces(bench: Bench) -> str:
+    """The largest side force on the drawer of example 07, opened by position servos from the demo's start [N]."""
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
+    from drawer_physics import PERIOD, DrawerPhysics
+
+    lines = ["| policy | 400 N m/rad | 2,000 N m/rad |", "|---|---|---|"]
+    for policy in POLICIES:
+        forces = []
+        for stiffness in (400.0, 2000.0):
+            task, q = bench.motion(keep_orientation=True), np.array(SCENES["sawyer"].start)
+            controller = ml.ResolvedRateController(bench.constraint, task, bench.policy(policy, task))
+            loop = ml.ServoLoop(controller, PERIOD, latency=0.003, compiled=False)
+            loop.reset(q)
+            physics = DrawerPhysics("sawyer", q, bench.outward, stiffness, np.random.default_rng(7))
+            force = []
+            for _ in range(round((task.duration + 1.0) / PERIOD)):
+                loop.update(*physics.measured())
+                physics.send(loop.position)
+                force.append(physics.side_force)
+            forces.append(max(force[50:]))  # what closing the grip takes is over after 50 ms
+        lines.append(f"| {policy} | {forces[0]:.1f} | {forces[1]:.1f} |")
+    return "\n".join(lines)
+
+
 def main() -> None:
     """Print the table, or put it into the page between its marks."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--starts", type=int, default=200)
     parser.add_argument("--seed", type=int, default=20_000)
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--physics", action="store_true")
     given = parser.parse_args()
+    if given.physics:
+        print(side_forces(Bench()))
+        return
     table = page(Bench(), given.starts, given.seed)
     if given.out is None:
         print(table)
