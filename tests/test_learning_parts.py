@@ -10,6 +10,7 @@ from generated_motions import arm_features, guided_motions, oblique, paper_motio
 
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian, MechanismRows
 from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.constraint.selection_in_words import describe, free_directions
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.estimators.conditional_pca import conditional_pca
 from manip_learn.learning.estimators.estimate import gaps_of_levels, gaps_of_residuals
@@ -17,7 +18,6 @@ from manip_learn.learning.estimators.null_space import fit_null_space, levels
 from manip_learn.learning.estimators.policy_model import PolynomialModel, RadialModel
 from manip_learn.learning.estimators.variable_projection import fit_joint, held_out_costs, scores
 from manip_learn.learning.samples import Samples
-from manip_learn.learning.selection_in_words import describe, free_directions
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.robot import load_robot
 

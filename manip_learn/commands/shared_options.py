@@ -65,7 +65,7 @@ class GroupedCommand(TyperCommand):
                 with formatter.section(heading):
                     formatter.write_dl(records)
 
-    def invoke(self, ctx: Any) -> Any:
+    def invoke(self, ctx: Any) -> object:
         """Run the command.
 
         Raises:

@@ -12,6 +12,7 @@ import numpy as np
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.constraint.selection_in_words import describe, free_directions, known_to, said_by_rows
 from manip_learn.errors import counted, listed
 from manip_learn.learning.answer import Answer
 from manip_learn.learning.candidate import Candidate
@@ -19,7 +20,6 @@ from manip_learn.learning.data_summary import DataSummary
 from manip_learn.learning.estimators.estimate import CLEAR_GAP
 from manip_learn.learning.excitation import energy_shares
 from manip_learn.learning.overview import OddTrajectory, Phase, RecordingOverview
-from manip_learn.learning.selection_in_words import describe, free_directions, known_to, said_by_rows
 from manip_learn.robot import html_card
 
 MOST_NOTES = 20

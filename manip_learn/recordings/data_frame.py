@@ -33,7 +33,7 @@ class DataFrame(Protocol):
         ...
 
     @property
-    def to_csv(self) -> Any:  # the overloads of pandas-stubs fit no signature of our own
+    def to_csv(self) -> object:  # the overloads of pandas-stubs fit no signature of our own
         """Write a text table."""
         ...
 
