@@ -21,6 +21,7 @@ from manip_learn.errors import ConstraintError, TargetError
 
 APPROACH_SPEED = 0.25  # [m/s] of a hand on its way to the mechanism: the reduced speed of ISO 10218-1 beside people
 SETTLING = 0.5  # [s] at most until the hand is there after its way to the mechanism: e^-5 of a lag, at gain 10 /s
+NOISY = 2e-3  # [m] what counts as there after that: measured postures with noise of 1e-3 rad come no nearer
 TAKEN = 2e-4  # [m] the hand is at the mechanism: a tenth of the 2 mm that it may be off it, twice the encoders' noise
 
 
@@ -219,7 +220,9 @@ class FreeDirection(Task):
         self._latest = t
         if self._way_begun is None and self._start is not None and self._approach is not None:
             gone, _ = self._approach.at(t - begun)
-            if t - begun < self._approach.duration or apart(self._motion.origin(q), origin) > TAKEN:
+            late = t - begun - self._approach.duration  # [s]
+            near = TAKEN if late < SETTLING else NOISY
+            if late < 0.0 or apart(self._motion.origin(q), origin) > near:
                 share = min(gone / self._approach.distance, 1.0)
                 return between(self._start, origin, share), Setpoint(0.0, 0.0, math.inf)
             self._way_begun = t + self.pause
