@@ -86,7 +86,7 @@ def test_what_was_learnt_is_done_from_the_mechanism_and_from_elsewhere(name: str
     assert (way.begins == 0.0) is not far
     places = np.array([tip_of(constraint, q) for q in shown])
     ends = (rollout.q[np.searchsorted(rollout.time, way.begins - 1e-9)], rollout.q[-1])
-    if far:  # the way begins where the task was shown, and stays within that; across it a table was not wiped everywhere
+    if far:  # the way stays within what was shown; across the way a table was not wiped everywhere
         for q in ends:
             assert np.min(np.linalg.norm(places - tip_of(constraint, q), axis=1)) < (0.1 if name == "table" else 0.05)
 
@@ -153,6 +153,7 @@ def test_a_pause_lets_the_spare_joints_move_first() -> None:
     rollout, way = done(constraint, task, q0)
     still = tips(constraint, rollout)[rollout.time < 0.8]
     assert way.begins == pytest.approx(0.8, abs=0.011) and way.is_done
+    assert way.least_manipulability == np.min(rollout.manipulability[rollout.time >= way.begins - 1e-9])
     assert np.max(np.linalg.norm(still - still[0], axis=1)) < 1e-4
     assert rollout.manipulability[80] > rollout.manipulability[0]
 
