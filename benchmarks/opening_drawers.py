@@ -7,6 +7,7 @@ driven. A drawer counts as opened if the hand came the whole way and was never f
 would have to bend the rail, or let go.
 
     python benchmarks/opening_drawers.py [--starts 200] [--seed 20000] [--out docs/figures_opening.md]
+    python benchmarks/opening_drawers.py --chest [--starts 60] [--seed 31]   # all three drawers, one after the other
     python benchmarks/opening_drawers.py --physics     # side force on the rail, from the demo's start (MuJoCo)
 """
 
@@ -64,14 +65,14 @@ class Bench:
         line = np.linalg.svd(self.constraint.selection)[2][2]
         self.outward = -line * np.sign(line[0])  # the drawer opens towards the robot
 
-    def motion(self, keep_orientation: bool) -> ml.FreeDirection:
+    def motion(self, keep_orientation: bool, along: float = WAY, pause: float = PAUSE) -> ml.FreeDirection:
         """The way of one drawer."""
         return ml.motion(
             self.constraint,
-            along=WAY,
+            along=along,
             direction=self.outward,
             speed=SPEED,
-            pause=PAUSE,
+            pause=pause,
             keep_orientation=keep_orientation,
         )
 
@@ -111,14 +112,45 @@ class Bench:
     def open(self, q: np.ndarray, policy: str, keep_orientation: bool) -> tuple[ml.Rollout, WayDone]:
         """One drawer, opened as far as it gets."""
         task = self.motion(keep_orientation)
-        controller = ml.ResolvedRateController(self.constraint, task, self.policy(policy, task))
+        controller = ml.ResolvedRateController(self.constraint, task, self.policy(policy, task.constraint))
         return simulate_way(self.robot, controller, q)
 
-    def policy(self, name: str, task: ml.FreeDirection) -> ml.NullSpacePolicy | None:
-        """A null-space policy by its name."""
+    def policy(self, name: str, rows: ml.Constraint) -> ml.NullSpacePolicy | None:
+        """A null-space policy by its name; the ascent climbs the manipulability of rows."""
         if name == "attractor":
             return ml.JointAttractor(self.rest, robot=self.robot)
-        return ml.ManipulabilityAscent(task.constraint) if name == "manipulability" else None
+        return ml.ManipulabilityAscent(rows) if name == "manipulability" else None
+
+    def chest(self, q: np.ndarray, policy: str, keep_orientation: bool) -> int:
+        """How many of the three drawers are opened and shut again, one after the other, the hand never let go."""
+        first = self.robot.position(q, self.features.frame)
+        heights = [first[2], *(z for z in HEIGHTS if abs(z - first[2]) > 0.01)]
+        for number, height in enumerate(heights):
+            place = np.array([*first[:2], height])
+            if number:
+                q, left = self.at(place, q, policy, keep_orientation)
+                if left > STRAY:
+                    return number
+            for along in (WAY, -WAY):
+                task = self.motion(keep_orientation, along, pause=0.0)
+                controller = ml.ResolvedRateController(self.constraint, task, self.policy(policy, task.constraint))
+                rollout, way = simulate_way(self.robot, controller, q)
+                q = rollout.q[-1]
+                if not opened(way):
+                    return number
+        return len(heights)
+
+    def at(self, place: np.ndarray, q: np.ndarray, policy: str, keep_orientation: bool) -> tuple[np.ndarray, float]:
+        """The posture after going to a place in 4 s, and how much is left [m]."""
+        features = ml.FrameJacobian(self.robot, self.features.frame.name, "pose" if keep_orientation else "xyz")
+        target = place
+        if keep_orientation:
+            target = self.robot.pose(q, features.frame).copy()
+            target[:3, 3] = place
+        task, rows = ml.PointAttractor(target, 3.0, 0.4), ml.Constraint(np.eye(features.n_rows), features)
+        controller = ml.ResolvedRateController(rows, task, self.policy(policy, rows))
+        rollout = ml.simulate(self.robot, controller, q, 4.0, 0.01, compiled=False)
+        return rollout.q[-1], float(rollout.task_error[-1])
 
 
 def opened(way: WayDone) -> bool:
@@ -149,6 +181,23 @@ def page(bench: Bench, n: int, seed: int) -> str:
     return "\n".join(lines)
 
 
+def chests(bench: Bench, n: int, seed: int) -> str:
+    """The table of whole chests."""
+    lines = ["| grip | policy | all three | helped | hurt | drawers, mean |", "|---|---|---|---|---|---|"]
+    for study in STUDIES[:2]:
+        rng = np.random.default_rng([seed, int(study.keep_orientation)])
+        starts = [bench.start(rng, study) for _ in range(n)]
+        counts = {p: np.array([bench.chest(q, p, study.keep_orientation) for q in starts]) for p in POLICIES}
+        without = counts["zero"] == len(HEIGHTS)
+        for policy, count in counts.items():
+            done = count == len(HEIGHTS)
+            lines.append(
+                f"| {study.title} | {policy} | {np.sum(done)} of {n} | {np.sum(done & ~without)} | "
+                f"{np.sum(~done & without)} | {np.mean(count):.2f} |"
+            )
+    return "\n".join(lines)
+
+
 def side_forces(bench: Bench) -> str:
     """The largest side force on the drawer of example 07, opened by position servos from the demo's start [N]."""
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
@@ -159,7 +208,7 @@ def side_forces(bench: Bench) -> str:
         forces = []
         for stiffness in (400.0, 2000.0):
             task, q = bench.motion(keep_orientation=True), np.array(SCENES["sawyer"].start)
-            controller = ml.ResolvedRateController(bench.constraint, task, bench.policy(policy, task))
+            controller = ml.ResolvedRateController(bench.constraint, task, bench.policy(policy, task.constraint))
             loop = ml.ServoLoop(controller, PERIOD, latency=0.003, compiled=False)
             loop.reset(q)
             physics = DrawerPhysics("sawyer", q, bench.outward, stiffness, np.random.default_rng(7))
@@ -179,8 +228,12 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=200)
     parser.add_argument("--seed", type=int, default=20_000)
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--chest", action="store_true")
     parser.add_argument("--physics", action="store_true")
     given = parser.parse_args()
+    if given.chest:
+        print(chests(Bench(), given.starts, given.seed))
+        return
     if given.physics:
         print(side_forces(Bench()))
         return

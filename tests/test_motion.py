@@ -145,6 +145,28 @@ def test_the_hand_keeps_its_orientation_if_asked() -> None:
         ).with_orientation()
 
 
+def test_a_run_may_begin_at_any_time_and_last_as_long_as_is_said() -> None:
+    """The clock of the first call is the start; a given duration is kept; the fastest joint is that of the rollout."""
+    constraint, _ = learnt("drawer")
+    robot, q0 = constraint.robot, READY
+    task = ml.motion(constraint, along=0.1)
+    assert task.duration == pytest.approx(0.1 / 0.1 + 0.5)  # 0.1 m/s, and half a second from rest to it
+    controller = ml.ResolvedRateController(constraint, task)
+    q, dt = q0, 0.01
+    for k in range(round((task.duration_from(q0) + 1.0) / dt)):
+        q = q + dt * controller(q, 100.0 + k * dt, dt).velocity
+    later = task.way_begins
+    rollout, way = simulate_way(robot, controller, q0)
+    assert later is not None and later - 100.0 == pytest.approx(way.begins, abs=0.02) and way.begins > 1.0
+    shares = np.abs(rollout.u) / robot.velocity_limit
+    assert way.fastest == (robot.joint_names[int(np.argmax(shares.max(axis=0)))], np.max(shares))
+    short, unfinished = simulate_way(robot, controller, q0, duration=1.0)
+    assert short.time[-1] == 1.0 and unfinished.begins is None and not unfinished.is_done
+    assert unfinished.stopped_by is not None and "on its way to the mechanism: the time" in unfinished.stopped_by
+    long, _way = simulate_way(robot, controller, q0, duration=12.0)
+    assert long.time[-1] == 12.0
+
+
 def test_a_pause_lets_the_spare_joints_move_first() -> None:
     """The hand stands still for the pause, and the manipulability at the beginning of the way is larger for it."""
     constraint, _ = learnt("drawer")
