@@ -70,7 +70,7 @@ def test_learning_explains_its_words() -> None:
     learnt = learn("sawyer", DRAWER, frame=FRAME[1])
     text = " ".join(printed(60, print_learnt, learnt).split())
     assert f"gap {learnt.report.gap:,.0f} (10 is clear)" in text
-    for term in ("row", "gap", "left-out", "uncertainty", "strength"):
+    for term in ("row", "gap", "left out", "uncertainty", "strength"):
         assert f"{term}: {WORDS[term][0].split(';')[0]}" in text
     at_length = " ".join(printed(60, print_learnt, learnt, explain=True).split())
     assert WORDS["gap"][1] in at_length and WORDS["gap"][1] not in text

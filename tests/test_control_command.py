@@ -57,9 +57,13 @@ def test_a_way_is_done_as_far_as_was_asked(run, file, name):
 
 
 def test_the_words_say_how_far(run, file):
-    """The first words are those of a person: how much of the drawer is open, from where, and what stopped it."""
+    """The first words are those of a person: opened, or pushed in by a hand that goes away from the base; how far."""
     code, out, _err = run("control", *file("drawer"), "--along", "0.15")
-    assert code == 0 and out.startswith("opened 0.150 of 0.150 m start: the first posture in which the task was shown")
+    assert code == 0 and out.startswith(
+        "pushed in 0.150 of 0.150 m start: the first posture in which the task was shown"
+    )
+    _code, out, _err = run("control", *file("drawer"), "--along", "-0.1")
+    assert out.startswith("opened 0.100 of 0.100 m")
     _code, out, _err = run("control", *file("door"), "--turn", "-30")
     assert out.startswith("opened 30.0 of 30.0 degrees")
     _code, out, _err = run("control", *file("table"), "--along", "0.1", "--direction", "0", "1", "0")

@@ -23,7 +23,7 @@ from manip_learn.control.status import Status
 from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, motion
 from manip_learn.control.tasks.motion import motion_to
 from manip_learn.control.tasks.straight_motion import in_words
-from manip_learn.control.way import WayDone, simulate_way
+from manip_learn.control.way import WayDone, leads_away, simulate_way
 from manip_learn.errors import ManipLearnError, TargetError
 from manip_learn.linalg import complement_rows
 from manip_learn.recordings.trajectory_source import Progress
@@ -33,7 +33,6 @@ POLICIES = ("manipulability", "zero", "attractor")
 ROWS = ("all", "held")
 # what a hand that follows the held rows is on
 PLACES = {"line": "line", "plane": "plane", "hinge": "circle", "ball": "sphere", "screw": "helix", "other": "cylinder"}
-OPENS = ("line", "hinge")  # drawers and doors: a way along them opens them
 
 
 @final
@@ -69,6 +68,7 @@ class Controlled:
         aim: What became of the typed target; None without one.
         way: What became of a way along the mechanism; None without one.
         start: Where the start posture came from, if it was not given.
+        verb: What the way did to the thing, e.g. `"opened"`.
     """
 
     rollout: Rollout
@@ -78,6 +78,7 @@ class Controlled:
     aim: Aim | None = None
     way: WayDone | None = None
     start: str = ""
+    verb: str = "moved"
 
     @property
     def final_error(self) -> float:
@@ -103,13 +104,10 @@ class Controlled:
         """What was done, in words."""
         way, aim = self.way, self.aim
         if way is not None:
-            verb = "opened" if self.place in (PLACES[kind] for kind in OPENS) else "moved"
             size, unit, digits = (1.0, "m", 3) if way.unit == "m" else (math.degrees(1.0), "degrees", 1)
-            if way.unit == "rad" and verb == "moved":
-                verb = "turned"
-            return f"{verb} {abs(size * way.done):.{digits}f} of {abs(size * way.wanted):.{digits}f} {unit}"
+            return f"{self.verb} {abs(size * way.done):.{digits}f} of {abs(size * way.wanted):.{digits}f} {unit}"
         if aim is None:
-            return "held what is held"
+            return "held what is held: --along, --turn or --target names a task"
         if self.reached:
             return "at the target"
         where = f"on the {self.place}" if self.place else "where the held rows are to be"
@@ -202,9 +200,14 @@ def control(
     if isinstance(task, FreeDirection):
         rollout, way = simulate_way(robot, controller, q0, dt, duration, progress=progress)
     else:
-        rollout = simulate(robot, controller, q0, 5.0 if duration is None else duration, dt, progress=progress)
+        if duration is None:  # an attraction leaves e^(-gain t) of the way
+            far = 2.0 * controller.task_error(q0) / tolerance if tolerance > 0.0 else 1.0
+            duration = max(5.0, math.log(max(far, 1.0)) / task_gain if task_gain > 0.0 else 5.0)
+        rollout = simulate(robot, controller, q0, duration, dt, progress=progress)
     aim = aim_of(constraint, task, rollout) if isinstance(task, PointAttractor) else None
-    done = Controlled(rollout, None, tolerance, place_of(constraint), aim, way, whence)
+    done = Controlled(
+        rollout, None, tolerance, place_of(constraint), aim, way, whence, verb_of(constraint, rollout, way)
+    )
     if check and not done.reached:
         because = "" if way is None else f": stopped by {way.stopped_by}"
         raise TargetError(f"{done.sentence}{because}; ask for less, or start elsewhere (--start)", code="not-reached")
@@ -215,6 +218,16 @@ def place_of(constraint: Constraint) -> str:
     """What the held rows keep the hand on, e.g. `"line"`; empty if that has no name."""
     known = constraint.mechanism
     return "" if known is None else PLACES.get(known.type, "")
+
+
+def verb_of(constraint: Constraint, rollout: Rollout, way: WayDone | None) -> str:
+    """What a way along a mechanism does to it: a drawer is opened or pushed in, a door opened, a screw turned."""
+    known, frame = constraint.mechanism, getattr(constraint.features, "frame", None)
+    if known is None or known.type not in ("line", "hinge") or constraint.robot is None or frame is None:
+        return "turned" if known is not None and known.type in ("screw", "ball") else "moved"
+    begin = 0 if way is None or way.begins is None else int(np.searchsorted(rollout.time, way.begins - 1e-9))
+    first, last = (constraint.robot.position(q, frame) for q in rollout.q[[begin, -1]])
+    return "pushed in" if known.type == "line" and leads_away(first, last - first) else "opened"
 
 
 def aim_of(constraint: Constraint, task: PointAttractor, rollout: Rollout) -> Aim:

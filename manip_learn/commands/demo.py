@@ -9,7 +9,7 @@ from typing import Any, final
 
 import numpy as np
 
-from manip_learn.commands.control import Controlled, null_policy, place_of
+from manip_learn.commands.control import Controlled, null_policy, place_of, verb_of
 from manip_learn.commands.learn import Learnt, learn
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController
@@ -138,8 +138,9 @@ def demo(robot_name: str, out: Path, open_browser: bool, progress: Progress | No
             rollout = simulate(robot, controller, scene.start, scene.duration, DT)
         else:
             rollout, way = simulate_way(robot, controller, scene.start, DT)
-        place = place_of(learnt.constraint)
-        rollouts[name] = Controlled(rollout, rollout.save(out / f"{name}.npz"), TOLERANCE, place, way=way)
+        place, verb = place_of(learnt.constraint), verb_of(learnt.constraint, rollout, way)
+        written = rollout.save(out / f"{name}.npz")
+        rollouts[name] = Controlled(rollout, written, TOLERANCE, place, way=way, verb=verb)
     said("writing the replay", 0.9)
     page = replay(
         robot,

@@ -83,7 +83,7 @@ def _learnt_facts(learnt: Learnt) -> list[tuple[str, str | None, str]]:
             "row",
         ),
         ("number of rows", f"{amount}, gap {_readable(report.gap)} ({rank})", "gap"),
-        ("left out", f"{_share(left_out)} of the motion unexplained" if math.isfinite(left_out) else "", "left-out"),
+        ("left out", f"{_share(left_out)} of the motion unexplained" if math.isfinite(left_out) else "", "left out"),
         ("uncertainty", report.known_to(), "uncertainty"),
         (
             "evidence",

@@ -46,7 +46,7 @@ def _measures(controlled: Controlled) -> dict[str, str]:
     if way is not None:
         unit, size, digits = ("m", 1.0, 3) if way.unit == "m" else ("deg", math.degrees(1.0), 1)
         return {
-            controlled.sentence.split()[0]: f"{abs(size * way.done):.{digits}f} {unit}",
+            controlled.verb: f"{abs(size * way.done):.{digits}f} {unit}",
             "time": "-" if way.seconds is None else f"{way.seconds:.1f} s",
             "off": f"{1e3 * way.deviation:.1f} mm",
             "fastest": f"{100 * way.fastest[1]:.0f} %",

@@ -24,7 +24,7 @@ WORDS: dict[str, tuple[str, str]] = {
         "3 to 10 is weak. The joint estimator compares what fits with one row fewer leave unexplained; there 1.5 says "
         "something.",
     ),
-    "left-out": (
+    "left out": (
         "tested on recordings that were not learnt from; 0 % is best",
         "The constraint is learnt again without some of the recordings and asked about those. What it does not explain "
         "of their motion is noise, softness, or a constraint that is not theirs.",

@@ -26,6 +26,7 @@ AT_LIMIT = (
 SLACK = 1.5  # [s] beyond the time that the way takes where nothing slows it down
 STANDING = 2.0  # [s] without progress after which the arm counts as stopped: a singular start is left within one
 AT_REST = 0.3  # [s] that a motion is shown after its end
+FROM_THE_BASE = 0.5  # cosine of the angle between the way and the direction from the base, from which on it leads away
 LONGEST = 4.0  # times the time that the way takes where nothing slows it down: then it counts as stopped
 
 
@@ -75,6 +76,17 @@ class WayDone:
             "fastest_joint": {"name": self.fastest[0], "share_of_limit": self.fastest[1]},
             "stopped_by": self.stopped_by,
         }
+
+
+def leads_away(handle: Float[np.ndarray, " 3"], way: Float[np.ndarray, " 3"]) -> bool:
+    """Whether a hand goes away from the robot's base: it pushes a drawer in, for chests face who opens them.
+
+    Args:
+        handle: Where the hand is, in the base frame [m].
+        way: Its way from there, of any length.
+    """
+    out = handle * [1.0, 1.0, 0.0]
+    return bool(way @ out > FROM_THE_BASE * np.linalg.norm(way) * np.linalg.norm(out))
 
 
 def simulate_way(

@@ -9,6 +9,7 @@ from typing import Any, Literal, final
 import numpy as np
 from jaxtyping import Float, Int
 
+from manip_learn.control.way import leads_away
 from manip_learn.linalg import null_basis
 from manip_learn.playback.mechanism_drawing import geometry_of
 from manip_learn.robot.rotations import rotation_matrix
@@ -18,7 +19,6 @@ LEAST_TRAVEL = 0.02  # [m] less than this is a controller that settles, not a dr
 CANDIDATES = 200  # places along the path where the line may be
 BOARD, STANDOFF = 0.016, 0.045  # thickness of a board, and of the hand in front of it [m]
 UPRIGHT = 0.98  # cosine of the tilt up to which a chest stands on the floor
-FROM_THE_BASE = 0.5  # cosine: a hand that moves away from the robot's base by this much pushes a drawer shut
 KINDS: dict[str, Literal["drawer", "door", "crank"]] = {"line": "drawer", "hinge": "door", "screw": "crank"}
 FRONT, BODY, HANDLE = "front", "body", "handle"
 Box = tuple[float, float, float, float, float, float, str]
@@ -125,8 +125,7 @@ def furniture_of(
         boxes = _door(pivot) if kind == "door" else _crank(-float(pivot[0]))
         return Furniture(kind, pose, times, moved, 0.0, pivot, pitch, *boxes)
     handle, out, travel = path[middle] + back * axis, sense * axis, float(moved.max())
-    away = handle * [1.0, 1.0, 0.0]
-    is_pushed = out @ away > FROM_THE_BASE * np.linalg.norm(away)
+    is_pushed = leads_away(handle, out)
     pose = _facing(-out, handle + travel * out) if is_pushed else _facing(out, handle)
     return Furniture(kind, pose, times, moved, travel * is_pushed, np.zeros(3), 0.0, *_drawer(travel, pose))
 

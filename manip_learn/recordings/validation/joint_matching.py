@@ -89,8 +89,8 @@ def _missing(recording: Recording, robot: Robot, missing: list[str]) -> Recordin
     seen = f", it has {', '.join(map(repr, near or recording.position_names[:10])) or 'none'}"
     fixes = []
     if near:
-        renaming = f"rename={{{near[0]!r}: {missing[0]!r}}}", f"--rename {near[0]}={missing[0]}"
-        fixes.append(advice(f"{{}} if {near[0]!r} is meant", *renaming))
+        one, other = near[0], missing[0]
+        fixes.append(advice(f"{{}} if {one!r} is meant", f"rename={{{one!r}: {other!r}}}", f"--rename {one}={other}"))
     thing = next((n for n in robot.objects if missing[0].startswith(f"{n}.")), None)
     if thing is not None:
         wanted = f"{thing}.x .y .z [m] and {thing}.rx .ry .rz (rotation vector [rad]) or {thing}.qx .qy .qz .qw"
