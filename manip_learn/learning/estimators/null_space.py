@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.learning.estimators.descent import descend
 from manip_learn.learning.estimators.estimate import Estimate, gaps_of_levels
 from manip_learn.learning.samples import Block, Samples
 from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases
@@ -40,6 +41,15 @@ class NullSpaceFit:
     iterations: int
     scores: Float[np.ndarray, "g s k"]
     curvatures: Float[np.ndarray, "g m m"]
+
+    @property
+    def Lambda(self) -> Float[np.ndarray, "s r"]:
+        """The same rows, as `descend` names them."""
+        return self.whitened_selection
+
+    def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
+        """Gauss-Newton Hessian and gradient of all trajectories."""
+        return self.curvatures.sum(axis=0), self.scores.sum(axis=0).reshape(-1)
 
 
 def levels(samples: Samples) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r r"]]:
@@ -79,9 +89,7 @@ def fit_null_space(
 ) -> NullSpaceFit:
     """Gauss-Newton on the Grassmann manifold for equation (10), E = sum w^T A^+ A w, from a start.
 
-    With dLambda = B Lambda_perp the gradient is 2 sum (A^{+T} w)(Lambda_perp Phi N w)^T; each step solves for B and
-    retracts by orthonormalising Lambda + B Lambda_perp. Steps that do not lower the cost are shortened
-    (Levenberg-Marquardt).
+    With dLambda = B Lambda_perp the gradient is 2 sum (A^{+T} w)(Lambda_perp Phi N w)^T; see `descend` for the steps.
 
     Args:
         samples: What was recorded.
@@ -90,29 +98,13 @@ def fit_null_space(
         tolerance: Step length at which to stop.
         max_iterations: Largest number of steps; 0 judges the start as it is.
     """
-    Lambda = orthonormal_rows(start)
-    s, r = Lambda.shape
-    state = _moments(samples, Lambda, velocity)
-    damping, iterations = 0.0, 0
-    while iterations < max_iterations and s < r:
-        iterations += 1
-        gradient, H = state.scores.sum(axis=0), state.curvatures.sum(axis=0)
-        scale = max(float(np.trace(H)) / H.shape[0], np.finfo(np.float64).tiny)
-        B = -np.linalg.lstsq(H + damping * scale * np.eye(H.shape[0]), gradient.reshape(-1), rcond=1e-14)[0]
-        B = B.reshape(s, r - s)
-        moved = orthonormal_rows(Lambda + B @ complement_rows(Lambda))
-        trial = _moments(samples, moved, velocity)
-        if trial.cost <= state.cost * (1.0 + SAME_COST):
-            small = float(np.linalg.norm(B)) < tolerance
-            no_gain = trial.cost >= state.cost * (1.0 - 1e-12)
-            Lambda, state, damping = moved, trial, damping * 0.1 if damping > 1e-9 else 0.0
-            if small or no_gain:
-                break
-        elif float(np.linalg.norm(B)) < 1e-12 or damping > 1e6:
-            break  # rounding is all that is left
-        else:
-            damping = max(1e-3, damping * 10.0)
-    return NullSpaceFit(Lambda, state.cost, state.energy, iterations, state.scores, state.curvatures)
+    here, iterations = descend(
+        _moments(samples, orthonormal_rows(start), velocity),
+        lambda Lambda: _moments(samples, Lambda, velocity),
+        *(max_iterations, tolerance, 1e-12),
+        rise=SAME_COST,
+    )
+    return replace(here, iterations=iterations)
 
 
 def _moments(samples: Samples, Lambda: np.ndarray, velocity: Velocity | None) -> NullSpaceFit:

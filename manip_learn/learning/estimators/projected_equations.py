@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float, Int
 
+from manip_learn.learning.estimators.descent import descend
 from manip_learn.learning.estimators.joint_fit import JointFit
 from manip_learn.learning.estimators.policy_equations import (
     OrthonormalRegressors,
@@ -24,7 +25,7 @@ from manip_learn.learning.estimators.policy_equations import (
 )
 from manip_learn.learning.estimators.policy_model import PolicyModel
 from manip_learn.learning.samples import Samples
-from manip_learn.linalg import complement_rows, orthonormal_rows
+from manip_learn.linalg import orthonormal_rows
 
 # share of the energy below which what is left is no noise
 NEARLY_EXACT = 1e-6
@@ -37,6 +38,8 @@ LEAST_PIVOT = 1e-8
 class _State:
     """The best policy for a Lambda."""
 
+    samples: Samples
+    regressors: OrthonormalRegressors
     Lambda: Float[np.ndarray, "s r"]
     projections: Projections
     solver: Solver
@@ -49,7 +52,22 @@ class _State:
         projections = Projections.of(samples, Lambda)
         solver = Solver(curvature(regressors.values, projections.N))
         theta, y = solve_policy(regressors.values, projections, samples.u, solver)
-        return _State(Lambda, projections, solver, theta, y, projections.energy(y) / len(samples))
+        cost = projections.energy(y) / len(samples)
+        return _State(samples, regressors, Lambda, projections, solver, theta, y, cost)
+
+    @property
+    def energy(self) -> float:
+        """Mean of |Z^T u|^2."""
+        return self.projections.energy(self.samples.u) / len(self.samples)
+
+    @property
+    def is_nearly_exact(self) -> bool:
+        """Whether what is left is no noise."""
+        return self.cost <= NEARLY_EXACT * self.energy
+
+    def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
+        """See `descend`."""
+        return self.projections.equations(self.regressors.values, self.y, self.solver)
 
 
 def fit_projected(
@@ -65,31 +83,16 @@ def fit_projected(
     regressors = OrthonormalRegressors.of(samples, model)
     if least_pivot > 0.0 and regressors.values.shape[1] < model.n_terms:
         return None
-    here = _State.at(samples, regressors, orthonormal_rows(start))
-    s, r = here.Lambda.shape
-    damping, iterations = 0.0, 0
-    while iterations < max_iterations and 0 < s < r and here.solver.least_pivot >= least_pivot:
-        iterations += 1
-        H, gradient = here.projections.equations(regressors.values, here.y, here.solver)
-        scale = max(float(np.trace(H)) / len(H), np.finfo(np.float64).tiny)
-        B = -np.linalg.lstsq(H + damping * scale * np.eye(len(H)), gradient, rcond=1e-14)[0].reshape(s, r - s)
-        trial = _State.at(samples, regressors, orthonormal_rows(here.Lambda + B @ complement_rows(here.Lambda)))
-        if trial.cost <= here.cost:
-            done = float(np.linalg.norm(B)) < tolerance or trial.cost >= here.cost * (1.0 - gain)
-            here = trial
-            damping = damping * 0.1 if damping > 1e-9 else 0.0
-            if done or (
-                least_pivot > 0.0 and here.cost <= NEARLY_EXACT * here.projections.energy(samples.u) / len(samples)
-            ):
-                break
-        elif float(np.linalg.norm(B)) < 1e-12 or damping > 1e6:
-            break  # rounding is all that is left
-        else:
-            damping = max(1e-3, damping * 10.0)
+    here, iterations = descend(
+        _State.at(samples, regressors, orthonormal_rows(start)),
+        lambda Lambda: _State.at(samples, regressors, Lambda),
+        *(max_iterations, tolerance, gain),
+        usable=lambda state: state.solver.least_pivot >= least_pivot,
+        enough=lambda state: least_pivot > 0.0 and state.is_nearly_exact,
+    )
     if here.solver.least_pivot < least_pivot:
         return None
-    energy = here.projections.energy(samples.u) / len(samples)
-    return JointFit(here.Lambda, regressors.mixing @ here.theta, here.cost, energy, iterations, model)
+    return JointFit(here.Lambda, regressors.mixing @ here.theta, here.cost, here.energy, iterations, model)
 
 
 def held_out_by_fold(

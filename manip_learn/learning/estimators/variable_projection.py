@@ -10,12 +10,15 @@ Kaufman's Jacobian, 1975).
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import qr, solve_triangular
 
 from manip_learn.learning.bootstrap import TrajectoryBlocks
+from manip_learn.learning.estimators.descent import descend
 from manip_learn.learning.estimators.joint_fit import JointFit
 from manip_learn.learning.estimators.policy_model import PolicyModel
 from manip_learn.learning.estimators.projected_equations import (
@@ -62,29 +65,33 @@ def fit_joint(
             return fast
         # normal equations lose half the digits: QR answers where there are digits, and goes on where it is expensive
         start = fast.whitened_selection if many else start
-    Lambda = orthonormal_rows(start)
-    s, r = Lambda.shape
-    theta, cost, energy = _policy(samples, Lambda, model)
-    damping, iterations = 0.0, 0
-    while iterations < max_iterations and 0 < s < r:
-        iterations += 1
-        H, gradient = _normal_equations(samples, Lambda, theta, model)
-        scale = max(float(np.trace(H)) / H.shape[0], np.finfo(np.float64).tiny)
-        step = -np.linalg.lstsq(H + damping * scale * np.eye(H.shape[0]), gradient, rcond=1e-14)[0]
-        B = step.reshape(s, r - s)
-        moved = orthonormal_rows(Lambda + B @ complement_rows(Lambda))
-        trial_theta, trial_cost, trial_energy = _policy(samples, moved, model)
-        if trial_cost <= cost:
-            done = float(np.linalg.norm(B)) < tolerance or trial_cost >= cost * (1.0 - gain)
-            Lambda, theta, cost, energy = moved, trial_theta, trial_cost, trial_energy
-            damping = damping * 0.1 if damping > 1e-9 else 0.0
-            if done:
-                break
-        elif float(np.linalg.norm(B)) < 1e-12 or damping > 1e6:
-            break  # rounding is all that is left
-        else:
-            damping = max(1e-3, damping * 10.0)
-    return JointFit(Lambda, theta, cost, energy, iterations, model)
+    here, iterations = descend(
+        _State.at(samples, orthonormal_rows(start), model),
+        lambda Lambda: _State.at(samples, Lambda, model),
+        *(max_iterations, tolerance, gain),
+    )
+    return JointFit(here.Lambda, here.theta, here.cost, here.energy, iterations, model)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _State:
+    """The best policy for a Lambda, from a QR of all rows."""
+
+    samples: Samples
+    model: PolicyModel
+    Lambda: Float[np.ndarray, "s r"]
+    theta: Float[np.ndarray, "j nv"]
+    cost: float
+    energy: float
+
+    @staticmethod
+    def at(samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel) -> _State:
+        return _State(samples, model, Lambda, *_policy(samples, Lambda, model))
+
+    def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
+        """See `descend`."""
+        return _normal_equations(self.samples, self.Lambda, self.theta, self.model)
 
 
 def scores(samples: Samples, fit: JointFit) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
