@@ -24,12 +24,11 @@ from scipy.optimize import least_squares
 
 import manip_learn as ml
 from manip_learn.commands.demo import SCENES, shipped_recordings
-from manip_learn.control.way import WayDone, simulate_way
+from manip_learn.control.way import STRAY, WayDone, simulate_way
 
 SHUT = 0.75  # [m] where the handle is along the drawer's line when it is shut: the middle of the recorded starts
 HEIGHTS = (0.2, 0.35, 0.5)  # [m] of the three recorded drawers
 WAY, SPEED, PAUSE = 0.3, 0.1, 0.5  # [m], [m/s], [s] as a gripper takes to close
-STRAY = 2e-3  # [m] that the hand may be off the line
 SINGULAR = 0.02  # smallest singular value of the rows held and driven, of a start near a singularity [m or 1]
 MARGIN = 0.03  # [rad] of a start from the joint limits
 POLICIES = ("zero", "attractor", "manipulability")
@@ -155,7 +154,7 @@ class Bench:
 
 def opened(way: WayDone) -> bool:
     """Whether the drawer is open, and the hand stayed on its line."""
-    return way.is_done and way.deviation <= STRAY
+    return way.is_done and not way.strays
 
 
 def page(bench: Bench, n: int, seed: int) -> str:

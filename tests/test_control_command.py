@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 from test_motion import LEARNT, learnt, screw
 
+import manip_learn as ml
 from manip_learn.cli import main
+from manip_learn.commands.demo import SCENES, shipped_recordings
+from manip_learn.constraint.features import FrameJacobian
 
 WAYS = {
     "drawer": ("--along", "0.15"),
@@ -149,3 +152,30 @@ def test_a_door_goes_to_a_point(run, file):
     )
     answer = json.loads(out)
     assert err == "" and answer["stopped_by"] is None and answer["unit"] == "deg"
+
+
+def test_a_hand_that_strays_is_told(run, tmp_path):
+    """From the demo's start the hand strays by millimetres without null-space motion, and not with the ascent."""
+    scene = SCENES["sawyer"]
+    robot = ml.load_robot("sawyer")
+    demos = ml.load_demonstrations(shipped_recordings() / scene.recordings, robot)
+    ml.ConstraintLearner(FrameJacobian(robot, scene.frame)).fit(demos).constraint_.save(tmp_path / "drawer.json")
+    way = ("--along", "0.3", "--direction=-1,-0.5,0", "--keep-orientation", "--start", ",".join(map(str, scene.start)))
+    for policy, strays in (("zero", True), ("manipulability", False)):
+        code, out, _err = run("control", "sawyer", "drawer.json", *way, "--policy", policy)
+        assert code == 0 and out.startswith("opened 0.300 of 0.300 m")
+        assert ("the hand strayed " in out) is strays
+
+
+def test_the_demo_opens_the_drawer(run):
+    """Every policy opens it by 0.3 m; with the learnt manipulability the hand ends within 1 mm and stays within 2 mm."""
+    code, out, _err = run("demo", "--no-browser", "--json")
+    rollouts = json.loads(out)["rollouts"]
+    assert code == 0 and set(rollouts) == {"manipulability", "attractor", "zero"}
+    for answer in rollouts.values():
+        assert answer["wanted"] == 0.3 and abs(answer["done"] - 0.3) < 1e-3 and answer["seconds"] < 5.0
+    climbing, still = rollouts["manipulability"], rollouts["zero"]
+    assert climbing["deviation"] < 5e-4 < 2e-3 < still["deviation"]
+    assert climbing["least_manipulability"] > 3.0 * still["least_manipulability"]
+    code, out, _err = run("demo", "--no-browser")
+    assert "opened" in out and "reached" not in out

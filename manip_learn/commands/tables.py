@@ -180,6 +180,11 @@ def _obstacles(controlled: Controlled) -> list[str]:
     way, aim, out = controlled.way, controlled.aim, []
     if way is not None and way.stopped_by is not None:
         out.append(f"stopped by {way.stopped_by}")
+    if way is not None and way.strays:
+        out.append(
+            f"the hand strayed {1e3 * way.deviation:.1f} mm from what holds it, near a singularity or a limit: what is "
+            "rigid pushes back; start in another posture"
+        )
     if aim is not None and aim.crossed > controlled.tolerance:
         out.append(
             f"the hand moved {aim.crossed:.3g} along what the recordings show to be blocked, to come to the target: a "

@@ -44,11 +44,12 @@ def _measures(controlled: Controlled) -> dict[str, str]:
     """Name -> value of what is told of a rollout."""
     r, way = controlled.rollout, controlled.way
     if way is not None:
+        off = f"{1e3 * way.deviation:.1f} mm"
         unit, size, digits = ("m", 1.0, 3) if way.unit == "m" else ("deg", math.degrees(1.0), 1)
         return {
             controlled.verb: f"{abs(size * way.done):.{digits}f} {unit}",
             "time": "-" if way.seconds is None else f"{way.seconds:.1f} s",
-            "off": f"{1e3 * way.deviation:.1f} mm",
+            "off": f"[red]{off}[/red]" if way.strays else off,
             "fastest": f"{100 * way.fastest[1]:.0f} %",
             "least mu": f"{way.least_manipulability:.3f}",
         }

@@ -20,9 +20,9 @@ from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.robot import Robot
 
 DONE = {"m": 1e-3, "rad": np.radians(0.2)}  # what may be missing of a way that is done: a millimetre, 0.2 degrees
-AT_LIMIT = (
-    2e-3  # [rad or m] a joint this near to its position limit stands at it: the braking distance of 0.1 s at 0.04
-)
+# [m or rad] that a hand may be off what holds it: the play of a drawer's rails; 5 mm press with 18 N on a stiff arm
+STRAY = 2e-3
+AT_LIMIT = 2e-3  # [rad or m] a joint this near to its position limit stands at it: braking is exponential in the end
 SLACK = 1.5  # [s] beyond the time that the way takes where nothing slows it down
 STANDING = 2.0  # [s] without progress after which the arm counts as stopped: a singular start is left within one
 AT_REST = 0.3  # [s] that a motion is shown after its end
@@ -61,6 +61,11 @@ class WayDone:
     def is_done(self) -> bool:
         """Whether the whole way was done, to a millimetre or 0.2 degrees."""
         return self.stopped_by is None
+
+    @property
+    def strays(self) -> bool:
+        """Whether the hand left what holds it by more than that gives way."""
+        return self.deviation > STRAY
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer: lengths in m, angles in degrees."""
