@@ -51,7 +51,7 @@ Rollouts = Annotated[list[str], typer.Argument(metavar="ROLLOUT...", help="Writt
 Start = Annotated[
     str | None,
     typer.Option(
-        help="Joint positions [rad], e.g. 0.1,-0.5,0; default: of a way the first posture shown, else neutral."
+        help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown."
     ),
 ]
 Target = Annotated[str | None, typer.Option(help="Point to go to, one value per axis [m or rad].")]

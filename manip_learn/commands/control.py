@@ -178,7 +178,7 @@ def control(
     if rows not in ROWS:
         raise TargetError(f"--rows must be {' or '.join(ROWS)}, not {rows!r}")
     moves = along is not None or turn is not None
-    q0, whence = _start(robot, constraint, start, moves)
+    q0, whence = _start(robot, constraint, start, moves or target is not None)
     task: Task = Hold()
     if moves:
         angle = None if turn is None else math.radians(turn)

@@ -18,7 +18,8 @@ from manip_learn.commands.robot_options import robot_options
 HEADINGS = {"learn": "Learning", "control": "Task"}
 HEADINGS_AFTER = ("Controller", "Reading recordings", "Robot", "Output")
 CONTROLLER = {"policy", "rest", "gain", "task_gain", "inverse", "duration", "dt"}
-OUTPUT = {"out", "html", "csv", "open_browser", "browser", "explain", "as_json", "help"}
+WRITTEN = {"out", "html", "csv"}
+OUTPUT = {*WRITTEN, "open_browser", "browser", "explain", "as_json", "help"}
 SETS: dict[str, Callable[..., Any]] = {"robot_options": robot_options, "options": read_options}
 
 
@@ -73,8 +74,8 @@ class GroupedCommand(TyperCommand):
         """
         for parameter in self.params:
             path = ctx.params.get(parameter.name)
-            if parameter.name in OUTPUT and isinstance(path, Path):
-                check_folder(path)
+            if parameter.name in WRITTEN and path:
+                check_folder(Path(path))  # some versions of typer make it a path later
         return super().invoke(ctx)
 
 

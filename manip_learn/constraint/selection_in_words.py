@@ -172,7 +172,7 @@ def _way(move: Float[np.ndarray, " 3"], turn: Float[np.ndarray, " 3"]) -> str:
     return f"move along {row_in_words(move, AXES)}" if np.any(move) else f"turn about {row_in_words(turn, AXES)}"
 
 
-def _clause(verb: str, free: list[Float[np.ndarray, " 3"]], known: Bool[np.ndarray, " 3"], held: str) -> str:
+def _clause(verb: str, free: list[np.ndarray], known: Bool[np.ndarray, " 3"], held: str) -> str:
     """What can move or turn, and what of the rows that are `known` is held; empty if none is."""
     preposition, _, everywhere, elsewhere = VERBS[verb]
     n = int(np.count_nonzero(known))
@@ -188,6 +188,6 @@ def _clause(verb: str, free: list[Float[np.ndarray, " 3"]], known: Bool[np.ndarr
     return f"can {verb} {preposition} {_directions(free)} and is {held} {blocked}"
 
 
-def _directions(vectors: Iterable[Float[np.ndarray, " 3"]]) -> str:
+def _directions(vectors: Iterable[np.ndarray]) -> str:
     """Each with all of its entries, or as the one axis: `"(0.91, 0.42, 0.00) and z"`."""
     return listed(row_in_words(v, AXES) for v in vectors)
