@@ -50,9 +50,7 @@ ExportTo = Annotated[
 Rollouts = Annotated[list[str], typer.Argument(metavar="ROLLOUT...", help="Written by `control --out`; or recordings.")]
 Start = Annotated[
     str | None,
-    typer.Option(
-        help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown."
-    ),
+    typer.Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown."),
 ]
 Target = Annotated[str | None, typer.Option(help="Point to go to, one value per axis [m or rad].")]
 Phases = Annotated[
