@@ -18,6 +18,7 @@ from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.mechanism import Mechanism, read_mechanism
+from manip_learn.constraint.mechanism_kinds import TURNING
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, spoken
 from manip_learn.linalg import along_axes, orthonormal_rows
 from manip_learn.robot import html_card
@@ -25,7 +26,6 @@ from manip_learn.robot.robot import Robot
 
 FORMAT = "manip_learn.constraint"
 SCHEMA = 1
-TURNS = ("turn-1", "turn-2", "turn")  # the rows of a mechanism that make up an angular velocity
 
 
 class Motion(Protocol):
@@ -111,12 +111,12 @@ class Constraint:
         """
         f = self.features
         if isinstance(f, MechanismRows):
-            added = tuple(name for name in TURNS if name not in f.row_names)
+            added = tuple(name for name in TURNING if name not in f.row_names)
             g = f.geometry
             features: FeatureMap = MechanismRows(
                 f.robot, f.frame.name, (*f.row_names, *added), axis=g.axis, point=g.point, pitch=g.pitch
             )
-            turning = [i for i, name in enumerate(features.row_names) if name in TURNS]
+            turning = [i for i, name in enumerate(features.row_names) if name in TURNING]
             columns = list(range(f.n_rows))
         elif isinstance(f, FrameJacobian | RelativeFrameJacobian):
             if isinstance(f, FrameJacobian):

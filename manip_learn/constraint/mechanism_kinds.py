@@ -48,15 +48,15 @@ class MechanismKind:
 
 
 _ABOUT = ("turn-1", "turn-2")
-_FIXED = ("turn-1", "turn-2", "turn")
+TURNING = ("turn-1", "turn-2", "turn")  # the rows that make up an angular velocity
 _AXIS, _AXLE = ("axis",), ("axis", "point-across")
 MECHANISM_KINDS: tuple[MechanismKind, ...] = (
     MechanismKind("plane", "plane", "free", ("height",), _AXIS, ("axial",)),
     MechanismKind("plane, turning", "plane", "about-axis", ("height", "axis-in-hand"), _AXIS, ("axial", *_ABOUT)),
-    MechanismKind("plane, not turning", "plane", "fixed", ("height", "orientation"), _AXIS, ("axial", *_FIXED)),
+    MechanismKind("plane, not turning", "plane", "fixed", ("height", "orientation"), _AXIS, ("axial", *TURNING)),
     MechanismKind("line", "line", "free", ("across-line",), _AXIS, ("slide-1", "slide-2")),
     MechanismKind(
-        "line, not turning", "line", "fixed", ("across-line", "orientation"), _AXIS, ("slide-1", "slide-2", *_FIXED)
+        "line, not turning", "line", "fixed", ("across-line", "orientation"), _AXIS, ("slide-1", "slide-2", *TURNING)
     ),
     MechanismKind("hinge", "hinge", "free", ("radius", "height"), _AXLE, ("radial", "axial")),
     MechanismKind(
@@ -68,7 +68,12 @@ MECHANISM_KINDS: tuple[MechanismKind, ...] = (
         ("radial", "axial", *_ABOUT),
     ),
     MechanismKind(
-        "hinge, not turning", "hinge", "fixed", ("radius", "height", "orientation"), _AXLE, ("radial", "axial", *_FIXED)
+        "hinge, not turning",
+        "hinge",
+        "fixed",
+        ("radius", "height", "orientation"),
+        _AXLE,
+        ("radial", "axial", *TURNING),
     ),
     MechanismKind(
         "hinge, firm",
@@ -99,5 +104,5 @@ MECHANISM_KINDS: tuple[MechanismKind, ...] = (
         (*_ABOUT, "slide-1", "slide-2", "screw"),
     ),
     MechanismKind("direction", "held-orientation", "about-axis", ("axis-in-hand",), _AXIS, _ABOUT),
-    MechanismKind("orientation", "held-orientation", "fixed", ("orientation",), (), _FIXED),
+    MechanismKind("orientation", "held-orientation", "fixed", ("orientation",), (), TURNING),
 )

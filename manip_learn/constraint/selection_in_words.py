@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from manip_learn.constraint.features.centre_of_mass import CentreOfMass
 from manip_learn.constraint.features.feature_map import NEGLIGIBLE, FeatureMap, row_in_words
+from manip_learn.constraint.features.frame_jacobian import AXES as TWIST
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
@@ -16,11 +17,11 @@ from manip_learn.constraint.mechanism import Mechanism, in_words
 from manip_learn.errors import error_in_words, listed
 from manip_learn.linalg import along_axes, null_basis
 
-AXES = ("x", "y", "z")
+AXES, ROTATIONS = TWIST[:3], TWIST[3:]
 # verb -> preposition, rows, all of them in words, and all but one direction
 VERBS = {
     "move": ("along", AXES, "in every direction", "across it"),
-    "turn": ("about", ("rx", "ry", "rz"), "about every axis", "about every other axis"),
+    "turn": ("about", ROTATIONS, "about every axis", "about every other axis"),
 }
 LOOKS = {
     "line": "a straight line (a drawer)",
@@ -82,7 +83,7 @@ def describe(
         words = LOOKS[mechanism.type]
         if not told and mechanism.place:
             words += f", {mechanism.place}"
-        if mechanism.orientation != "free" and not {"rx", "ry", "rz"} & set(names):
+        if mechanism.orientation != "free" and not set(ROTATIONS) & set(names):
             words += f"; {mechanism.turns}"
         other = not told and mechanism.type in FREE_MOVES and getattr(features, "reference", None) == "world"
         sentences.append(f"{'The path alone looks' if other and set(AXES) <= set(names) else 'It looks'} like {words}.")

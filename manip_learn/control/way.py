@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout
@@ -126,30 +126,35 @@ def simulate_way(
     length = nominal + SLACK if duration is None else duration
     while True:
         rollout = simulate(robot, controller, q0, length, dt, progress=progress)
-        end = _end(task, rollout)
+        places = _places(task, rollout)
+        end = _end(task, rollout.time[len(rollout) - len(places) :], places)
         if end is not None or duration is not None or length >= LONGEST * nominal:
             break
         length = min(2.0 * length, LONGEST * nominal)
     if end is not None and duration is None:
-        rollout = _until(rollout, end)
-    return rollout, _way_done(task, rollout, robot)
+        cut = _until(rollout, end)
+        rollout, places = cut, places[: len(places) - (len(rollout) - len(cut))]
+    return rollout, _way_done(task, rollout, places, robot)
 
 
-def _places(task: FreeDirection, rollout: Rollout) -> tuple[int, Float[np.ndarray, " k"]]:
-    """The sample at which the way begins, and how far it had come at each from there on [m or rad]."""
+def _places(task: FreeDirection, rollout: Rollout) -> Float[np.ndarray, " k"]:
+    """How far the way had come at each sample since it began [m or rad]; those before are not among them."""
     begins = task.way_begins
     first = len(rollout) if begins is None else int(np.searchsorted(rollout.time, begins - 1e-9))
     places = np.zeros(len(rollout) - first)
     for i, q in enumerate(rollout.q[first:]):
         places[i] = task.progress_near(q, places[i - 1] if i else 0.0)
-    return first, places
+    return places
 
 
-def _end(task: FreeDirection, rollout: Rollout) -> float | None:
+def _there(task: FreeDirection, places: Float[np.ndarray, " k"]) -> Int[np.ndarray, " n"]:
+    """The places at which the whole way was done."""
+    return np.flatnonzero(np.abs(places - task.wanted) <= DONE[task.unit])
+
+
+def _end(task: FreeDirection, time: Float[np.ndarray, " k"], places: Float[np.ndarray, " k"]) -> float | None:
     """When the way was done, or stood still for good, and a moment beyond [s]; None if it goes on."""
-    first, places = _places(task, rollout)
-    time = rollout.time[first:]
-    there = np.flatnonzero(np.abs(places - task.wanted) <= DONE[task.unit])
+    there = _there(task, places)
     if len(there):
         return float(time[there[0]]) + AT_REST
     before = np.interp(time - STANDING, time, places) if len(time) else places
@@ -157,20 +162,18 @@ def _end(task: FreeDirection, rollout: Rollout) -> float | None:
     return float(time[still[0]]) if len(still) else None
 
 
-def _way_done(task: FreeDirection, rollout: Rollout, robot: Robot) -> WayDone:
+def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " k"], robot: Robot) -> WayDone:
     """What became of the way."""
-    wanted, unit = task.wanted, task.unit
-    first, places = _places(task, rollout)
+    first, there = len(rollout) - len(places), _there(task, places)
     off = [task.deviation(q, s) for q, s in zip(rollout.q[first:], places, strict=True)]
     done = float(places[-1]) if len(places) else 0.0
-    there = np.flatnonzero(np.abs(places - wanted) <= DONE[unit])
     shares = np.max(np.abs(rollout.u) / robot.velocity_limit, axis=0)
     fastest = int(np.argmax(shares))
-    is_done = abs(done - wanted) <= DONE[unit]
+    is_done = len(there) > 0 and there[-1] == len(places) - 1
     return WayDone(
-        wanted,
+        task.wanted,
         done,
-        unit,
+        task.unit,
         float(rollout.time[first]) if len(places) else None,
         float(rollout.time[first + there[0]] - rollout.time[first]) if is_done else None,
         max(off, default=0.0),

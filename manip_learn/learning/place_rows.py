@@ -16,6 +16,7 @@ from manip_learn.learning.evidence.recombination import recombination_test
 from manip_learn.learning.evidence.row_evidence import RowEvidence
 from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_mechanism
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.preprocessing import evenly
 from manip_learn.recordings.trajectory import Trajectory
 
 # trajectories beyond this number add nothing to a mechanism but time
@@ -45,7 +46,7 @@ def mechanism_of(
     if not maps:
         return None
     n = len(demonstrations)
-    chosen = np.unique(np.linspace(0, n - 1, min(n, MOST_PATHS)).round().astype(int)).tolist()
+    chosen = evenly(n, MOST_PATHS).tolist()
     before = None if recorded is None else [recorded[i] for i in chosen]
     robot, frame = maps[0].robot, maps[0].frame.name
     try:

@@ -20,6 +20,7 @@ from manip_learn.learning.data_summary import DataSummary
 from manip_learn.learning.estimators.estimate import CLEAR_GAP
 from manip_learn.learning.excitation import energy_shares
 from manip_learn.learning.overview import OddTrajectory, Phase, RecordingOverview
+from manip_learn.recordings.preprocessing import evenly
 from manip_learn.robot import html_card
 
 MOST_NOTES = 20
@@ -259,8 +260,7 @@ def build_report(
         mechanism=mechanism,
     )
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
-    places = np.linspace(0, len(data.q) - 1, min(len(data.q), KEPT_POSTURES)).round().astype(int)
-    provenance["postures"] = np.round(data.q[places], 5).tolist()
+    provenance["postures"] = np.round(data.q[evenly(len(data.q), KEPT_POSTURES)], 5).tolist()
     return Constraint(selection, features, provenance), report
 
 

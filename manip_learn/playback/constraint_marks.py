@@ -15,6 +15,7 @@ from manip_learn.playback.guidance import Guidance
 from manip_learn.playback.held_directions import HeldDirections, held_directions
 from manip_learn.playback.motion_samples import MotionSamples
 from manip_learn.playback.packing import packed, unpacked
+from manip_learn.recordings.preprocessing import evenly
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
@@ -48,7 +49,7 @@ def _marks(
     robot: Robot, samples: MotionSamples, constraint: Constraint, goal: np.ndarray | None, most: int
 ) -> dict[str, Any] | None:
     learnt = _learnt(constraint)
-    kept = np.unique(np.linspace(0, samples.time.size - 1, min(samples.time.size, most)).round().astype(int))
+    kept = evenly(samples.time.size, most)
     frame = getattr(constraint.features, "frame", None)
     if not isinstance(frame, Frame):
         return None

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import Any, Literal, final
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from manip_learn.control.way import leads_away
 from manip_learn.linalg import null_basis
 from manip_learn.playback.mechanism_drawing import geometry_of
+from manip_learn.recordings.preprocessing import evenly
 from manip_learn.robot.rotations import rotation_matrix
 
 ON_IT = 0.005  # [m] off its line or circle up to which a hand still moves it: the play of a handle in closed fingers
@@ -154,7 +155,7 @@ def _stretch(along: Float[np.ndarray, " T"], across: Float[np.ndarray, "T k"]) -
         along: Where the hand is along the mechanism [m].
         across: What is constant while the hand is on one line or circle [m].
     """
-    ways = [(_sweep(along, *_run(across, across[k], k)), k) for k in _spread(len(along))]
+    ways = [(_sweep(along, *_run(across, across[k], k)), k) for k in evenly(len(along), CANDIDATES)]
     k = max(ways, key=lambda way: way[0][0])[1]
     start, end = _run(across, across[k], k)
     for _ in range(2):  # a place at the rim of the line is on it too: from there to its middle
@@ -168,10 +169,6 @@ def _stretch(along: Float[np.ndarray, " T"], across: Float[np.ndarray, "T k"]) -
     # a hand that comes along the axis has not taken hold yet; one that opens twice has shut it before
     begin = int(np.flatnonzero(run <= run[: last + 1].min() + 0.1 * ON_IT)[0])
     return start + begin, end, k, sense
-
-
-def _spread(n: int) -> Int[np.ndarray, " K"]:
-    return np.unique(np.linspace(0, n - 1, CANDIDATES).round().astype(int))
 
 
 def _run(across: Float[np.ndarray, "T k"], centre: Float[np.ndarray, " k"], k: int) -> tuple[int, int]:

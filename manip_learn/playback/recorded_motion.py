@@ -17,6 +17,7 @@ from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks
 from manip_learn.playback.motion_samples import MotionSamples, finite, motion_samples
 from manip_learn.playback.phase_bands import PhaseBand
 from manip_learn.playback.tracks import Curve, Track, broken_share, extremes, tracks_of
+from manip_learn.recordings.preprocessing import evenly
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
@@ -102,7 +103,7 @@ def recorded_motion(
     samples = motion_samples(robot, name, recording)
     time, q, first_time = samples.time, samples.q, samples.first_time
     keys = key_frames(time)
-    path_keys = keys[np.unique(np.linspace(0, keys.size - 1, min(keys.size, MAX_PATH_POINTS)).round().astype(int))]
+    path_keys = keys[evenly(keys.size, MAX_PATH_POINTS)]
     curve_times, curve = _curve(name, time, getattr(recording, "manipulability", None))
     bands = _within(phases, first_time, float(time[-1]))
     tracks = joint_tracks(robot, tree, q[keys])

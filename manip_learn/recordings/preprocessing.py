@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Int
 
 from manip_learn.errors import RecordingError, counted
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -54,7 +55,12 @@ def subsample(trajectory: Trajectory, n_samples: int) -> Trajectory:
         raise RecordingError(f"the number of samples must be positive, got {n_samples}", code="samples")
     if len(trajectory) <= n_samples:
         return trajectory
-    return trajectory.part(np.unique(np.linspace(0, len(trajectory) - 1, n_samples).round().astype(int)))
+    return trajectory.part(evenly(len(trajectory), n_samples))
+
+
+def evenly(n: int, most: int) -> Int[np.ndarray, " k"]:
+    """At most so many of n places in order, evenly spread, the first and the last among them; none of none."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int))
 
 
 def prepared(demonstrations: Demonstrations, *, trim: bool = True, samples: int | None = None) -> Demonstrations:

@@ -83,6 +83,13 @@ def between(start: Float[np.ndarray, "..."], end: Float[np.ndarray, "..."], shar
     return out
 
 
+def apart(one: Float[np.ndarray, "..."], other: Float[np.ndarray, "..."]) -> float:
+    """Distance of two origins, poses or coordinates [m]."""
+    if one.ndim == 2:
+        one, other = one[:3, 3], other[:3, 3]
+    return float(np.linalg.norm(other - one))
+
+
 def nearest_turn(angle: float, near: float) -> float:
     """The angle [rad] that is the same but for whole turns and next to another one."""
     return angle + 2.0 * math.pi * round((near - angle) / (2.0 * math.pi))

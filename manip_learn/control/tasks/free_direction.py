@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
-from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint, Unit, between
+from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint, Unit, apart, between
 from manip_learn.control.tasks.mechanism_motion import MechanismMotion
 from manip_learn.control.tasks.motion_profile import MotionProfile
-from manip_learn.control.tasks.shown_places import ShownPlaces, apart
+from manip_learn.control.tasks.shown_places import ShownPlaces
 from manip_learn.control.tasks.straight_motion import StraightMotion
 from manip_learn.control.tasks.task import Task
 from manip_learn.errors import ConstraintError, TargetError
@@ -161,7 +161,7 @@ class FreeDirection(Task):
         if self._origin is None or (self._way_begun is None and self._begun is not None):
             return 0.0
         near = 0.0 if self._way_begun is None else self._profile.at(self._latest - self._way_begun)[0]
-        return self._motion.progress(self._origin, q, near)
+        return self.progress_near(q, near)
 
     def progress_near(self, q: ArrayLike, near: float) -> float:
         """The same of a posture on the way; of angles a turn apart the one next to `near` [rad]."""

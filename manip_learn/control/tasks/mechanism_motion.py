@@ -123,11 +123,11 @@ class MechanismMotion(DrivenMotion):
         """The coordinate of each row, less its value at the start; angles next to `near`."""
         pose, g = self.origin(q), self._rows.geometry
         near = near if self.unit == "rad" else 0.0
-        out = _place(origin[:3, 3] - g.point, pose[:3, 3] - g.point, g, near)
+        out = place_about(origin[:3, 3] - g.point, pose[:3, 3] - g.point, g, near)
         return out | _hand(origin, pose, g, near) if self._turns else out
 
 
-def _place(d0: np.ndarray, d: np.ndarray, g: Geometry, near: float) -> dict[str, float]:
+def place_about(d0: np.ndarray, d: np.ndarray, g: Geometry, near: float) -> dict[str, float]:
     """Of the frame's origin, from its places about the point of the axis at the start and now."""
     a = g.axis
     z0, z = float(a @ d0), float(a @ d)

@@ -12,6 +12,7 @@ from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.control.tasks.driven_motion import Unit
 from manip_learn.control.tasks.free_direction import FreeDirection
+from manip_learn.control.tasks.mechanism_motion import place_about
 from manip_learn.errors import ConstraintError, TargetError, advice
 
 HAND_SPEED = 0.1  # [m/s] of the hand where none is asked for: a drawer of 0.3 m in 3.5 s, less than half of ISO 10218-1
@@ -120,14 +121,14 @@ def motion_to(
     if place.shape != (3,) or not np.all(np.isfinite(place)):
         raise TargetError(f"the point must be three finite numbers (x, y, z) [m], got {point!r}")
     g, here = rows.geometry, rows.robot.position(q, rows.frame)
-    one, other = (x - g.point - g.axis * float(g.axis @ (x - g.point)) for x in (here, place))
-    angle = math.atan2(float(g.axis @ np.cross(one, other)), float(one @ other))
+    angle = place_about(here - g.point, place - g.point, g, 0.0)["tangential"]
     if abs(angle) < 1e-6:
         raise TargetError("the hand is as near to the point as the mechanism allows: name another")
     task = motion(constraint, turn=angle, speed=speed, keep_orientation=keep_orientation)
-    if task.hold(q) > 0.0:
+    far = task.hold(q)
+    if far > 0.0:
         raise TargetError(
-            f"the hand is {task.hold(q):.3g} m away from the {known.type}: start on it, or say how far to turn"
+            f"the hand is {far:.3g} m away from the {known.type}: start on it, or say how far to turn"
             + advice(" with {}, which goes there first", "motion(constraint, turn=...)", "--turn")
         )
     return task

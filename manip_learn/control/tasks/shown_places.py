@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.tasks.driven_motion import DrivenMotion
+from manip_learn.control.tasks.driven_motion import DrivenMotion, apart, between
 
 # [m] a hand this near to where a task was shown is on the mechanism: people take hold of a handle a finger's breadth
 # further on, and a constraint file keeps a few postures only
@@ -66,20 +66,4 @@ class ShownPlaces:
         first, last = (low, max(high - distance, low)) if distance > 0.0 else (min(low - distance, high), high)
         places = [motion.goal(o, float(np.clip(s, first, last) - s)) for o, s in zip(origins, along, strict=True)]
         place = min(places, key=lambda place: apart(here, place))
-        return _placed(here, place)
-
-
-def apart(one: Float[np.ndarray, "..."], other: Float[np.ndarray, "..."]) -> float:
-    """Distance of two origins, poses or coordinates [m]."""
-    if one.ndim == 2:
-        one, other = one[:3, 3], other[:3, 3]
-    return float(np.linalg.norm(other - one))
-
-
-def _placed(here: Float[np.ndarray, "..."], place: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """The origin at another place; a loose grip keeps the hand's orientation as it is."""
-    if here.ndim == 1:
-        return place
-    out = here.copy()
-    out[:3, 3] = place[:3, 3]
-    return out
+        return between(here, place, 1.0)  # a loose grip keeps the hand's orientation as it is

@@ -10,6 +10,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float, Int
 
+from manip_learn.recordings.preprocessing import evenly
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
@@ -103,7 +104,7 @@ def thinned(q: Float[np.ndarray, "T n"], most: int) -> Float[np.ndarray, "t n"]:
     """At most so many samples of a trajectory, evenly spread, ends included."""
     if len(q) <= most:
         return q
-    return q[np.linspace(0, len(q) - 1, most).round().astype(int)]
+    return q[evenly(len(q), most)]
 
 
 def recombined(
