@@ -9,7 +9,7 @@ import numpy as np
 from make_recordings.arms import Arm
 
 import manip_learn as ml
-from manip_learn.learning.division import IN_ONE_ONLY
+from manip_learn.learning.explanation.findings import IN_ONE_ONLY
 from manip_learn.learning.report import LearningReport
 from manip_learn.linalg import null_basis
 from manip_learn.recordings.trajectory import Trajectory

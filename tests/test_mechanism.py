@@ -13,13 +13,8 @@ from mechanism_motions import T, about, along, ball, demonstrate, wave
 import manip_learn as ml
 from manip_learn.constraint.features.place_fields import across
 from manip_learn.constraint.mechanism import Mechanism
-from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS
 from manip_learn.errors import NotIdentifiableError, UnknownNameError
-from manip_learn.learning.mechanisms.consensus import TRIED, cannot_hold
-from manip_learn.learning.mechanisms.evidence import HELD, Scales, margins
 from manip_learn.learning.mechanisms.find_mechanism import find_mechanism
-from manip_learn.learning.mechanisms.fits import fit_candidate
-from manip_learn.learning.mechanisms.tip_paths import TipPaths, thinned
 
 AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
 PITCH = 0.04
@@ -173,7 +168,7 @@ def test_free_motion_is_no_mechanism(robot_of):
             ]
             fit = find(robot_of, name, demos)
             assert fit.mechanism is None and fit.features is None and fit.selection is None
-            assert fit.reason and fit.alternatives
+            assert fit.reason
 
 
 def test_a_repeated_reach_is_no_mechanism(robot_of):
@@ -191,12 +186,11 @@ def test_a_repeated_reach_is_no_mechanism(robot_of):
             demos.append(ml.Trajectory(np.arange(T) * 0.02, q, None, robot.joint_names))
         fit = find(robot_of, "panda", demos)
         assert fit.mechanism is None
-        held = [a for a in fit.alternatives if a.recombination is not None]
-        assert all(a.recombination < 2.5 for a in held)
+        assert all(a.verdict != "chosen" for a in fit.alternatives)
 
 
 def test_doors_in_different_places_are_not_one_hinge(robot_of):
-    """Each trajectory with a door of its own: no common place is invented, the reason says that they disagree."""
+    """Each trajectory with a door of its own: no common place is invented, the reason says that they share none."""
     robot = robot_of("panda")
     demos = []
     for i, distance in enumerate((0.25, 0.33, 0.42, 0.5)):
@@ -206,7 +200,7 @@ def test_doors_in_different_places_are_not_one_hinge(robot_of):
         demos += record(robot_of, "panda", path, seed=i, n=1)
     fit = find(robot_of, "panda", demos)
     assert fit.mechanism is None
-    assert "do not agree" in fit.reason or "holds the hand" in fit.reason
+    assert "all of them share" in fit.reason or "holds the hand" in fit.reason
 
 
 def test_confirm_has_the_last_word(robot_of):
@@ -266,20 +260,3 @@ def test_what_cannot_be_looked_at_is_refused(robot_of):
         find(robot_of, "panda", [rest.part(slice(0, 5))])
     with pytest.raises(UnknownNameError):
         find_mechanism(robot, "panda_hand_tpc", [rest], np.random.default_rng(0))
-
-
-@pytest.mark.parametrize(
-    "kind", ["line", "line, firm", "plane", "hinge", "hinge, firm", "screw, firm", "ball", "sleeve"]
-)
-def test_what_is_said_to_be_impossible_is_not_found_either(robot_of, kind):
-    """A mechanism that a bound rules out for a trajectory is not held by the best place found for it; some are."""
-    robot = robot_of("panda")
-    demos = record(robot_of, "panda", paths(place(robot, "panda"))[kind][0])
-    every = TipPaths.of(robot, robot.frame(TIP["panda"]), [thinned(t.q, 60) for t in demos])
-    scales, ruled_out = Scales.of(every, None), 0
-    for candidate in (c for c in MECHANISM_KINDS if c.name in TRIED):
-        for part in (every.alone(i) for i in range(len(every.starts))):
-            if cannot_hold(part, candidate, scales):
-                ruled_out += 1
-                assert np.min(margins(fit_candidate(part, candidate), scales)) < HELD
-    assert ruled_out > 0 or kind in ("line, firm", "hinge, firm")

@@ -11,7 +11,6 @@ import pytest
 
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning.agreement.edges import held_part
 from manip_learn.linalg import row_space_angle
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -83,25 +82,6 @@ def test_a_slip_at_a_drawer_is_named_and_nothing_else(robot: str, seed: int):
     assert len(learner.constraints_) == 1
     rows = np.array(truth["mechanisms"][0]["rows"])[:, :3]
     assert np.degrees(row_space_angle(learner.constraint_.selection, rows)) < 0.02
-
-
-@pytest.mark.parametrize("share", [0.5, 0.9])
-def test_a_slip_halfway_leaves_no_part_in_which_the_contact_holds(share: float):
-    """Of a stretch that slips halfway nothing belongs; of one that slips near its end, what is before."""
-    features = ml.CustomFeatures(lambda q: np.eye(2), ("x", "y"), 2)
-    time = np.linspace(0.0, 2.0, 201)
-
-    def moved(height: np.ndarray) -> ml.Trajectory:
-        q = np.column_stack([0.01 * np.sin(time), height])
-        return ml.Trajectory(time, q, np.gradient(q, time, axis=0))
-
-    members = [moved(1e-5 * np.sin(9.0 * time + k)) for k in range(3)]
-    slipping = moved(0.02 / (1.0 + np.exp(-(time - 2.0 * share) / 0.01)))
-    held = held_part(features, slipping, members, np.array([[0.0, 1.0]]))
-    if share == 0.5:
-        assert held is None
-    else:
-        assert held == pytest.approx((0.0, 2.0 * share), abs=0.1)
 
 
 def learnt_half_and_half(

@@ -9,9 +9,8 @@ import numpy as np
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, advice, counted, named, number_if_known
-from manip_learn.learning.division import Division
+from manip_learn.learning.explanation.findings import Findings, held_throughout
 from manip_learn.learning.overview import distinct_names, lone_contacts
-from manip_learn.learning.phases.find_phases import one_constraint_fits
 from manip_learn.recordings.demonstrations import Demonstrations
 
 # share of the motion's energy below which a joint counts as still
@@ -27,7 +26,7 @@ def advise(
     refusal: NotIdentifiableError,
     demonstrations: Demonstrations,
     feature_maps: Sequence[FeatureMap],
-    division: Division,
+    findings: Findings,
     *,
     phases: str,
 ) -> NotIdentifiableError:
@@ -37,15 +36,15 @@ def advise(
         refusal: Why nothing was learnt.
         demonstrations: With velocities.
         feature_maps: The candidates for Phi.
-        division: What was found out about the recordings.
+        findings: What was found out about the recordings.
         phases: Whether phases were looked for (`"auto"`, `"off"`).
     """
     if refusal.code not in ADVISED:
         return refusal
     causes = [
         *_too_few(demonstrations),
-        *lone_contacts(division, distinct_names(demonstrations)),
-        *_several_phases(division, phases, len(demonstrations)),
+        *lone_contacts(findings, distinct_names(demonstrations)),
+        *_several_phases(findings, demonstrations, feature_maps, phases),
         *_other_rows(demonstrations, feature_maps),
         *_still_joints(demonstrations),
         *_too_slow(demonstrations),
@@ -79,15 +78,17 @@ def _too_few(demonstrations: Demonstrations) -> list[str]:
     ]
 
 
-def _several_phases(division: Division, phases: str, n: int) -> list[str]:
-    if division.one_fits or division.unlearnt:
+def _several_phases(
+    findings: Findings, demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap], phases: str
+) -> list[str]:
+    if findings.unlearnt or held_throughout(feature_maps, demonstrations):
         return []
     if phases == "off":
         return [
             "cut the recordings to the contact, since no single constraint fits them as a whole"
             + advice(", or allow {}", "phases='auto'", "--phases auto")
         ]
-    if n < 2:
+    if len(demonstrations) < 2:
         return [
             "cut the recording to the contact"
             + advice(" with {}", "trajectory[start:until]", "--from and --until")
@@ -109,7 +110,7 @@ def _other_rows(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMa
     for axes in ("xyz", "rotation", "pose"):
         for reference in ("world", "local"):
             other = FrameJacobian(first.robot, first.frame.name, axes, reference)
-            if (other.row_names, reference) not in tried and one_constraint_fits(other, demonstrations):
+            if (other.row_names, reference) not in tried and held_throughout([other], demonstrations):
                 python, flags = f"axes={axes!r}, reference={reference!r}", f"--axes {axes} --reference {reference}"
                 return [f"try other rows{advice(', {}', python, flags)}, with which one constraint does fit"]
     return []

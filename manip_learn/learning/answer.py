@@ -1,35 +1,40 @@
-"""One constraint from one part of the recordings: estimate -> evidence per row -> number of rows -> mechanism."""
+"""One constraint from one part of the recordings: its rows, the evidence for each of them, its mechanism."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+from jaxtyping import Bool
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.constraint.features.place_rows import PlaceRows
 from manip_learn.errors import NotIdentifiableError, counted, number_if_known
 from manip_learn.learning.candidate import Candidate, LearnerSettings
 from manip_learn.learning.data_summary import DataSummary
-from manip_learn.learning.division import Part
-from manip_learn.learning.estimators.estimate import CLEAR_GAP
 from manip_learn.learning.evidence.recombination import recombination_test
 from manip_learn.learning.evidence.row_evidence import RowEvidence
-from manip_learn.learning.mechanisms.find_mechanism import MechanismFit
-from manip_learn.learning.phases.result import Stretch
-from manip_learn.learning.place_rows import all_held, mechanism_of, place_rows
+from manip_learn.learning.explanation.findings import Findings, Part
+from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_mechanism
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.preprocessing import evenly
 
 # (what to learn from, which Phi, with which settings) -> the best candidate, and a summary of all samples
 Fit = Callable[[Part, LearnerSettings], tuple[Candidate, DataSummary]]
-# constant rows give way to as many rows about an axis if they leave this many times more energy unexplained
-TIGHTER = 1.1
-# refusals that rows which depend on the place, or the evidence alone, may answer
-RESCUED = ("weak-gap", "no-freedom", "no-evidence")
+# trajectories beyond this number add nothing to a mechanism but time
+MOST_PATHS = 16
+# rows of a mechanism that concern the position of the frame alone, for features without rotations
+POSITION_ROWS = {
+    "hinge": ("radial", "axial"),
+    "screw": ("radial", "helical"),
+    "ball": ("spherical",),
+    "other": ("radial",),
+}
 
 
 @final
@@ -44,7 +49,6 @@ class Answer:
         evidence: Evidence for each row; None where the demonstrator moves the rows (b unknown).
         mechanism: What the hand's path says of the mechanism; None if it was not asked for.
         warnings: Doubts beside those of the candidate and of the mechanism.
-        left_out: Stretches of trajectories in which the mechanism of the others does not hold, not in `part`.
     """
 
     part: Part
@@ -53,139 +57,104 @@ class Answer:
     evidence: RowEvidence | None
     mechanism: MechanismFit | None
     warnings: tuple[str, ...]
-    left_out: tuple[Stretch, ...] = ()
-
-    @property
-    def odd(self) -> tuple[tuple[int, str], ...]:
-        """Trajectories that the mechanism leaves out, and why."""
-        if self.mechanism is None or self.mechanism.mechanism is None:
-            return ()
-        name = self.mechanism.mechanism.name
-        return tuple((s.trajectory, f"the others agree on a {name} that does not hold in it") for s in self.left_out)
 
 
-def find_answer(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
-    """Learn one constraint from one part of the recordings.
+def find_answers(findings: Findings, settings: LearnerSettings, fit: Fit) -> tuple[list[Answer], Findings]:
+    """Learn a constraint from each part.
 
-    The gap of the fit and the recombination test both count rows. Where they differ, the test decides if it is clear,
-    since a gap cannot tell what is held from what was never tried; the difference is said. Rows that depend on the
-    place, as those of a door that is held loosely, replace constant ones if they hold more. Trajectories in which the
-    mechanism of the others does not hold are left out.
-
-    Args:
-        part: Recordings or stretches.
-        settings: What the user asked for.
-        fit: Makes an estimate from a part.
+    Returns:
+        The answers, best supported first, and the findings with a part for each of them.
 
     Raises:
-        NotIdentifiableError: The part determines no constraint.
+        NotIdentifiableError: No part determines a constraint; the reason for the first.
     """
-    answer = _learnt(part, settings, fit)
-    kept, odd = list(range(len(part.demonstrations))), _odd(answer)
-    while odd:
-        fewer = [i for k, i in enumerate(kept) if k not in odd]
-        rest = dataclasses.replace(
-            part,
-            demonstrations=Demonstrations([part.demonstrations[i] for i in fewer], part.demonstrations.notes),
-            stretches=tuple(part.stretches[i] for i in fewer),
-        )
+    if not findings.explained:
+        return [_undivided(findings.parts[0], settings, fit)], findings
+    answers, refused = list[Answer](), list[tuple[Part, NotIdentifiableError]]()
+    for part in findings.parts:
         try:
-            again = _learnt(rest, settings, fit)
-        except NotIdentifiableError:
-            break
-        if again.mechanism is None or again.mechanism.mechanism is None:
-            break
-        left_out = tuple(s for i, s in enumerate(part.stretches) if i not in fewer)
-        answer, kept, odd = dataclasses.replace(again, left_out=left_out), fewer, _odd(again)
-    return answer
+            answers.append(_explained(part, settings, fit))
+        except NotIdentifiableError as refusal:
+            refused.append((part, refusal))
+    if not answers:
+        raise refused[0][1]
+    said = tuple(f"a further constraint is not learnt: {refusal}" for _, refusal in refused)
+    parts = (*(a.part for a in answers), *(part for part, _ in refused))
+    return answers, dataclasses.replace(findings, parts=parts, warnings=(*findings.warnings, *said))
 
 
-def _odd(answer: Answer) -> tuple[int, ...]:
-    """Trajectories of its part that its mechanism leaves out."""
-    return () if answer.mechanism is None or answer.mechanism.mechanism is None else answer.mechanism.odd
-
-
-def _learnt(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
-    """`find_answer` from all trajectories of the part.
+def _explained(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
+    """The constraint of a part in which rows are known to be held.
 
     Raises:
         NotIdentifiableError: The part determines no constraint.
     """
-    user, asked = settings, settings.n_constraints
-    if part.is_held:
-        settings = dataclasses.replace(
-            settings, estimator="null-space", n_constraints=settings.n_constraints or part.n_constraints
-        )
-    try:
-        candidate, data = fit(part, settings)
-    except NotIdentifiableError as refusal:
-        return _despite(refusal, part, user, fit)
+    asked = settings.n_constraints
+    mechanism = _mechanism(part, settings)
+    features, n = part.feature_maps[0], part.n_constraints
+    rows = mechanism_rows(mechanism, part.asked, part.demonstrations) if asked is None else None
+    if rows is not None and _evidence(rows, part, settings).n_rows == rows.n_rows:
+        features, n = rows, rows.n_rows
+    elif asked is None and isinstance(features, PlaceRows):
+        features, n = _straight(mechanism, part) or (features, n)
+    held = dataclasses.replace(settings, estimator="null-space", n_constraints=asked or n)
+    candidate, data = fit(dataclasses.replace(part, feature_maps=(features,)), held)
+    evidence = _evidence(features, part, settings)
+    return Answer(part, candidate, data, evidence, mechanism, _doubts(evidence, candidate.n_constraints, asked))
+
+
+def _straight(found: MechanismFit | None, part: Part) -> tuple[FeatureMap, int] | None:
+    """The rows asked for along the base's axes, and how many of them a line, a plane or an orientation holds."""
+    if found is None or found.rival or not isinstance(found.features, FrameJacobian):
+        return None
+    maps = [f for f in part.asked if isinstance(f, FrameJacobian) and f.reference == "world"]
+    if not maps or found.selection is None:
+        return None
+    held = {name: row for name, row in zip(found.features.row_names, found.selection.T, strict=True)}
+    columns = [held.get(name, np.zeros(len(found.selection))) for name in maps[0].row_names]
+    return maps[0], int(np.linalg.matrix_rank(np.stack(columns), 1e-6))
+
+
+def _undivided(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
+    """The constraint of recordings that nothing explains: one that the demonstrator imposes, or too few recordings.
+
+    Raises:
+        NotIdentifiableError: There is none.
+    """
+    candidate, data = fit(part, settings)
     if candidate.estimate.name != "null-space":
         return Answer(part, candidate, data, None, None, ())
-    evidence = _evidence(candidate.samples.features, part, settings)
-    try:
-        answer = _with_rows(Answer(part, candidate, data, evidence, None, ()), settings, fit, asked)
-    except NotIdentifiableError as refusal:
-        return _despite(refusal, part, user, fit)
-    if evidence.n_rows == 0:
-        return answer  # a path that lies on something by chance is no mechanism
-    return _with_mechanism(dataclasses.replace(answer, mechanism=_mechanism(part, settings)), settings, fit, asked)
-
-
-def _with_rows(answer: Answer, settings: LearnerSettings, fit: Fit, asked: int | None) -> Answer:
-    """The number of rows that gap and evidence together support, unless the user asked for one.
-
-    Raises:
-        NotIdentifiableError: The evidence supports none, and there are trajectories enough to tell.
-    """
-    evidence, candidate = answer.evidence, answer.candidate
-    if evidence is None or not evidence.strengths:
-        return answer
-    supported, s = evidence.n_rows, candidate.n_constraints
-    if asked is not None:
-        return dataclasses.replace(answer, warnings=_doubt_given_rows(evidence, s))
-    if supported == s:
-        return dataclasses.replace(answer, warnings=_doubt(evidence))
-    if supported == 0:
-        return _unsupported(answer)
-    if evidence.verdict == "clear" or supported < s:
-        # rows that the test finds held are not moved on purpose: no model of a policy needs to be tried against them
-        held = dataclasses.replace(settings, estimator="null-space", n_constraints=supported)
-        again, data = fit(answer.part, held)
-        said = (
-            f"the gap supports {counted(s, 'row')}, the recombination test {supported}, which is the answer: "
-            f"{evidence.sentence()}"
-        )
-        return dataclasses.replace(answer, candidate=again, data=data, warnings=(said,))
-    said = f"the recombination test finds {counted(supported, 'row')} weakly, the gap {s}, which is the answer"
-    return dataclasses.replace(answer, warnings=(said,))
-
-
-def _unsupported(answer: Answer) -> Answer:
-    evidence, s = answer.evidence, answer.candidate.n_constraints
-    if evidence is None:
+    evidence, s = _evidence(candidate.samples.features, part, settings), candidate.n_constraints
+    answer = Answer(part, candidate, data, evidence, None, _doubts(evidence, s, settings.n_constraints))
+    if settings.n_constraints is not None or not evidence.strengths:
         return answer
     if evidence.enough:
+        gaps = candidate.estimate.table
         raise NotIdentifiableError(
-            f"nothing shows that what the motion leaves unused ({counted(s, 'direction')}, gap "
-            f"{answer.candidate.gap:.3g}) is held rather than never tried: {evidence.sentence()}",
+            f"nothing shows that what the motion leaves unused ({counted(s, 'direction')}, gap {candidate.gap:.3g}) is "
+            f"held rather than never tried: {evidence.sentence()}",
             code="no-evidence",
-            gaps=dict(zip(answer.candidate.estimate.table.counts, answer.candidate.estimate.table.gaps, strict=True)),
+            gaps=dict(zip(gaps.counts, gaps.gaps, strict=True)),
             advice=("vary the way and the posture between recordings" + number_if_known(s),),
         )
-    return dataclasses.replace(
-        answer,
-        warnings=(
-            f"record 3, better 5, that differ: {counted(evidence.n_trajectories, 'recording')} cannot show that "
-            f"{counted(s, 'row')} held rather than never tried",
-        ),
+    said = (
+        f"record 3, better 5, that differ: {counted(evidence.n_trajectories, 'recording')} cannot show that "
+        f"{counted(s, 'row')} held rather than never tried"
     )
+    mechanism = _mechanism(part, settings) if evidence.n_rows else None
+    return dataclasses.replace(answer, mechanism=mechanism, warnings=(said,))
 
 
-def _doubt_given_rows(evidence: RowEvidence, s: int) -> tuple[str, ...]:
-    if evidence.n_rows == s:
+def _evidence(features: FeatureMap, part: Part, settings: LearnerSettings) -> RowEvidence:
+    rng = np.random.default_rng(settings.seed)
+    return recombination_test(features, part.demonstrations, rng, choices=part.choices)
+
+
+def _doubts(evidence: RowEvidence, s: int, asked: int | None) -> tuple[str, ...]:
+    if evidence.n_rows == s or not evidence.strengths:
         return _doubt(evidence)
-    return (f"{counted(s, 'row')} asked for, the recombination test supports {evidence.n_rows}: {evidence.sentence()}",)
+    wanted = "asked for" if asked is not None else "explain the recordings"
+    return (f"{counted(s, 'row')} {wanted}, the recombination test supports {evidence.n_rows}: {evidence.sentence()}",)
 
 
 def _doubt(evidence: RowEvidence) -> tuple[str, ...]:
@@ -193,64 +162,60 @@ def _doubt(evidence: RowEvidence) -> tuple[str, ...]:
 
 
 def _mechanism(part: Part, settings: LearnerSettings) -> MechanismFit | None:
-    """What the path of the features' frame says, where the features belong to a frame of a robot."""
-    maps = [f for f in part.feature_maps if isinstance(f, FrameJacobian)]
+    """What holds the frame of the features, where they are the rows of one."""
+    maps = [f for f in part.feature_maps if isinstance(f, FrameJacobian | PlaceRows)]
     if not settings.mechanism or not maps or settings.estimator not in ("auto", "null-space"):
         return None
-    return mechanism_of(maps, part.demonstrations, np.random.default_rng(settings.seed), part.recorded)
+    chosen, recorded = evenly(len(part.demonstrations), MOST_PATHS).tolist(), part.recorded
+    before = None if recorded is None else [recorded[i] for i in chosen]
+    rng, motion = np.random.default_rng(settings.seed), [part.demonstrations[i] for i in chosen]
+    try:
+        return find_mechanism(maps[0].robot, maps[0].frame.name, motion, rng, recorded=before)
+    except NotIdentifiableError:
+        return None
 
 
-def _with_mechanism(answer: Answer, settings: LearnerSettings, fit: Fit, asked: int | None) -> Answer:
-    """Rows that depend on the place, if they hold more than constant ones."""
-    features = place_rows(answer.mechanism, answer.part.feature_maps, answer.part.demonstrations)
-    if features is None or asked is not None:
-        return answer
-    constant = answer.candidate
-    candidate, data = _fit_rows(features, answer.part, settings, fit)
-    if constant.n_constraints >= features.n_rows and constant.gap >= CLEAR_GAP:
-        # a short arc is nearly a line: constant rows are right only if they hold as firmly as those about the axis
-        firmly = constant.estimate.unexplained <= TIGHTER * candidate.estimate.unexplained
-        if constant.n_constraints > features.n_rows or firmly:
-            return answer
-    evidence = _evidence(features, answer.part, settings)
-    if not all_held(features, evidence):
-        return answer
-    return dataclasses.replace(answer, candidate=candidate, data=data, evidence=evidence, warnings=_doubt(evidence))
+def mechanism_rows(
+    found: MechanismFit | None, feature_maps: Sequence[FeatureMap], demonstrations: Demonstrations
+) -> MechanismRows | None:
+    """The rows of a mechanism that depend on the place, in the axes asked for and in which the arm can move.
 
-
-def _despite(refusal: NotIdentifiableError, part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
-    """An answer where the gap shows none: rows that depend on the place, or rows that the evidence alone supports.
-
-    Raises:
-        NotIdentifiableError: There is none.
+    Rows across the axis about which alone the hand may turn are constant, but the path of the hand tells that axis
+    better than its velocity does where the hand sways: what sways to and fro has a large rate and a small angle.
     """
-    if refusal.code not in RESCUED or settings.n_constraints is not None:
-        raise refusal
-    mechanism = _mechanism(part, settings)
-    features = place_rows(mechanism, part.feature_maps, part.demonstrations)
-    if features is not None and all_held(features, evidence := _evidence(features, part, settings)):
-        candidate, data = _fit_rows(features, part, settings, fit)
-        return Answer(part, candidate, data, evidence, mechanism, _doubt(evidence))
-    if refusal.code == "weak-gap":
-        for rows in part.feature_maps:
-            evidence = _evidence(rows, part, settings)
-            if evidence.verdict == "clear":
-                only = dataclasses.replace(part, feature_maps=(rows,))
-                again = dataclasses.replace(settings, estimator="null-space", n_constraints=evidence.n_rows)
-                candidate, data = fit(only, again)
-                said = f"no gap shows the number of rows, the recombination test does: {evidence.sentence()}"
-                return Answer(part, candidate, data, evidence, mechanism, (said,))
-    if mechanism is not None and mechanism.mechanism is None and mechanism.warnings:
-        raise NotIdentifiableError(str(refusal), code=refusal.code, gaps=refusal.gaps, advice=mechanism.warnings)
-    raise refusal
+    if found is None or found.mechanism is None or found.features is None:
+        return None
+    features = found.features if isinstance(found.features, MechanismRows) else _turning(found.features, found)
+    if features is None:
+        return None
+    units = {unit for f in feature_maps for unit in f.row_units if unit != "m^2/s"}
+    names = tuple(n for n, unit in zip(features.row_names, features.row_units, strict=True) if unit in units)
+    if units == {"m/s"}:
+        names = POSITION_ROWS.get(found.mechanism.type, ())
+    if names:
+        movable = _movable(_only(features, names), demonstrations)
+        names = tuple(n for n, moves in zip(names, movable, strict=True) if moves)
+    return _only(features, names) if names else None
 
 
-def _evidence(features: FeatureMap, part: Part, settings: LearnerSettings) -> RowEvidence:
-    return recombination_test(features, part.demonstrations, np.random.default_rng(settings.seed))
+def _turning(features: FeatureMap, found: MechanismFit) -> MechanismRows | None:
+    """The rows across the axis of a held orientation; None of anything else."""
+    mechanism = found.mechanism
+    if mechanism is None or mechanism.type != "held-orientation" or mechanism.axis is None:
+        return None
+    if not isinstance(features, FrameJacobian):
+        return None
+    return MechanismRows(features.robot, features.frame.name, ("turn-1", "turn-2"), axis=mechanism.axis)
 
 
-def _fit_rows(
-    features: MechanismRows, part: Part, settings: LearnerSettings, fit: Fit
-) -> tuple[Candidate, DataSummary]:
-    again = dataclasses.replace(settings, estimator="null-space", n_constraints=features.n_rows)
-    return fit(dataclasses.replace(part, feature_maps=(features,)), again)
+def _only(features: MechanismRows, names: tuple[str, ...]) -> MechanismRows:
+    place = features.geometry
+    return MechanismRows(
+        features.robot, features.frame.name, names, axis=place.axis, point=place.point, pitch=place.pitch
+    )
+
+
+def _movable(features: MechanismRows, demonstrations: Demonstrations) -> Bool[np.ndarray, " p"]:
+    """Whether the arm can move the frame along each row, somewhere on the recordings."""
+    few = np.concatenate([t.q[:: max(1, len(t) // 10)] for t in demonstrations])
+    return np.max(np.linalg.norm(features.batch(few), axis=2), axis=0) > BLIND

@@ -13,15 +13,14 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import FeatureError, NotFittedError, NotIdentifiableError, NumberOfConstraintsError, an
 from manip_learn.learning.advice import advise, advise_in_general
-from manip_learn.learning.all_answers import find_answers
-from manip_learn.learning.answer import Answer
+from manip_learn.learning.answer import Answer, find_answers
 from manip_learn.learning.before_smoothing import BeforeSmoothing
 from manip_learn.learning.bootstrap import bootstrap_angle_deg
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
 from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, in_memory
-from manip_learn.learning.division import Division, Part, divide, undivided
 from manip_learn.learning.evidence.joint_offsets import JointOffsets
 from manip_learn.learning.excitation import check_fastest
+from manip_learn.learning.explanation.findings import Findings, Part, find, unexplained
 from manip_learn.learning.overview import RecordingOverview
 from manip_learn.learning.report import LearningReport, build_report
 from manip_learn.linalg import one_thread
@@ -202,23 +201,23 @@ class ConstraintLearner:
             started = time.perf_counter()
             everything = DataSummary.of(demonstrations)
             check_fastest(everything.u, everything, demonstrations.joint_names)
-            division, source = self._divide(demonstrations), BeforeSmoothing(demonstrations, recorded)
-            parts = tuple(dataclasses.replace(part, source=source) for part in division.parts)
-            division = dataclasses.replace(division, parts=parts)
+            findings, source = self._find(demonstrations), BeforeSmoothing(demonstrations, recorded)
+            parts = tuple(dataclasses.replace(part, source=source) for part in findings.parts)
+            findings = dataclasses.replace(findings, parts=parts)
             try:
-                answers, division = find_answers(division, demonstrations, self._settings, fit)
+                answers, findings = find_answers(findings, self._settings, fit)
             except NotIdentifiableError as refusal:
-                raise advise(refusal, demonstrations, self._feature_maps, division, phases=self.phases) from refusal
+                raise advise(refusal, demonstrations, self._feature_maps, findings, phases=self.phases) from refusal
             if progress is not None and client is None:
                 progress("learning", 1.0)
-            self._conclude(answers, division, demonstrations, started)
+            self._conclude(answers, findings, demonstrations, started)
 
-    def _divide(self, demonstrations: Demonstrations) -> Division:
+    def _find(self, demonstrations: Demonstrations) -> Findings:
         if self.estimator in ("joint", "separate"):
-            return undivided(demonstrations, self._feature_maps)
+            return unexplained(demonstrations, self._feature_maps)
         rng = np.random.default_rng(self.seed)
         mechanisms = self.mechanism == "auto" and self.n_constraints is None
-        return divide(demonstrations, self._feature_maps, rng, phases=self.phases == "auto", mechanisms=mechanisms)
+        return find(demonstrations, self._feature_maps, rng, phases=self.phases == "auto", mechanisms=mechanisms)
 
     def _fit_stream(self, source: TrajectorySource, client: Any, progress: Progress | None) -> None:
         """One constraint from recordings that are not held in memory together."""
@@ -263,10 +262,10 @@ class ConstraintLearner:
         )
 
     def _conclude(
-        self, answers: Sequence[Answer], division: Division, demonstrations: Demonstrations, started: float
+        self, answers: Sequence[Answer], findings: Findings, demonstrations: Demonstrations, started: float
     ) -> None:
         """Uncertainty -> report, for each answer."""
-        overview = RecordingOverview.of(answers, division, demonstrations)
+        overview = RecordingOverview.of(answers, findings, demonstrations)
         constraints, reports = [], []
         for answer in answers:
             best = answer.candidate

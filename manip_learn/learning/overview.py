@@ -8,7 +8,7 @@ from typing import NamedTuple, final
 
 from manip_learn.errors import counted
 from manip_learn.learning.answer import Answer
-from manip_learn.learning.division import IN_ONE_ONLY, Division
+from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings
 from manip_learn.recordings.demonstrations import Demonstrations
 
 SPANS_SHOWN = 6  # of each constraint, in words
@@ -52,7 +52,7 @@ class RecordingOverview:
     Attributes:
         phases: Every stretch that moves.
         odd_trajectories: Recordings that do not agree with the others.
-        warnings: Doubts about the division.
+        warnings: Doubts about the findings.
     """
 
     phases: tuple[Phase, ...] = ()
@@ -60,17 +60,17 @@ class RecordingOverview:
     warnings: tuple[str, ...] = ()
 
     @staticmethod
-    def of(answers: Sequence[Answer], division: Division, demonstrations: Demonstrations) -> RecordingOverview:
+    def of(answers: Sequence[Answer], findings: Findings, demonstrations: Demonstrations) -> RecordingOverview:
         """The phases with the names of the recordings."""
         names = distinct_names(demonstrations)
         number = {id(answer.part): k for k, answer in enumerate(answers)}
         phases = []
-        for s, part, why in division.phases():
-            constraint = None if part is None else number.get(id(division.parts[part]))
+        for s, part, why in findings.phases():
+            constraint = None if part is None else number.get(id(findings.parts[part]))
             reason = NO_ANSWER if part is not None and constraint is None else why
             phases.append(Phase(names[s.trajectory], s.start, s.end, constraint, reason))
-        odd = dict(division.odd)
-        warnings = [*division.warnings, *lone_contacts(division, names)]
+        odd = dict(findings.odd)
+        warnings = [*findings.warnings, *lone_contacts(findings, names)]
         if odd:
             listed = "; ".join(f"{names[i]}: {why}" for i, why in sorted(odd.items()))
             warnings.append(
@@ -101,11 +101,11 @@ class RecordingOverview:
         return tuple(out)
 
 
-def lone_contacts(division: Division, names: Sequence[str]) -> tuple[str, ...]:
+def lone_contacts(findings: Findings, names: Sequence[str]) -> tuple[str, ...]:
     """Advice about contacts that one recording alone shows."""
     contacts = [
         f"in {names[s.trajectory]} from {s.start:.1f} s to {s.end:.1f} s"
-        for s, why in division.unlearnt
+        for s, why in findings.unlearnt
         if why == IN_ONE_ONLY
     ]
     if not contacts:

@@ -12,11 +12,10 @@ from jaxtyping import Float, Int
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning.data_summary import DataSummary
+from manip_learn.learning.whitening import whitening
 from manip_learn.recordings.demonstrations import Demonstrations
 
 BLOCK = 4096
-# rows of Phi below this share of the largest (after scaling each to its own size) are linear copies or identically zero
-PRUNE_RATIO = 1e-6
 # Phi of more samples than this is computed anew at each pass instead of kept [numbers]
 KEEP_LIMIT = 3e7
 KEEP_WHITENED_LIMIT = 3e6  # numbers of whitened Phi that are kept from one pass to the next
@@ -110,8 +109,13 @@ class Samples:
         for block in raw.blocks():
             rows = block.Phi.transpose(1, 2, 0).reshape(features.n_rows, -1)
             S += rows @ rows.T
-        whitening = _whitening(S / len(raw), features)
-        return Samples(features, data.q, data.u, trajectory, whitening, centre, spread, None, raw._kept)
+        W = whitening(S / len(raw), features.row_units)
+        if not len(W):
+            raise NotIdentifiableError(
+                f"all rows of {features!r} are zero on these demonstrations: choose axes in which the frame can move",
+                code="zero-features",
+            )
+        return Samples(features, data.q, data.u, trajectory, W, centre, spread, None, raw._kept)
 
     def __len__(self) -> int:
         return int(self.u.shape[0])
@@ -167,20 +171,3 @@ class Samples:
     def energy(self) -> float:
         """Mean of |u|^2."""
         return float(np.mean(np.einsum("ni,ni->n", self.u, self.u)))
-
-
-def _whitening(S: np.ndarray, features: FeatureMap) -> Float[np.ndarray, "r p"]:
-    size = np.sqrt(np.diag(S))
-    if not np.any(size > 0.0):
-        raise NotIdentifiableError(
-            f"all rows of {features!r} are zero on these demonstrations: choose axes in which the frame can move",
-            code="zero-features",
-        )
-    # rows that are zero but for rounding, beside rows of the same unit
-    for unit in set(features.row_units):
-        same = [i for i, other in enumerate(features.row_units) if other == unit]
-        size[same] = np.where(size[same] > PRUNE_RATIO * np.max(size[same]), size[same], 0.0)
-    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
-    eigenvalues, vectors = np.linalg.eigh(scale[:, None] * S * scale)
-    kept = eigenvalues > PRUNE_RATIO**2 * eigenvalues[-1] + 1e-15 * len(size)
-    return (vectors[:, kept] / np.sqrt(eigenvalues[kept])).T * scale

@@ -9,15 +9,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, Weigh
 from manip_learn.constraint.features.place_fields import FIELDS, Geometry, weights
+from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.errors import FeatureError
-from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Robot
 
 
 @final
-class MechanismRows(FeatureMap):
+class MechanismRows(WeighedVelocity):
     """Velocity of a frame seen from an axis through a point: rows whose direction depends on the place.
 
     Phi(q) = W(p(q)) J(q), with J the frame's Jacobian along the axes of the robot's base and p its origin. With the
@@ -69,74 +68,6 @@ class MechanismRows(FeatureMap):
             raise FeatureError(f"the pitch must be a finite number [m/rad], not {pitch!r}")
         self.geometry = Geometry.of(direction, place, float(pitch))
 
-    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
-        """Phi(q) = W(p) J(q).
-
-        Raises:
-            ConfigurationError: Wrong size or not finite.
-        """
-        return self._weights(q)[0] @ self.robot.jacobian(q, self.frame, "world")
-
-    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k.
-
-        Raises:
-            ConfigurationError: Wrong size or not finite.
-        """
-        return self.value_and_derivative(q)[1]
-
-    def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
-        """Phi(q) and dPhi/dq = W dJ/dq + (dW/dp J_v) J."""
-        W, dW = self._weights(q)
-        J, H = self.robot.jacobian_and_derivative(q, self.frame, "world")
-        turned = W @ H.reshape(6, -1)
-        return W @ J, turned.reshape(-1, self.nv, self.nv) + J.T @ (dW @ J[:3])
-
-    def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s p"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
-        """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
-        W, dW = self._weights(q)
-        mix = padded.dot(W)
-        A, vjp = self.robot.weighted_jacobian_vjp(q, self.frame, "world", mix)
-        J = self.robot.jacobian(q, self.frame, "world").copy()  # may be a view of data that later calls overwrite
-        by_place = padded.dot(dW.reshape(len(W), -1)).reshape(-1, 3)
-
-        def weighted(weights_of_A: np.ndarray) -> np.ndarray:
-            return vjp(weights_of_A) + weights_of_A.dot(J.T).reshape(-1).dot(by_place).dot(J[:3])
-
-        return A, weighted
-
-    def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
-        """Phi at n postures, the rows of q, in bulk.
-
-        Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
-        """
-        J = batch_kinematics(self.robot, self.frame).jacobian(q, "world")
-        return self._batch_weights(q)[0] @ J
-
-    def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
-        """Phi and dPhi/dq at n postures, in bulk; errors as for `batch`."""
-        W, dW = self._batch_weights(q)
-        J, H = batch_kinematics(self.robot, self.frame).jacobian_and_derivative(q, "world")
-        n, nv = len(W), self.nv
-        turned = (W @ H.reshape(n, 6, nv * nv)).reshape(n, self.n_rows, nv, nv)
-        return W @ J, turned + J.transpose(0, 2, 1)[:, None] @ (dW @ J[:, None, :3])
-
-    def batch_vjp(self, q: ArrayLike, weigh: Weigh) -> Float[np.ndarray, "n nv"]:
-        """sum_ij weights_ij dPhi_ij / dq_k at n postures without forming dPhi/dq (see `FeatureMap`)."""
-        W, dW = self._batch_weights(q)
-        by_place = np.zeros((len(W), self.nv))
-
-        def weigh_twist(J: np.ndarray, part: slice) -> np.ndarray:
-            # (6, nv, m) with the postures last: the weights of Phi become weights of J, and the rest is kept aside
-            J_n = J.transpose(2, 0, 1)
-            weights_n = weigh((W[part] @ J_n).transpose(1, 2, 0), part).transpose(2, 0, 1)
-            along = weights_n @ J_n.transpose(0, 2, 1)
-            by_place[part] = np.einsum("nim,nimd,ndk->nk", along, dW[part], J_n[:, :3], optimize=True)
-            return (W[part].transpose(0, 2, 1) @ weights_n).transpose(1, 2, 0)
-
-        return batch_kinematics(self.robot, self.frame).vjp(q, weigh_twist, "world") + by_place
-
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Distance from the axis (`radial`) or the centre (`spherical`), place along the axis (`axial`) [m].
 
@@ -178,12 +109,9 @@ class MechanismRows(FeatureMap):
             pitch=described["pitch"],
         )
 
-    def _weights(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        W, dW = weights(self.row_names, self.robot.position(q, self.frame)[None], self.geometry)
-        return W[0], dW[0]
-
-    def _batch_weights(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        return weights(self.row_names, batch_kinematics(self.robot, self.frame).pose(q)[:, :3, 3], self.geometry)
+    def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
+        """W(p) and dW/dp at n places [m]."""
+        return weights(self.row_names, p, self.geometry)
 
     def __repr__(self) -> str:
         a, c = (", ".join(f"{x:.4g}" for x in v) for v in (self.geometry.axis, self.geometry.point))

@@ -11,6 +11,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import RecordingError
 from manip_learn.learning.evidence.aligned_paths import PhasePath, phase_paths
 from manip_learn.learning.evidence.row_evidence import FEWEST_TRAJECTORIES, RowEvidence
+from manip_learn.learning.whitening import whitening
 from manip_learn.recordings.trajectory import Trajectory
 
 RECOMBINATIONS = 199
@@ -20,7 +21,6 @@ MOST_TRAJECTORIES = 16
 SHIFTS = 8
 # levels below this may be what interpolation between samples leaves
 LEVEL_FLOOR = 1e-5
-PRUNE_SHARE = 1e-6
 
 
 def recombination_test(
@@ -28,6 +28,7 @@ def recombination_test(
     trajectories: Sequence[Trajectory],
     rng: np.random.Generator,
     n_recombinations: int = RECOMBINATIONS,
+    choices: int = 1,
 ) -> RowEvidence:
     """Evidence that the world holds rows of Phi, A(q) u = Lambda Phi(q) u = 0, row by row.
 
@@ -48,6 +49,7 @@ def recombination_test(
         trajectories: With velocities, each one stretch of motion: whole recordings or parts of them.
         rng: Of the recombinations.
         n_recombinations: How many; 99 is the least for a p-value of 0.01.
+        choices: In how many ways as many recordings could have been chosen from all there were.
 
     Raises:
         RecordingError: A trajectory lacks velocities, or acts on another number of joints.
@@ -61,8 +63,10 @@ def recombination_test(
         chosen = [chosen[i] for i in np.sort(rng.choice(len(chosen), MOST_TRAJECTORIES, replace=False))]
     paths = phase_paths(chosen)
     Phi = [features.batch(path.q) for path in paths]
-    W = _whitening(Phi)
-    if len(W) == 0:
+    if not Phi:
+        return RowEvidence((), (), (), (), np.zeros((0, features.n_rows)), 0, 0)
+    W = whitening(np.mean([np.einsum("niv,njv->ij", P, P) / len(P) for P in Phi], axis=0), features.row_units)
+    if not len(W):
         return RowEvidence((), (), (), (), np.zeros((0, features.n_rows)), len(paths), 0)
     donors = [(a, 0.0) for a in range(len(paths))]
     if len(paths) < FEWEST_TRAJECTORIES:
@@ -84,19 +88,9 @@ def recombination_test(
         np.linalg.qr((directions @ W).T)[0].T,
         len(paths),
         len(ratios),
+        tuple(np.std(np.log(np.maximum(ratios, LEVEL_FLOOR)), axis=0).tolist()),
+        choices,
     )
-
-
-def _whitening(Phi: list[Float[np.ndarray, "_ p nv"]]) -> Float[np.ndarray, "r p"]:
-    """W with mean (W Phi)(W Phi)^T = I, without the combinations of rows that are zero throughout."""
-    if not Phi:
-        return np.zeros((0, 0))
-    S = np.mean([np.einsum("niv,njv->ij", P, P) / len(P) for P in Phi], axis=0)
-    size = np.sqrt(np.diag(S))
-    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > PRUNE_SHARE**2 * np.max(size, initial=0.0))
-    values, vectors = np.linalg.eigh(scale[:, None] * S * scale)
-    kept = values > PRUNE_SHARE**2 * max(values[-1], 1e-300) + 1e-15 * len(size)
-    return (vectors[:, kept] / np.sqrt(values[kept])).T * scale
 
 
 def _parts(

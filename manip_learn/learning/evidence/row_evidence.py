@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Literal, final
 
 import numpy as np
@@ -15,15 +17,12 @@ RowState = Literal["held", "unclear", "free", "untried"]
 
 # chance of at least the evidence seen, were the joints independent of each other, that a row may have
 CHANCE = 0.01
-# growth of a row's motion by recombination from which it counts as held; in between it is said with a warning
-CLEAR_STRENGTH = 5.0
-WEAK_STRENGTH = 1.8
-# the same with fewer trajectories than can give a clear answer
-FEW_STRENGTH = 4.0
+# growth of a row's motion by recombination, exceeded with 99 % confidence, from which the row is believed to be held, and
+# from which it is so beyond doubt. Free motion is coordinated, too: people guiding an arm reach 2.2 (real recordings of
+# two arms), a curved part wiped by hand 2.2 to 3.3, contacts with rails, hinges and tables 4 to 400
+BELIEVED, CLEAR = 2.0, 4.0
 # least strength of a row that is ranked before one found held: noise spreads unevenly, the first row has the least
 LEANING_STRENGTH = 1.3
-# a row must have this power of the strength of the rows before it
-KEPT_POWER = 0.25
 # a direction that the motion uses less than this share of the most used one was not tried
 USED_SHARE = 1.0 / 6.0
 # fewer trajectories give no clear answer
@@ -43,6 +42,9 @@ class RowEvidence:
         directions: The rows, in the features' own units, orthonormal, shape (r, p).
         n_trajectories: Trajectories that move.
         n_recombinations: Recombinations that the recorded motion was compared with.
+        spread: Standard deviation of the logarithm of each strength over the recombinations.
+        choices: In how many ways as many recordings can be chosen from all there were: one hypothesis each, the best of
+            which was found.
     """
 
     strengths: tuple[float, ...]
@@ -52,17 +54,23 @@ class RowEvidence:
     directions: Float[np.ndarray, "r p"]
     n_trajectories: int
     n_recombinations: int
+    spread: tuple[float, ...] = ()
+    choices: int = 1
+
+    @property
+    def lower(self) -> tuple[float, ...]:
+        """What the strength of each row exceeds with 99 % confidence, the choice of the recordings paid for."""
+        z = NormalDist().inv_cdf(1.0 - CHANCE / self.choices)
+        return tuple(s * math.exp(-z * sd) for s, sd in zip(self.strengths, self.spread, strict=True))
 
     @property
     def n_rows(self) -> int:
         """Number of rows that the evidence supports, counted without a gap; the last ones may be weak."""
-        needed = WEAK_STRENGTH if self.enough else FEW_STRENGTH
         supported = 0
-        for i, (strength, p) in enumerate(zip(self.strengths, self.p_values, strict=True)):
+        for i, (strength, lower, p) in enumerate(zip(self.strengths, self.lower, self.p_values, strict=True)):
             if p > CHANCE or strength < LEANING_STRENGTH:
                 break
-            supported = i + 1 if strength >= needed else supported
-            needed = max(needed, strength**KEPT_POWER)
+            supported = i + 1 if lower >= BELIEVED else supported
         return supported
 
     @property
@@ -73,10 +81,10 @@ class RowEvidence:
     @property
     def verdict(self) -> Verdict:
         """How sure the rows are: as sure as the weakest of them."""
-        held = self.strengths[: self.n_rows]
-        if not held:
+        n = self.n_rows
+        if not n:
             return "none"
-        return "clear" if self.enough and min(held) >= CLEAR_STRENGTH else "weak"
+        return "clear" if self.enough and self.lower[n - 1] >= CLEAR else "weak"
 
     @property
     def states(self) -> tuple[RowState, ...]:
@@ -90,7 +98,7 @@ class RowEvidence:
         for i, level in enumerate(self.levels):
             if i < self.n_rows:
                 states.append("held")
-            elif self.strengths[i] >= WEAK_STRENGTH and self.p_values[i] <= CHANCE:
+            elif self.strengths[i] >= BELIEVED and self.p_values[i] <= CHANCE:
                 states.append("unclear")
             else:
                 states.append("free" if level >= USED_SHARE * most and level > 0.0 else "untried")
@@ -106,8 +114,8 @@ class RowEvidence:
         n = self.n_rows
         if n == 0:
             return (
-                f"no row is shown to be held (best strength {self.strengths[0]:.2g}, p = {self.p_values[0]:.2g}; "
-                f"{WEAK_STRENGTH:g} is the least that counts)"
+                f"no row is shown to be held (best strength {self.strengths[0]:.2g}, with 99 % confidence above "
+                f"{self.lower[0]:.2g}; {BELIEVED:g} is the least that counts)"
             )
         softly = "held softly, or by the way of moving only" if self.enough else "held, it seems"
         firmly = "held" if self.verdict == "clear" else softly

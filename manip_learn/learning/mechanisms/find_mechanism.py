@@ -2,37 +2,66 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.place_fields import across
+from manip_learn.constraint.features.place_rows import PlaceForm, PlaceRows
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning.mechanisms.choice import APART, REPEATED, Alternative, Choice, choose
-from manip_learn.learning.mechanisms.consensus import agreeing
-from manip_learn.learning.mechanisms.evidence import Scales, margins
-from manip_learn.learning.mechanisms.fits import Fit
+from manip_learn.learning.evidence.recombination import recombination_test
+from manip_learn.learning.explanation.explain import Hypothesis, explain
+from manip_learn.learning.explanation.views import View, views_of
+from manip_learn.learning.mechanisms.bending import straight_or_bent
+from manip_learn.learning.mechanisms.fits import Fit, fit_candidate
+from manip_learn.learning.mechanisms.reading import Read, read_kind
 from manip_learn.learning.mechanisms.refined import refined
 from manip_learn.learning.mechanisms.residuals import QUANTITIES
-from manip_learn.learning.mechanisms.tip_paths import TipPaths, recombined, thinned
+from manip_learn.learning.mechanisms.tip_paths import TipPaths, thinned
+from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 
-SAMPLES = 60  # of each trajectory in the comparison
+SAMPLES = 60  # of each trajectory in the first fit of a place
+RECOMBINATIONS = 99
 BLIND = 1e-6  # rows of Phi below this are ones that the arm cannot move
 SOFT = 0.03  # share of the motion left in the held rows: hardware stays below
 POOR_RADIUS, POOR_AXIS = 0.2, 5.0  # relative, and [deg]: one standard deviation above which a fit is no answer
 WIDE, WANTED = 0.015, 0.005  # relative: uncertainty of the radius that is worth a warning, and the one aimed at
+REPEATED = "held by the way of moving, not by a contact that all share"
+FORMS: tuple[PlaceForm, ...] = ("point and rotation", "twist", "surface")
 
 Confirm = Callable[[FeatureMap, Float[np.ndarray, "s p"]], bool]
+
+
+@final
+@dataclass(frozen=True)
+class Alternative:
+    """One hypothesis in the comparison.
+
+    Attributes:
+        name: Of the mechanism; `"other rows"` where the rows are those of none.
+        n_rows: Rows that it would hold.
+        support: Evidence beyond free motion, without the best supporter's [nats].
+        recombination: Strength of its rows when joints are exchanged between trajectories; None with one trajectory.
+        verdict: `"chosen"`, or why not.
+    """
+
+    name: str
+    n_rows: int
+    support: float
+    recombination: float | None
+    verdict: str
 
 
 @final
@@ -45,9 +74,10 @@ class MechanismFit:
         features: Phi, with the mechanism's place as its parameters; None without a mechanism.
         selection: Lambda, shape (s, p), for `Constraint(selection, features)`; None without a mechanism.
         held_out: Largest standard deviation of a held row on trajectories left out, by unit (`"m"`, `"rad"`).
-        alternatives: All candidates, best first.
+        alternatives: The hypotheses that were tested, in the order of the tests.
         reason: Why there is no mechanism; empty if there is one.
         warnings: What to know about the answer, in sentences.
+        rival: Another form that the positions cannot exclude, in words; empty if there is none.
         odd: Numbers (from 0) of trajectories that do not belong: the others agree on a mechanism that does not hold
             these, or they are too short.
     """
@@ -60,6 +90,7 @@ class MechanismFit:
     reason: str = ""
     warnings: tuple[str, ...] = ()
     odd: tuple[int, ...] = ()
+    rival: str = ""
 
 
 def find_mechanism(
@@ -73,14 +104,15 @@ def find_mechanism(
 ) -> MechanismFit:
     """The mechanism that held a frame of the robot while the trajectories were recorded.
 
-    Positions and orientations along the trajectories are fitted, no velocities are needed. Everything about the grip
-    may differ between trajectories: where the hand holds, and how it is turned.
+    Every mechanism is a constant Lambda in rows that are known in advance (`PlaceRows`). The rows that explain most of
+    the trajectories say which mechanism it is and about where; its place is then fitted to positions and orientations.
+    The grip may differ between trajectories: where the hand holds, and how it is turned.
 
     Args:
         robot: The robot.
         frame: The frame that is held, e.g. the tool's tip. It matters: what holds the tip is a surface or a curve for
             no other frame.
-        trajectories: Motion in contact only (phases cut); at least two, better five.
+        trajectories: Motion in contact only (phases cut); at least two, better five. Missing velocities are derived.
         rng: For the exchange of joints between trajectories, the test against repeated motions, and for draws of the
             error.
         confirm: A further test of the constraint that was found, e.g. on other rows of the same recordings; False
@@ -93,32 +125,24 @@ def find_mechanism(
         NotIdentifiableError: No trajectory has ten samples, or nothing moves.
     """
     tip = robot.frame(frame)
-    every = [_postures(robot, t) for t in trajectories]
-    numbers = [i for i, q in enumerate(every) if len(q) >= 10]
+    numbers = [i for i, t in enumerate(trajectories) if len(t) >= 10]
     if not numbers:
         raise NotIdentifiableError("no trajectory has ten samples: there is no path to look at", code="too-short")
-    choice, kept = _compared(robot, tip, [every[i] for i in numbers], rng)
-    postures = [every[numbers[i]] for i in kept]
-    odd = tuple(number for i, number in enumerate(numbers) if i not in kept)
-    table = choice.table
-    if choice.fit is None:
+    chosen = [trajectories[i] for i in numbers]
+    paths = TipPaths.of(robot, tip, [thinned(_postures(robot, t), SAMPLES) for t in chosen])
+    if max(np.ptp(paths.p, axis=0).max(), np.abs(paths.turns).max()) < 1e-3:
+        raise NotIdentifiableError("the hand does not move in these trajectories", code="no-motion")
+    moved = list(with_velocities(Demonstrations(chosen, ()), robot))
+    read, members, table = _read(robot, tip, moved, paths, rng)
+    if read is None:
         return MechanismFit(None, None, None, {}, table, _why_none(table))
-    last = postures if recorded is None else [_postures(robot, recorded[numbers[i]]) for i in kept]
-    fit, mechanism = refined(robot, tip, last, choice.fit, choice.rival, rng)
-    held_out = {
-        unit: max(float(fit.held_out[n].max()) for n in fit.candidate.holds if QUANTITIES[n].unit == unit)
-        for unit in {QUANTITIES[n].unit for n in fit.candidate.holds}
-    }
-    few = np.concatenate([thinned(q, 10) for q in postures])
-    features, selection = _constraint(robot, frame, fit, few)
-    poor = _poor(mechanism)
-    if poor:
-        return MechanismFit(None, None, None, held_out, table, poor, (poor,))
-    if confirm is not None and not confirm(features, selection):
-        reason = f"the recordings look like {mechanism.sentence}, but the test of its rows refuses it"
-        return MechanismFit(None, None, None, held_out, table, reason)
-    warnings = (*_warnings(choice, len(postures)), *_wide(mechanism))
-    return MechanismFit(mechanism, features, selection, held_out, table, "", warnings, odd)
+    paths = paths.chosen(members)
+    start, rival = straight_or_bent(paths, fit_candidate(paths, read[0], [read[1]]))
+    last = chosen if recorded is None else [recorded[i] for i in numbers]
+    postures = [_postures(robot, last[i]) for i in members]
+    fit, mechanism = refined(robot, tip, postures, start, rng)
+    odd = tuple(i for i in range(len(trajectories)) if i not in {numbers[k] for k in members})
+    return _judged(robot, tip, fit, mechanism, postures, table, rival, odd, confirm)
 
 
 def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]:
@@ -126,52 +150,79 @@ def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]
     return np.stack([robot.positions(x) for x in q]) if q.shape[1] != robot.nv else q
 
 
-def _compared(
-    robot: Robot, tip: Frame, postures: Sequence[Float[np.ndarray, "_ nv"]], rng: np.random.Generator
-) -> tuple[Choice, tuple[int, ...]]:
-    """The chosen mechanism and the trajectories used: a subset, if it agrees on more rows than all share.
+def _read(
+    robot: Robot, tip: Frame, moved: Sequence[Trajectory], paths: TipPaths, rng: np.random.Generator
+) -> tuple[Read | None, tuple[int, ...], tuple[Alternative, ...]]:
+    """What the rows say that explain most, the trajectories that they explain, and all that was tested."""
+    middle = paths.p.mean(axis=0)
+    maps = [FrameJacobian(robot, tip.name, "pose"), *(PlaceRows(robot, tip.name, form, middle) for form in FORMS)]
+    table = list[Alternative]()
 
-    Raises:
-        NotIdentifiableError: Nothing moves.
-    """
-    paths, mixed = _paths(robot, tip, postures, rng)
-    if max(np.ptp(paths.p, axis=0).max(), np.abs(paths.turns).max()) < 1e-3:
-        raise NotIdentifiableError("the hand does not move in these trajectories", code="no-motion")
-    choice, scales, everyone = choose(paths, mixed), Scales.of(paths, mixed), tuple(range(len(postures)))
-    soft = choice.fit is not None and float(np.min(margins(choice.fit, scales))) < 1.0 / SOFT
-    rows = 0 if choice.fit is None else choice.fit.candidate.n_rows - (soft or choice.unlike)
-    together = agreeing(paths, rows, scales)
-    if len(together) < len(everyone):
-        stricter = choose(*_paths(robot, tip, [postures[i] for i in together], rng))
-        if stricter.fit is not None and stricter.fit.candidate.n_rows > rows:
-            return stricter, together
-    return choice, everyone
+    def believed(view: View, h: Hypothesis, held: Bool[np.ndarray, " n"]) -> bool:
+        read = read_kind(view.features, view.motion.selection(h.rows), view.immovable, paths.p)
+        name, strength, verdict = "other rows" if read is None else read[0].name, None, "no mechanism has these rows"
+        if read is not None:
+            verdict = "chosen"
+            shown = np.unique(view.thin.trajectory[held])
+            if len(moved) > 1:
+                evidence = recombination_test(
+                    view.features,
+                    [moved[i] for i in shown],
+                    np.random.default_rng(seed),
+                    RECOMBINATIONS,
+                    math.comb(len(moved), len(shown)),
+                )
+                strength = evidence.strengths[h.n_rows - 1] if len(evidence.strengths) >= h.n_rows else 0.0
+                verdict = "chosen" if evidence.n_rows >= h.n_rows else REPEATED
+        table.append(Alternative(name, h.n_rows, h.support, strength, verdict))
+        return verdict == "chosen"
+
+    seed = int(rng.integers(2**32))
+    found = explain(views_of(maps, moved, mechanisms=False), believed, np.inf)
+    if not found.hypotheses:
+        return None, (), tuple(table)
+    k = int(np.argmax(found.supports))
+    h, view = found.hypotheses[k], found.views[found.hypotheses[k].view]
+    read = read_kind(view.features, view.motion.selection(h.rows), view.immovable, paths.p)
+    members = np.unique(found.thin.trajectory[found.states == k + 1])
+    return read, tuple(members.tolist()), tuple(table)
 
 
-def _paths(
-    robot: Robot, tip: Frame, postures: Sequence[Float[np.ndarray, "_ nv"]], rng: np.random.Generator
-) -> tuple[TipPaths, TipPaths | None]:
-    """The hand's paths, and those with the joints exchanged; None for a single trajectory."""
-    mixed = TipPaths.of(robot, tip, recombined(postures, rng)) if len(postures) > 1 else None
-    return TipPaths.of(robot, tip, [thinned(q, SAMPLES) for q in postures]), mixed
-
-
-def _warnings(choice: Choice, n_trajectories: int) -> tuple[str, ...]:
-    chosen = next(a for a in choice.table if a.verdict == "chosen")
-    warnings = []
-    if n_trajectories == 1:
-        warnings.append("one trajectory only: a repeated motion cannot be told from a contact")
-    if chosen.held_out > SOFT:
-        warnings.append(
-            f"softly held: the motion left in the held rows is {100.0 * chosen.held_out:.0f} % of what it would be "
-            "without them"
-        )
-    if choice.rival is not None:
-        warnings.append(
-            f"a {choice.rival.candidate.name} would fit as well: the motion is too short to tell it from a "
-            f"{chosen.name}; move it farther"
-        )
-    return tuple(warnings)
+def _judged(
+    robot: Robot,
+    tip: Frame,
+    fit: Fit,
+    mechanism: Mechanism,
+    postures: Sequence[Float[np.ndarray, "_ nv"]],
+    table: tuple[Alternative, ...],
+    rival: str,
+    odd: tuple[int, ...],
+    confirm: Confirm | None,
+) -> MechanismFit:
+    """The answer, unless its parameters are too uncertain or the further test refuses it."""
+    held_out = {
+        unit: max(float(fit.held_out[n].max()) for n in fit.candidate.holds if QUANTITIES[n].unit == unit)
+        for unit in {QUANTITIES[n].unit for n in fit.candidate.holds}
+    }
+    features, selection = _constraint(robot, tip.name, fit, np.concatenate([thinned(q, 10) for q in postures]))
+    poor = _poor(mechanism)
+    if poor:
+        return MechanismFit(None, None, None, held_out, table, poor, (poor,), odd)
+    if confirm is not None and not confirm(features, selection):
+        reason = f"the recordings look like {mechanism.sentence}, but the test of its rows refuses it"
+        return MechanismFit(None, None, None, held_out, table, reason, (), odd)
+    lone = ("one trajectory only: a repeated motion cannot be told from a contact",) if len(postures) == 1 else ()
+    return MechanismFit(
+        mechanism,
+        features,
+        selection,
+        held_out,
+        table,
+        "",
+        (*lone, *filter(None, (rival,)), *_wide(mechanism)),
+        odd,
+        rival,
+    )
 
 
 def _poor(mechanism: Mechanism) -> str:
@@ -206,14 +257,9 @@ def _why_none(table: Sequence[Alternative]) -> str:
     repeated = [a for a in table if a.verdict == REPEATED]
     if repeated:
         return (
-            f"the path looks like {repeated[0].name}, but so it does with the joints of different trajectories: one "
-            "motion was repeated, nothing shows a contact; record it from other postures and with other grips"
-        )
-    apart = [a for a in table if a.verdict == APART]
-    if apart:
-        return (
-            f"the trajectories do not agree: each by itself fits {apart[0].name}, but in a place of its own; learn "
-            "them one by one, or in the axes of the tool"
+            f"the path looks like a {repeated[0].name}, but exchanging the joints between the trajectories hardly changes "
+            "that: nothing shows a contact that all of them share. Learn from them one by one, or record from other "
+            "postures and with other grips"
         )
     return "no line, plane, hinge, ball, screw, cylinder or orientation holds the hand"
 

@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from manip_learn.constraint.mechanism_kinds import MechanismKind
 from manip_learn.learning.mechanisms.residuals import QUANTITIES, Place
-from manip_learn.learning.mechanisms.starts import STARTS
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 
 ITERATIONS = 25
@@ -120,15 +119,10 @@ def _next_to_hand(paths: TipPaths, candidate: MechanismKind, place: Place) -> Pl
     return Place(place.axis, place.point + along * place.axis, place.pitch)
 
 
-def fit_candidate(
-    paths: TipPaths, candidate: MechanismKind, starts: list[Place] | None = None, shared: tuple[str, ...] = ()
-) -> Fit:
+def fit_candidate(paths: TipPaths, candidate: MechanismKind, starts: list[Place], shared: tuple[str, ...] = ()) -> Fit:
     """The candidate at its best place; weights of metres against radians are found from the residuals themselves."""
     scale = {name: 1e-3 if QUANTITIES[name].unit == "m" else 2e-3 for name in candidate.holds}
-    tried = [
-        _gauss_newton(paths, candidate, start, shared, scale, FIRST_ITERATIONS)
-        for start in starts or closed_form_starts(paths, candidate)
-    ]
+    tried = [_gauss_newton(paths, candidate, start, shared, scale, FIRST_ITERATIONS) for start in starts]
     place, cost = min(tried, key=lambda t: t[1])
     if len({QUANTITIES[name].unit for name in candidate.holds}) > 1:
         scale = _weights(paths, candidate, place, shared)
@@ -146,15 +140,6 @@ def _weights(paths: TipPaths, candidate: MechanismKind, place: Place, shared: tu
         name: float(np.sqrt(np.mean(squares[QUANTITIES[name].unit]) + SMALLEST[QUANTITIES[name].unit] ** 2))
         for name in candidate.holds
     }
-
-
-def closed_form_starts(paths: TipPaths, candidate: MechanismKind) -> list[Place]:
-    """Starts by what the candidate holds; an orientation that is held besides does not change them."""
-    holds = candidate.holds
-    key = " ".join(holds)
-    if key not in STARTS:
-        key = " ".join(name for name in holds if name not in ("axis-in-hand", "orientation"))
-    return STARTS[key](paths)
 
 
 def _judged(

@@ -105,26 +105,3 @@ def thinned(q: Float[np.ndarray, "T n"], most: int) -> Float[np.ndarray, "t n"]:
     if len(q) <= most:
         return q
     return q[evenly(len(q), most)]
-
-
-def recombined(
-    postures: Sequence[Float[np.ndarray, "_ n"]], rng: np.random.Generator, repetitions: int = 8
-) -> list[Float[np.ndarray, "_ n"]]:
-    """Trajectories whose joints come from different demonstrations, aligned by their way in joint space.
-
-    Each joint keeps a motion of its own; the coordination that a contact enforces is lost. What the recombined hand
-    still holds is no evidence of a contact.
-    """
-    phase = np.linspace(0.0, 1.0, PHASES)
-    aligned = np.empty((len(postures), PHASES, postures[0].shape[1]))
-    for q, out in zip(postures, aligned, strict=True):
-        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
-        way = way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(q))
-        for j in range(q.shape[1]):
-            out[:, j] = np.interp(phase, way, q[:, j])
-    n, _, joints = aligned.shape
-    mixed = []
-    for _ in range(repetitions):
-        source = np.stack([rng.permutation(n) for _ in range(joints)])
-        mixed += [np.stack([aligned[source[j, i], :, j] for j in range(joints)], axis=1) for i in range(n)]
-    return mixed

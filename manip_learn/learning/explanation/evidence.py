@@ -1,4 +1,4 @@
-"""Where a hypothesis holds: evidence of every sample, and the best sequence of held and free stretches."""
+"""Evidence of every sample for a hypothesis, in nats over free motion, and the sequence of states with the most."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.learning.phases.motion import PhaseMotion
+from manip_learn.learning.explanation.row_motion import RowMotion
 
 # share of a held phase's samples that may be far off (slips, knocks): bounds the evidence against it
 OUTLIERS = 0.02
 # samples closer together than this tell the same story: a person's motion does not change faster [s]
 MEMORY = 0.1
-# evidence that a change between two phases costs [nats]
+# evidence that a change between two states costs [nats]: a person changes every few seconds, a chance of exp(-16) for
+# one of the ten samples of a second is that of a change in some months
 SWITCH = 16.0
 
 
@@ -35,7 +36,7 @@ class HeldScale:
 
 
 def evidence(
-    motion: PhaseMotion, energy: Float[np.ndarray, "n h"], s: int, scales: Sequence[HeldScale]
+    motion: RowMotion, energy: Float[np.ndarray, "n h"], s: int, scales: Sequence[HeldScale]
 ) -> Float[np.ndarray, "n h"]:
     """Log-likelihood of each sample if the rows are held over the same if they are free, weighted by its time.
 
@@ -59,24 +60,44 @@ def evidence(
     return ratio * (motion.weight[:, None] / MEMORY)
 
 
-def best_gains(
+STEADY = (1.0, 3.0, 9.0)
+SHARES = (0.003, 0.01, 0.03, 0.1, 0.2)
+# the scales among which a hypothesis takes the one with the most evidence, about half a decade apart
+SCALES = tuple(HeldScale(steady, share) for steady in STEADY for share in SHARES)
+
+
+def gains_of(
     values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = SWITCH
 ) -> Float[np.ndarray, "g h"]:
-    """Largest total evidence of any sequence of held and free stretches, for each trajectory and hypothesis."""
+    """Evidence of each trajectory for each hypothesis: of the best sequence of held and free stretches, or, as in a cut
+    recording, of a single state throughout.
+
+    Args:
+        values: Evidence of each sample.
+        first: First sample of each trajectory, and n at the end.
+        switch: What a change costs [nats]; infinite: there is none.
+    """
+    whole = np.maximum(np.add.reduceat(values, first[:-1], axis=0), 0.0)
+    if np.isinf(switch):
+        return whole
     padded = _padded(values, first)
     free, half = np.zeros(padded.shape[1:]), 0.5 * switch
     held = np.full_like(free, -half)
     for step in padded:
         held, free = np.maximum(held, free - half) + step, np.maximum(free, held - half)
-    return np.maximum(free, held - half)
+    return np.maximum(whole, np.maximum(free, held - half))
 
 
-def held_samples(
+def held_by(
     values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = SWITCH
 ) -> Bool[np.ndarray, "n h"]:
-    """Which samples each hypothesis holds in, taken on its own (Viterbi's algorithm with two states)."""
-    padded = _padded(values, first)
-    half = 0.5 * switch
+    """Which samples each hypothesis holds in, taken on its own: the sequences of `gains_of`."""
+    lengths = np.diff(first)
+    whole = np.add.reduceat(values, first[:-1], axis=0)
+    throughout = np.repeat(whole > 0.0, lengths, axis=0)
+    if np.isinf(switch):
+        return throughout
+    padded, half = _padded(values, first), 0.5 * switch
     entered, left = np.zeros(padded.shape, dtype=bool), np.zeros(padded.shape, dtype=bool)
     free = np.zeros(padded.shape[1:])
     held = np.full_like(free, -half)
@@ -86,24 +107,30 @@ def held_samples(
         np.greater(from_held, free, out=left[t])
         held, free = np.maximum(held, from_free) + step, np.maximum(free, from_held)
     state = held - half > free
+    best = np.maximum(free, held - half)
     out = np.zeros(padded.shape, dtype=bool)
     for t in range(len(padded) - 1, -1, -1):
         out[t] = state
         state = np.where(state, ~entered[t], left[t])
-    return np.concatenate([out[: b - a, i] for i, (a, b) in enumerate(pairwise(first))])
+    parts = np.concatenate([out[: b - a, i] for i, (a, b) in enumerate(pairwise(first))])
+    return np.where(np.repeat(whole > best, lengths, axis=0), throughout, parts)
 
 
-def best_states(
+def states_of(
     values: Float[np.ndarray, "n k"], first: Int[np.ndarray, " m"], switch: float = SWITCH
 ) -> Int[np.ndarray, " n"]:
-    """Most likely state of each sample: 0 free motion, k the k-th hypothesis (Viterbi's algorithm)."""
+    """Most likely state of each sample: 0 free motion, k the k-th hypothesis (Viterbi's algorithm); or, as in a cut
+    recording, a single state throughout.
+    """
     n, k = values.shape
     if k == 0:
         return np.zeros(n, dtype=np.int64)
-    if k == 1:
-        return held_samples(values, first, switch)[:, 0].astype(np.int64)
+    whole = np.add.reduceat(np.concatenate([np.zeros((n, 1)), values], axis=1), first[:-1], axis=0)
+    alone = np.repeat(np.argmax(whole, axis=1), np.diff(first))
+    if np.isinf(switch):
+        return alone
     padded = _padded(np.concatenate([np.zeros((n, 1)), values], axis=1), first)
-    # into or out of a constraint costs half a switch: a change from one to the next a whole one
+    # into or out of a constraint costs half a change: from one to the next a whole one
     border = 0.5 * switch * (np.arange(k + 1) > 0)
     cost = border[:, None] + border
     np.fill_diagonal(cost, 0.0)
@@ -114,12 +141,14 @@ def best_states(
         back[t] = arrivals.argmax(axis=1)
         value = arrivals.max(axis=1) + step
     state = np.argmax(value - border, axis=1)
+    best = np.max(value - border, axis=1)
     out = np.zeros(padded.shape[:2], dtype=np.int64)
     rows = np.arange(padded.shape[1])
     for t in range(len(padded) - 1, -1, -1):
         out[t] = state
         state = back[t, rows, state]
-    return np.concatenate([out[: b - a, i] for i, (a, b) in enumerate(pairwise(first))])
+    states = np.concatenate([out[: b - a, i] for i, (a, b) in enumerate(pairwise(first))])
+    return np.where(np.repeat(whole.max(axis=1) > best, np.diff(first)), alone, states)
 
 
 def _padded(values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"]) -> Float[np.ndarray, "T g h"]:

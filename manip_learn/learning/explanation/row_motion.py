@@ -1,8 +1,7 @@
-"""What the phase search sees of whole recordings: the motion in the features' rows, sample by sample."""
+"""The motion of recordings in the features' rows, sample by sample."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -12,14 +11,15 @@ from jaxtyping import Bool, Float, Int
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError, RecordingError
+from manip_learn.learning.whitening import whitening
 from manip_learn.recordings.trajectory import Trajectory
 
 # samples a second that are enough to judge a hypothesis; boundaries are found on all samples
 SCAN_RATE = 25.0
-# directions of Phi below this share of the largest are linear copies or identically zero
-PRUNE_RATIO = 1e-6
 # largest step of time that counts in full: a gap in a recording is no evidence [s]
 LONGEST_STEP = 0.2
+# eigenvalues of Phi Phi^T at one posture below this are none: rows that depend on the others there
+RANK = 1e-8
 # length of the windows from which the noise of the velocities is told [s]
 NOISE_WINDOW = 0.6
 # samples this many times above the noise count as motion of the tip
@@ -30,7 +30,7 @@ USED = 0.01
 
 @final
 @dataclass(frozen=True, eq=False)
-class PhaseMotion:
+class RowMotion:
     """All samples of all recordings in whitened rows, sum Phi Phi^T / n = I.
 
     Attributes:
@@ -44,6 +44,8 @@ class PhaseMotion:
             shape (n,).
         noise: Variance of one joint velocity's noise [(rad/s)^2], shape (n,), constant within a trajectory.
         whitening: W, shape (p', p), with Phi' = W Phi.
+        rank: Of Phi at a typical sample.
+        ends: First and last time of each recording, shape (g, 2) [s].
     """
 
     time: Float[np.ndarray, " n"]
@@ -55,11 +57,13 @@ class PhaseMotion:
     free: Float[np.ndarray, " n"]
     noise: Float[np.ndarray, " n"]
     whitening: Float[np.ndarray, "r p"]
+    rank: int
+    ends: Float[np.ndarray, "g 2"]
 
     @staticmethod
     def collect(
         features: FeatureMap, trajectories: Sequence[Trajectory], noise: Sequence[float] | None = None
-    ) -> PhaseMotion:
+    ) -> RowMotion:
         """The motion of trajectories with velocities.
 
         Args:
@@ -76,17 +80,20 @@ class PhaseMotion:
                 raise RecordingError(f"{t.name} has no velocities: derive them first", code="no-velocities")
         u = np.concatenate([t.u for t in trajectories])  # type: ignore[misc]
         Phi = features.batch(np.concatenate([t.q for t in trajectories]))
-        W = _whitening(Phi, features)
+        W = whitening(np.tensordot(Phi, Phi, axes=([0, 2], [0, 2])) / len(Phi), features.row_units)
+        if not len(W):
+            raise NotIdentifiableError(f"all rows of {features!r} are zero on these recordings", code="zero-features")
         n, p, nv = Phi.shape
         Phi = (W @ Phi.transpose(1, 0, 2).reshape(p, n * nv)).reshape(-1, n, nv).transpose(1, 0, 2)
         rates = np.matmul(Phi, u[:, :, None])[:, :, 0]
         gram = np.matmul(Phi, Phi.transpose(0, 2, 1))
         regular = gram + 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(len(W))
-        free = np.einsum("ni,ni->n", rates, np.linalg.solve(regular, rates[:, :, None])[:, :, 0]) / len(W)
+        rank = int(np.median(np.linalg.matrix_rank(gram[:: max(1, n // 50)], RANK, hermitian=True)))
+        free = np.einsum("ni,ni->n", rates, np.linalg.solve(regular, rates[:, :, None])[:, :, 0]) / rank
         lengths = [len(t) for t in trajectories]
         first = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
         each = [velocity_noise(t) for t in trajectories] if noise is None else noise
-        return PhaseMotion(
+        return RowMotion(
             np.concatenate([t.time for t in trajectories]),
             np.concatenate([_weights(t.time) for t in trajectories]),
             np.repeat(np.arange(len(trajectories)), lengths),
@@ -96,6 +103,8 @@ class PhaseMotion:
             np.maximum(free, 0.0),
             np.repeat(each, lengths),
             W,
+            rank,
+            np.array([[t.time[0], t.time[-1]] for t in trajectories]),
         )
 
     def __len__(self) -> int:
@@ -111,7 +120,7 @@ class PhaseMotion:
         """Where the rows move clearly more than the noise: elsewhere nothing can be known."""
         return self.free > MOVING**2 * self.noise
 
-    def thinned(self, rate: float = SCAN_RATE) -> PhaseMotion:
+    def thinned(self, rate: float = SCAN_RATE) -> RowMotion:
         """Evenly chosen samples, about so many a second, each standing for the time of those left out."""
         step = max(1, round(len(self) / max(float(self.weight.sum()), 1e-9) / rate))
         if step == 1:
@@ -121,10 +130,10 @@ class PhaseMotion:
         keep[np.concatenate(parts)] = True
         return self.chosen(keep, float(step))
 
-    def chosen(self, keep: Bool[np.ndarray, " n"], times: float = 1.0) -> PhaseMotion:
+    def chosen(self, keep: Bool[np.ndarray, " n"], times: float = 1.0) -> RowMotion:
         """Some of the samples, each standing for `times` its own time."""
         count = np.concatenate([[0], np.cumsum(keep)])
-        return PhaseMotion(
+        return RowMotion(
             self.time[keep],
             self.weight[keep] * times,
             self.trajectory[keep],
@@ -134,18 +143,9 @@ class PhaseMotion:
             self.free[keep],
             self.noise[keep],
             self.whitening,
+            self.rank,
+            self.ends,
         )
-
-    def alone(self, number: int) -> PhaseMotion:
-        """One trajectory by itself."""
-        part = self.chosen(self.trajectory == number)
-        return dataclasses.replace(
-            part, trajectory=np.zeros_like(part.trajectory), first=np.array([0, len(part)], dtype=np.int64)
-        )
-
-    def replaced(self, rates: Float[np.ndarray, "n r"], gram: Float[np.ndarray, "n r r"]) -> PhaseMotion:
-        """The same samples with other rows."""
-        return dataclasses.replace(self, rates=rates, gram=gram)
 
     def selection(self, rows: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "s p"]:
         """Lambda in the features' own basis, with orthonormal rows, from whitened rows."""
@@ -161,7 +161,7 @@ def sparse(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
     return out
 
 
-def broken_energy(motion: PhaseMotion, rows: Float[np.ndarray, "h s r"]) -> Float[np.ndarray, "n h"]:
+def broken_energy(motion: RowMotion, rows: Float[np.ndarray, "h s r"]) -> Float[np.ndarray, "n h"]:
     """Energy of u that breaks each hypothesis, e = u^T A^+ A u = (Lambda r)^T (Lambda G Lambda^T)^-1 Lambda r.
 
     For many samples and hypotheses at once: products of matrices, and Cholesky's recursion written out over the rows.
@@ -186,22 +186,24 @@ def broken_energy(motion: PhaseMotion, rows: Float[np.ndarray, "h s r"]) -> Floa
     return total
 
 
+def joints_at_once(u: Float[np.ndarray, "n nv"], noise: float) -> float:
+    """How many joints move at the same time, (sum u^2)^2 / sum u^4 of a typical sample that moves: 1 for one alone.
+
+    Args:
+        u: Velocities.
+        noise: Variance of the noise of each of them.
+    """
+    squares = u[np.sum(u**2, axis=1) > MOVING**2 * noise * u.shape[1]] ** 2
+    if not len(squares):
+        return 0.0
+    return float(np.median(np.sum(squares, axis=1) ** 2 / np.sum(squares**2, axis=1)))
+
+
 def directions_used(u: Float[np.ndarray, "n nv"], noise: float) -> int:
     """Number of directions in which the joints move, beyond the variance of their noise."""
     sizes = np.linalg.svd(u, compute_uv=False)
     floor = max(USED * float(np.max(sizes, initial=0.0)), 2.0 * np.sqrt(noise * len(u)))
     return int(np.count_nonzero(sizes > floor))
-
-
-def _whitening(Phi: Float[np.ndarray, "n p nv"], features: FeatureMap) -> Float[np.ndarray, "r p"]:
-    S = np.tensordot(Phi, Phi, axes=([0, 2], [0, 2])) / len(Phi)
-    size = np.sqrt(np.diag(S))
-    if not np.any(size > 0.0):
-        raise NotIdentifiableError(f"all rows of {features!r} are zero on these recordings", code="zero-features")
-    scale = np.where(size > PRUNE_RATIO * size.max(), 1.0 / np.maximum(size, 1e-300), 0.0)
-    values, vectors = np.linalg.eigh(scale[:, None] * S * scale)
-    kept = values > PRUNE_RATIO * values[-1]
-    return (vectors[:, kept] / np.sqrt(values[kept])).T * scale
 
 
 def _weights(time: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:

@@ -1,1 +1,0 @@
-"""Which trajectories obey one constraint, and which do not."""

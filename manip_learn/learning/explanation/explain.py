@@ -1,0 +1,294 @@
+"""A few hypotheses and free motion explain the recordings: propose, assign, test, until nothing gains enough."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from manip_learn.learning.explanation.evidence import (
+    MEMORY,
+    SCALES,
+    SWITCH,
+    HeldScale,
+    evidence,
+    gains_of,
+    held_by,
+    states_of,
+)
+from manip_learn.learning.explanation.proposals import fitted_rows, proposed
+from manip_learn.learning.explanation.row_motion import RowMotion, broken_energy
+from manip_learn.learning.explanation.views import View
+
+# least gain of a hypothesis, without its best supporter and after the price of its parameters [nats]
+LEAST_GAIN = 40.0
+MOST_CONSTRAINTS = 6
+# hypotheses that are tested in a row without one that passes
+MOST_TESTED = 6
+# scales with which proposals are compared: rows of a window are off by degrees, those of a recording hardly
+FIRST_SCALES = (HeldScale(2.0, 0.1), HeldScale(2.0, 0.01))
+# proposals of each view and number of rows that are fitted, the turns of a fit, and the turns of all together
+KEPT, TURNS, SETTLING = 4, 4, 4
+# proposals that are fitted for each recording by itself
+BEST_ALONE = 2
+# rows closer together than this are one proposal [rad]
+SAME = np.radians(3.0)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Rows that are zero in some samples.
+
+    Attributes:
+        view: Number of the view.
+        rows: Whitened, orthonormal, shape (s, r).
+        scale: How large velocities along them are.
+        gains: Evidence of each recording beyond what is explained otherwise [nats], shape (g,).
+    """
+
+    view: int
+    rows: Float[np.ndarray, "s r"]
+    scale: HeldScale
+    gains: Float[np.ndarray, " g"]
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows s."""
+        return len(self.rows)
+
+    @property
+    def support(self) -> float:
+        """Gain without the best supporter's, where there are several recordings [nats]."""
+        return float(supports_of(self.gains[:, None])[0])
+
+    def worth(self, seconds: float) -> float:
+        """Support less the price of the parameters of Lambda, s (r - s) of them (G. Schwarz, 1978) [nats]."""
+        s, r = self.rows.shape
+        return self.support - 0.5 * s * (r - s) * float(np.log(max(seconds / MEMORY, 2.0)))
+
+    def evidence(self, motion: RowMotion) -> Float[np.ndarray, " n"]:
+        """Of each sample of its view [nats]."""
+        return evidence(motion, broken_energy(motion, self.rows[None]), self.n_rows, [self.scale])[:, 0]
+
+
+def supports_of(gains: Float[np.ndarray, "g h"]) -> Float[np.ndarray, " h"]:
+    """Gain of the recordings beside the best supporter; all of a single recording."""
+    return gains.sum(axis=0) - (gains.max(axis=0) if len(gains) > 1 else 0.0)
+
+
+# (view, hypothesis, which chosen samples it explains) -> whether to believe it
+Test = Callable[[View, Hypothesis, Bool[np.ndarray, " n"]], bool]
+
+
+@final
+class Explanation:
+    """Hypotheses that together explain the recordings.
+
+    Args:
+        views: The recordings in each feature map.
+        hypotheses: What may hold.
+        switch: What a change of state costs [nats].
+
+    Attributes:
+        states: Of each chosen sample: 0 free motion, k the k-th hypothesis.
+        gains: Of each recording and hypothesis, beyond the best other explanation [nats].
+    """
+
+    def __init__(self, views: Sequence[View], hypotheses: Sequence[Hypothesis] = (), switch: float = SWITCH):
+        self.views, self.hypotheses, self.switch = views, tuple(hypotheses), switch
+        self.thin = views[0].thin
+        self.values = self._values(fine=False)
+        self.states = states_of(self.values, self.thin.first, switch)
+        gains = np.zeros((self.thin.n_trajectories, len(hypotheses)))
+        for k in range(len(hypotheses)):
+            gain = np.where(self.states == k + 1, self.values[:, k] - self.others(k), 0.0)
+            gains[:, k] = np.bincount(self.thin.trajectory, gain, minlength=len(gains))
+        self.gains = gains
+
+    def _values(self, *, fine: bool) -> Float[np.ndarray, "n k"]:
+        motions = [v.motion if fine else v.thin for v in self.views]
+        values = [h.evidence(motions[h.view]) for h in self.hypotheses]
+        return np.stack(values, axis=1) if values else np.zeros((len(motions[0]), 0))
+
+    def fine_states(self) -> Int[np.ndarray, " n"]:
+        """State of each sample of the views' full motion."""
+        return states_of(self._values(fine=True), self.views[0].motion.first, self.switch)
+
+    def others(self, k: int) -> Float[np.ndarray, " n"]:
+        """Evidence of each sample for the best explanation beside the k-th hypothesis; 0 is free motion."""
+        rest = np.delete(self.values, k, axis=1)
+        return np.maximum(np.max(rest, axis=1, initial=0.0), 0.0)
+
+    @property
+    def explained(self) -> Float[np.ndarray, " n"]:
+        """Evidence of each sample for what explains it."""
+        values = np.concatenate([np.zeros((len(self.values), 1)), self.values], axis=1)
+        return values[np.arange(len(values)), self.states]
+
+    @property
+    def supports(self) -> Float[np.ndarray, " k"]:
+        """Of each hypothesis, beyond the others [nats]."""
+        return supports_of(self.gains)
+
+    def with_one_more(self, hypothesis: Hypothesis) -> Explanation:
+        """All hypotheses and one more, each fitted to the samples that it explains best, in turns."""
+        best = now = Explanation(self.views, (*self.hypotheses, hypothesis), self.switch)
+        for _ in range(SETTLING):
+            fitted = [now._refitted(k) for k in range(len(now.hypotheses))]
+            now = Explanation(self.views, fitted, self.switch)
+            # a soft fit also accepts free motion, and so becomes softer with each turn
+            if float(now.explained.sum()) <= float(best.explained.sum()):
+                break
+            best = now
+        return best
+
+    def without_idle(self) -> Explanation:
+        """Without hypotheses whose samples the others explain as well."""
+        now = self
+        while len(now.hypotheses) > 1 and np.min(now.supports) < LEAST_GAIN:
+            idle = int(np.argmin(now.supports))
+            now = Explanation(now.views, [h for k, h in enumerate(now.hypotheses) if k != idle], now.switch)
+        return now
+
+    def _refitted(self, k: int) -> Hypothesis:
+        h, held = self.hypotheses[k], self.states == k + 1
+        thin = self.views[h.view].thin
+        if np.count_nonzero(held & thin.moving) < 3 * h.rows.shape[1]:
+            return h
+        again = dataclasses.replace(h, rows=_rows(thin, held, h))
+        baseline = np.where((self.states > 0) & ~held, self.others(k), 0.0)
+        return _scaled(self.views, [again], baseline, self.switch)[0]
+
+
+def explain(views: Sequence[View], believed: Test, switch: float = SWITCH) -> Explanation:
+    """Add one hypothesis after the other, as long as one gains enough and is believed.
+
+    Proposals come from windows of what is not explained, and from recordings and pairs of them in each state; so a
+    new hypothesis may explain more, hold more rows than an old one or divide it. Then all compete for every sample, and
+    what the others explain as well is dropped.
+
+    Args:
+        views: The recordings in each feature map, the plainest map first.
+        believed: The test of a hypothesis against chance.
+        switch: What a change between two states costs [nats]; infinite: recordings are taken as a whole.
+    """
+    now, refused = Explanation(views, (), switch), list[Hypothesis]()
+    seconds = float(views[0].thin.weight.sum())
+    while len(now.hypotheses) < MOST_CONSTRAINTS:
+        gaining = [h for h in candidates(now) if h.worth(seconds) > LEAST_GAIN]
+        gaining = [h for h in gaining if not any(_similar(h, r) for r in refused)]
+        accepted = None
+        for h in sorted(gaining, key=lambda h: -h.worth(seconds))[:MOST_TESTED]:
+            trial = now.with_one_more(h)
+            if trial.supports[-1] > LEAST_GAIN:
+                held = trial.states == len(trial.hypotheses)
+                if believed(views[h.view], trial.hypotheses[-1], held):
+                    accepted = trial.without_idle()
+                    break
+            refused.append(h)
+        if accepted is None:
+            break
+        # what a better one has replaced would otherwise be found, and replace that one, again and again
+        refused += [h for h in now.hypotheses if not any(_similar(h, other) for other in accepted.hypotheses)]
+        now = accepted
+    return now
+
+
+def candidates(now: Explanation, *, alone: bool = False) -> list[Hypothesis]:
+    """The proposals that gain most beyond what is explained, of each view and number of rows, fitted.
+
+    Args:
+        now: What explains the recordings so far.
+        alone: Those that gain most in each recording by itself, instead of those that several support.
+    """
+    baseline, starts = now.explained, list[Hypothesis]()
+    for number, view in enumerate(now.views):
+        for s, rows in proposed(view.thin, now.states, view.largest).items():
+            energy = broken_energy(view.thin, rows)
+            values = [evidence(view.thin, energy, s, [scale] * len(rows)) for scale in FIRST_SCALES]
+            tried = [gains_of(v - baseline[:, None], view.thin.first, now.switch) for v in values]
+            gains = np.max(tried, axis=0)
+            support = np.max([supports_of(g) for g in tried], axis=0)
+            chosen = np.unique(np.argmax(gains, axis=1)).tolist() if alone else _distinct(rows, np.argsort(-support))
+            starts += [Hypothesis(number, rows[i], SCALES[0], gains[:, i]) for i in chosen if alone or support[i] > 0.0]
+    if alone and starts:
+        gains = np.stack([h.gains for h in starts], axis=1)
+        starts = [starts[i] for i in np.unique(np.argsort(-gains, axis=1)[:, :BEST_ALONE])]
+    return _fitted(now.views, starts, baseline, now.switch)
+
+
+def _fitted(
+    views: Sequence[View], starts: Sequence[Hypothesis], baseline: Float[np.ndarray, " n"], switch: float
+) -> list[Hypothesis]:
+    """Each fitted to the samples that it explains, in turns with its scale; the best of its turns."""
+    best = _scaled(views, starts, baseline, switch)
+    going = list(range(len(best)))
+    for _ in range(TURNS):
+        now = [best[i] for i in going]
+        values = [h.evidence(views[h.view].thin) - baseline for h in now]
+        if not values:
+            break
+        held = held_by(np.stack(values, axis=1), views[0].thin.first, switch)
+        enough = [
+            k
+            for k, h in enumerate(now)
+            if np.count_nonzero(held[:, k] & views[h.view].thin.moving) >= 3 * h.rows.shape[1]
+        ]
+        again = [dataclasses.replace(now[k], rows=_rows(views[now[k].view].thin, held[:, k], now[k])) for k in enough]
+        again = _scaled(views, again, baseline, switch)
+        better = [
+            (going[k], h) for k, h in zip(enough, again, strict=True) if h.gains.sum() > best[going[k]].gains.sum()
+        ]
+        for i, h in better:
+            best[i] = h
+        going = [i for i, _ in better]
+    return best
+
+
+def _scaled(
+    views: Sequence[View], hypotheses: Sequence[Hypothesis], baseline: Float[np.ndarray, " n"], switch: float
+) -> list[Hypothesis]:
+    """Each with the scale that gains most."""
+    if not hypotheses:
+        return []
+    values = []
+    for h in hypotheses:
+        thin = views[h.view].thin
+        energy = np.repeat(broken_energy(thin, h.rows[None]), len(SCALES), axis=1)
+        values.append(evidence(thin, energy, h.n_rows, SCALES) - baseline[:, None])
+    gains = gains_of(np.concatenate(values, axis=1), views[0].thin.first, switch)
+    gains = gains.reshape(len(gains), len(hypotheses), len(SCALES))
+    most = np.argmax(gains.sum(axis=0), axis=1)
+    return [
+        dataclasses.replace(h, scale=SCALES[k], gains=gains[:, i, k])
+        for i, (h, k) in enumerate(zip(hypotheses, most, strict=True))
+    ]
+
+
+def _rows(motion: RowMotion, held: Bool[np.ndarray, " n"], h: Hypothesis) -> Float[np.ndarray, "s r"]:
+    """Rows from the held samples, each weighted by the inverse of the variance that is expected of it."""
+    variance = h.scale.steady**2 * motion.noise + h.scale.share**2 * motion.free
+    return fitted_rows(motion, np.where(held, motion.weight / variance, 0.0), h.n_rows)[0]
+
+
+def _similar(first: Hypothesis, second: Hypothesis) -> bool:
+    if first.view != second.view or first.rows.shape != second.rows.shape:
+        return False
+    return float(np.linalg.svd(first.rows @ second.rows.T, compute_uv=False)[-1]) > np.cos(SAME)
+
+
+def _distinct(rows: Float[np.ndarray, "h s r"], order: Int[np.ndarray, " h"]) -> list[int]:
+    """The first few in this order whose row spaces differ."""
+    kept: list[int] = []
+    for i in order:
+        shared = np.linalg.svd(rows[kept] @ rows[i].T, compute_uv=False)[:, -1] if kept else np.zeros(0)
+        if np.all(shared < np.cos(SAME)):
+            kept.append(int(i))
+        if len(kept) == KEPT:
+            break
+    return kept

@@ -1,1 +1,0 @@
-"""Stretches of whole recordings in which a constraint holds."""
