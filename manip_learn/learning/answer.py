@@ -170,7 +170,8 @@ def _mechanism(part: Part, settings: LearnerSettings) -> MechanismFit | None:
     before = None if recorded is None else [recorded[i] for i in chosen]
     rng, motion = np.random.default_rng(settings.seed), [part.demonstrations[i] for i in chosen]
     try:
-        return find_mechanism(maps[0].robot, maps[0].frame.name, motion, rng, recorded=before)
+        held = None if part.found is None else (part.feature_maps[0], part.found)
+        return find_mechanism(maps[0].robot, maps[0].frame.name, motion, rng, recorded=before, held=held)
     except NotIdentifiableError:
         return None
 

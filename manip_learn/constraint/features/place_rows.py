@@ -54,24 +54,24 @@ class PlaceRows(WeighedVelocity):
             raise FeatureError(f"the middle must be three finite numbers [m], got {m.tolist()}")
         self.robot, self.frame, self.form, self.middle = robot, robot.frame(frame), form, m
         self.nv = robot.nv
-        I, none = np.eye(3), np.zeros((3, 3))
+        unit, none = np.eye(3), np.zeros((3, 3))
         if form == "twist":
             self.row_names, self.row_units = AXES, ("m/s",) * 3 + ("rad/s",) * 3
-            self._constant = np.block([[I, -skew(m)], [none, I]])
-            self._by_place = np.stack([np.block([[none, skew(e)], [none, none]]) for e in I], axis=-1)
+            self._constant = np.block([[unit, -skew(m)], [none, unit]])
+            self._by_place = np.stack([np.block([[none, skew(e)], [none, none]]) for e in unit], axis=-1)
         elif form == "surface":
             products = tuple(f"{a}{b}" for a in AXES[:3] for b in AXES[:3])
             self.row_names, self.row_units = (*AXES[:3], *products), ("m/s",) * 3 + ("m^2/s",) * 9
             self._constant = np.concatenate([np.eye(3, 6), *(-m[i] * np.eye(3, 6) for i in range(3))])
-            self._by_place = np.concatenate([np.zeros((3, 6, 3)), *(np.eye(3, 6)[:, :, None] * e for e in I)])
+            self._by_place = np.concatenate([np.zeros((3, 6, 3)), *(np.eye(3, 6)[:, :, None] * e for e in unit)])
         else:
             turns = AXES[3:] if form == "point and rotation" else ()
             self.row_names = (*AXES[:3], "distance", *turns)
             self.row_units = ("m/s",) * 3 + ("m^2/s",) + ("rad/s",) * len(turns)
             rows = 4 + len(turns)
-            self._constant = np.block([[I, none], [-m[None], np.zeros((1, 3))], [none, I]])[:rows]
+            self._constant = np.block([[unit, none], [-m[None], np.zeros((1, 3))], [none, unit]])[:rows]
             self._by_place = np.zeros((rows, 6, 3))
-            self._by_place[3, :3] = I
+            self._by_place[3, :3] = unit
 
     def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
         """T_0 + sum_k p_k T_k and its derivative at n places [m]."""

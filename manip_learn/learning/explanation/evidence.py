@@ -10,12 +10,10 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.learning.explanation.row_motion import RowMotion
+from manip_learn.learning.explanation.row_motion import MEMORY, RowMotion
 
 # share of a held phase's samples that may be far off (slips, knocks): bounds the evidence against it
 OUTLIERS = 0.02
-# samples closer together than this tell the same story: a person's motion does not change faster [s]
-MEMORY = 0.1
 # evidence that a change between two states costs [nats]: a person changes every few seconds, a chance of exp(-16) for
 # one of the ten samples of a second is that of a change in some months
 SWITCH = 16.0

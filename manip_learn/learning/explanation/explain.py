@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from manip_learn.learning.explanation.evidence import (
-    MEMORY,
     SCALES,
     SWITCH,
     HeldScale,
@@ -21,7 +20,7 @@ from manip_learn.learning.explanation.evidence import (
     states_of,
 )
 from manip_learn.learning.explanation.proposals import fitted_rows, proposed
-from manip_learn.learning.explanation.row_motion import RowMotion, broken_energy
+from manip_learn.learning.explanation.row_motion import MEMORY, RowMotion, broken_energy
 from manip_learn.learning.explanation.views import View
 
 # least gain of a hypothesis, without its best supporter and after the price of its parameters [nats]
@@ -181,10 +180,11 @@ def explain(views: Sequence[View], believed: Test, switch: float = SWITCH) -> Ex
     seconds = float(views[0].thin.weight.sum())
     while len(now.hypotheses) < MOST_CONSTRAINTS:
         gaining = [h for h in candidates(now) if h.worth(seconds) > LEAST_GAIN]
-        gaining = [h for h in gaining if not any(_similar(h, r) for r in refused)]
-        accepted = None
-        for h in sorted(gaining, key=lambda h: -h.worth(seconds))[:MOST_TESTED]:
-            trial = now.with_one_more(h)
+        accepted, tested = None, 0
+        for h in sorted(gaining, key=lambda h: -h.worth(seconds)):
+            if tested == MOST_TESTED or any(_similar(h, r) for r in refused):
+                continue
+            trial, tested = now.with_one_more(h), tested + 1
             if trial.supports[-1] > LEAST_GAIN:
                 held = trial.states == len(trial.hypotheses)
                 if believed(views[h.view], trial.hypotheses[-1], held):

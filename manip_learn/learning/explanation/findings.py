@@ -21,7 +21,7 @@ from manip_learn.learning.explanation.lone import lone_contacts
 from manip_learn.learning.explanation.odd import agreeing, drifting, missing, slipping
 from manip_learn.learning.explanation.row_motion import joints_at_once
 from manip_learn.learning.explanation.stretch import Stretch, pieces_of, sharpened, stretches_of, uncovered
-from manip_learn.learning.explanation.views import View, views_of
+from manip_learn.learning.explanation.views import View, mechanism_features, views_of
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 
@@ -46,7 +46,7 @@ class Part:
         demonstrations: Whole recordings, or stretches of them.
         stretches: Where each of them lies; trajectories are counted from 0 in what was given to the learner.
         feature_maps: The candidates for Phi; the one in which the rows were found, if they were.
-        n_constraints: Number of rows that explain these stretches; None: from the data.
+        found: Rows that explain these stretches, orthonormal; None if nothing does.
         asked: The feature maps that were asked for.
         choices: In how many ways as many recordings can be chosen from all.
         source: All recordings before they were smoothed; None if they were not.
@@ -55,10 +55,15 @@ class Part:
     demonstrations: Demonstrations
     stretches: tuple[Stretch, ...]
     feature_maps: tuple[FeatureMap, ...]
-    n_constraints: int | None = None
+    found: Float[np.ndarray, "s p"] | None = None
     asked: tuple[FeatureMap, ...] = ()
     choices: int = 1
     source: BeforeSmoothing | None = None
+
+    @property
+    def n_constraints(self) -> int | None:
+        """Number of rows that explain these stretches; None: from the data."""
+        return None if self.found is None else len(self.found)
 
     @property
     def recorded(self) -> list[Trajectory] | None:
@@ -123,7 +128,7 @@ def find(
     widths = {t.u.shape[1] for t in trajectories if t.u is not None}
     if not usable or any(widths != {f.nv} for f in feature_maps):
         return unexplained(demonstrations, feature_maps)  # refused where the samples are collected
-    shown = partial(views_of, usable, mechanisms=mechanisms)
+    shown = partial(views_of, [*usable, *(mechanism_features(usable, trajectories) if mechanisms else ())])
     believed = partial(_believed, trajectories, int(rng.integers(2**32)))
     explanation = explain(shown(trajectories), believed, SWITCH if phases else np.inf)
     contacts = list[Stretch]()
@@ -140,7 +145,7 @@ def held_throughout(feature_maps: Sequence[FeatureMap], demonstrations: Demonstr
     usable = [f for f in feature_maps if _moves(f, demonstrations.trajectories)]
     if not usable:
         return False
-    found = explain(views_of(usable, demonstrations.trajectories, mechanisms=False), lambda *_: True, np.inf)
+    found = explain(views_of(usable, demonstrations.trajectories), lambda *_: True, np.inf)
     return bool(found.hypotheses) and len(np.unique(found.thin.trajectory[found.states > 0])) == len(demonstrations)
 
 
@@ -154,7 +159,10 @@ def _believed(
     trajectories: Sequence[Trajectory], seed: int, view: View, h: Hypothesis, held: Bool[np.ndarray, " n"]
 ) -> bool:
     """Whether exchanging joints between the stretches breaks the rows, and the joints move enough to show it."""
-    stretches, pieces = pieces_of(trajectories, stretches_of(view.thin, held.astype(np.int64), 1))
+    shown = stretches_of(view.thin, held.astype(np.int64), 1)
+    # a slip of some millimetres is a few samples of evidence, and as much as exchanged joints break of a short contact
+    still = agreeing(view.thin, h.rows, shown)
+    stretches, pieces = pieces_of(trajectories, [s for s, good in zip(shown, still, strict=True) if good])
     recordings = sorted({s.trajectory for s in stretches})
     if not pieces or (len(trajectories) > 1 and len(recordings) < 2):
         return False
@@ -201,7 +209,7 @@ def _findings(
                 Demonstrations(pieces_of(trajectories, members)[1], demonstrations.notes),
                 members,
                 (view.features,),
-                len(rows),
+                selection,
                 tuple(feature_maps),
                 math.comb(len(trajectories), shown),
             )

@@ -23,6 +23,7 @@ ODD_SHARE = 0.005
 # and by more than white noise on its velocities takes a random walk: its range exceeds 4 standard deviations of its end
 # in one of 10,000 trajectories
 ODD_NOISE = 4.0
+MEDIAN_SQUARE = 0.455  # of a standard normal variable
 # longest interruption of a contact: who lets go for longer does so on purpose [s]
 LONGEST = 1.5
 # a slip goes this many times farther along the held rows than a whole contact, and at least this far [m or rad]
@@ -59,8 +60,11 @@ def _drift(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretch: Stretch) 
     inside = covered(motion, [stretch])
     steps = motion.rates[inside] * motion.weight[inside, None]
     way = np.cumsum(steps, axis=0)
-    # of neighbours: what is common to them is motion
-    noise = float(np.sqrt(0.5 * np.sum(np.diff(steps @ rows.T, axis=0) ** 2)))
+    # of neighbours, for what is common to them is motion; of most of them, for a slip is none
+    squares = np.diff(steps @ rows.T, axis=0) ** 2
+    noise = (
+        float(np.sqrt(0.5 * len(squares) * np.sum(np.median(squares, axis=0)) / MEDIAN_SQUARE)) if len(squares) else 0.0
+    )
     return max(_extent(way @ rows.T), 1e-12), _extent(way), noise
 
 

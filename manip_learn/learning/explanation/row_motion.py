@@ -14,6 +14,8 @@ from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning.whitening import whitening
 from manip_learn.recordings.trajectory import Trajectory
 
+# samples closer together than this tell the same story: a person's motion does not change faster [s]
+MEMORY = 0.1
 # samples a second that are enough to judge a hypothesis; boundaries are found on all samples
 SCAN_RATE = 25.0
 # largest step of time that counts in full: a gap in a recording is no evidence [s]
@@ -40,8 +42,8 @@ class RowMotion:
         first: First sample of each trajectory, and n at the end, shape (g + 1,).
         rates: r = Phi u, shape (n, p').
         gram: Phi Phi^T, shape (n, p', p').
-        free: Energy of u in one row if its share of the rows were spread evenly, u^T Phi^+ Phi u / p' [(rad/s)^2],
-            shape (n,).
+        free: Energy of u in one row if the joints moved independently of each other, sum_j P_jj u_j^2 / rank with
+            P = Phi^+ Phi: the mean over all signs of the u_j [(rad/s)^2], shape (n,).
         noise: Variance of one joint velocity's noise [(rad/s)^2], shape (n,), constant within a trajectory.
         whitening: W, shape (p', p), with Phi' = W Phi.
         rank: Of Phi at a typical sample.
@@ -88,8 +90,8 @@ class RowMotion:
         rates = np.matmul(Phi, u[:, :, None])[:, :, 0]
         gram = np.matmul(Phi, Phi.transpose(0, 2, 1))
         regular = gram + 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(len(W))
+        used = np.einsum("npv,npv->nv", Phi, np.linalg.solve(regular, Phi))
         rank = int(np.median(np.linalg.matrix_rank(gram[:: max(1, n // 50)], RANK, hermitian=True)))
-        free = np.einsum("ni,ni->n", rates, np.linalg.solve(regular, rates[:, :, None])[:, :, 0]) / rank
         lengths = [len(t) for t in trajectories]
         first = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
         each = [velocity_noise(t) for t in trajectories] if noise is None else noise
@@ -100,7 +102,7 @@ class RowMotion:
             first,
             rates,
             gram,
-            np.maximum(free, 0.0),
+            np.sum(used * u**2, axis=1) / rank,
             np.repeat(each, lengths),
             W,
             rank,
@@ -150,15 +152,6 @@ class RowMotion:
     def selection(self, rows: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "s p"]:
         """Lambda in the features' own basis, with orthonormal rows, from whitened rows."""
         return np.linalg.svd(rows @ self.whitening, full_matrices=False)[2]
-
-
-def sparse(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
-    """Evenly chosen samples of each trajectory, about SCAN_RATE a second."""
-    out = []
-    for t in trajectories:
-        step = max(1, round(len(t) / max(t.duration, 1e-9) / SCAN_RATE))
-        out.append(t.part(slice(step // 2 if len(t) > step else 0, None, step)))
-    return out
 
 
 def broken_energy(motion: RowMotion, rows: Float[np.ndarray, "h s r"]) -> Float[np.ndarray, "n h"]:

@@ -44,25 +44,20 @@ class View:
         return null_basis(np.linalg.svd(self.motion.whitening, full_matrices=False)[2]).T
 
 
-def views_of(
-    feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory], *, mechanisms: bool = True
-) -> list[View]:
-    """The recordings in the feature maps asked for and, in rows of a frame, in those that hold mechanisms constant.
+def views_of(feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory]) -> list[View]:
+    """The recordings in each feature map.
 
     Raises:
         RecordingError: A trajectory lacks velocities.
         NotIdentifiableError: Every row of a map is zero throughout.
     """
-    maps = [*feature_maps, *(mechanism_rows(feature_maps, trajectories) if mechanisms else ())]
     noise = [velocity_noise(t) for t in trajectories]
-    views = []
-    for features in maps:
-        motion = RowMotion.collect(features, trajectories, noise)
-        views.append(View(features, motion, motion.thinned(), min(motion.rank, features.nv) - 1))
+    motions = [(f, RowMotion.collect(f, trajectories, noise)) for f in feature_maps]
+    views = [View(f, motion, motion.thinned(), min(motion.rank, f.nv) - 1) for f, motion in motions]
     return [v for v in views if v.largest > 0]
 
 
-def mechanism_rows(feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory]) -> list[PlaceRows]:
+def mechanism_features(feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory]) -> list[PlaceRows]:
     """The rows in which mechanisms that hold the frame asked for are constant; none where its velocity is not whole."""
     frames = [f for f in feature_maps if isinstance(f, FrameJacobian) and set(f.row_names) >= set(AXES[:3])]
     if not frames:

@@ -41,6 +41,7 @@ WIDE, WANTED = 0.015, 0.005  # relative: uncertainty of the radius that is worth
 REPEATED = "held by the way of moving, not by a contact that all share"
 FORMS: tuple[PlaceForm, ...] = ("point and rotation", "twist", "surface")
 
+Held = tuple[FeatureMap, Float[np.ndarray, "s p"]]
 Confirm = Callable[[FeatureMap, Float[np.ndarray, "s p"]], bool]
 
 
@@ -101,6 +102,7 @@ def find_mechanism(
     *,
     confirm: Confirm | None = None,
     recorded: Sequence[Trajectory] | None = None,
+    held: Held | None = None,
 ) -> MechanismFit:
     """The mechanism that held a frame of the robot while the trajectories were recorded.
 
@@ -119,6 +121,8 @@ def find_mechanism(
             refuses it.
         recorded: The same trajectories as they were recorded, if `trajectories` are smoothed: the place is fitted to
             these, since smoothing costs the ends of an arc, and its errors are those of neighbours, too.
+        held: Phi and Lambda of rows that are known to be held. If they speak of rotations too, they say which mechanism
+            it is, and no other rows are looked for; if not, they do where no rows of the whole pose say more.
 
     Raises:
         UnknownNameError: No such frame; lists near matches.
@@ -133,7 +137,11 @@ def find_mechanism(
     if max(np.ptp(paths.p, axis=0).max(), np.abs(paths.turns).max()) < 1e-3:
         raise NotIdentifiableError("the hand does not move in these trajectories", code="no-motion")
     moved = list(with_velocities(Demonstrations(chosen, ()), robot))
-    read, members, table = _read(robot, tip, moved, paths, rng)
+    known = None if held is None else read_kind(*held, views_of([held[0]], moved)[0].immovable, paths.p)
+    read, members, table = known, tuple(range(len(moved))), tuple[Alternative, ...]()
+    if held is None or known is None or not any(unit.startswith("rad") for unit in held[0].row_units):
+        searched, members, table = _read(robot, tip, moved, paths, rng)
+        read, members = (searched, members) if searched else (known, tuple(range(len(moved))))
     if read is None:
         return MechanismFit(None, None, None, {}, table, _why_none(table))
     paths = paths.chosen(members)
@@ -178,7 +186,7 @@ def _read(
         return verdict == "chosen"
 
     seed = int(rng.integers(2**32))
-    found = explain(views_of(maps, moved, mechanisms=False), believed, np.inf)
+    found = explain(views_of(maps, moved), believed, np.inf)
     if not found.hypotheses:
         return None, (), tuple(table)
     k = int(np.argmax(found.supports))
