@@ -10,8 +10,9 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, advice, counted, named, number_if_known
 from manip_learn.learning.division import Division
-from manip_learn.learning.overview import distinct_names, lone_contacts
+from manip_learn.learning.overview import lone_contacts
 from manip_learn.learning.phases.find_phases import one_constraint_fits
+from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.recordings.demonstrations import Demonstrations
 
 # share of the motion's energy below which a joint counts as still
@@ -29,6 +30,7 @@ def advise(
     feature_maps: Sequence[FeatureMap],
     division: Division,
     *,
+    recordings: IndependentRecordings,
     phases: str,
 ) -> NotIdentifiableError:
     """The refusal with its likely causes and the next thing to try for each; others than those of the evidence pass.
@@ -38,13 +40,14 @@ def advise(
         demonstrations: With velocities.
         feature_maps: The candidates for Phi.
         division: What was found out about the recordings.
+        recordings: Which of those that were given are learnt from.
         phases: Whether phases were looked for (`"auto"`, `"off"`).
     """
     if refusal.code not in ADVISED:
         return refusal
     causes = [
-        *_too_few(demonstrations),
-        *lone_contacts(division, distinct_names(demonstrations)),
+        *_too_few(recordings),
+        *lone_contacts(division, recordings),
         *_several_phases(division, phases, len(demonstrations)),
         *_other_rows(demonstrations, feature_maps),
         *_still_joints(demonstrations),
@@ -70,13 +73,12 @@ def _advised(refusal: NotIdentifiableError, causes: Sequence[str]) -> NotIdentif
     )
 
 
-def _too_few(demonstrations: Demonstrations) -> list[str]:
-    if len(demonstrations) >= FEWEST:
+def _too_few(recordings: IndependentRecordings) -> list[str]:
+    n = len(recordings.demonstrations)
+    if n >= FEWEST:
         return []
-    return [
-        f"record at least {FEWEST}, better 5, that differ in way and posture, not "
-        f"{counted(len(demonstrations), 'recording')}"
-    ]
+    repeated = f" ({'; '.join(recordings.warnings)})" if recordings.warnings else ""
+    return [f"record at least {FEWEST}, better 5, that differ in way and posture, not {counted(n, 'recording')}{repeated}"]
 
 
 def _several_phases(division: Division, phases: str, n: int) -> list[str]:

@@ -23,6 +23,7 @@ from manip_learn.learning.division import Division, Part, divide, undivided
 from manip_learn.learning.evidence.joint_offsets import JointOffsets
 from manip_learn.learning.excitation import check_fastest
 from manip_learn.learning.overview import RecordingOverview
+from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, build_report
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -187,8 +188,8 @@ class ConstraintLearner:
         self._fit_stream(buffer, None, None)
         return self
 
-    def _fit_demonstrations(self, recorded: Demonstrations, client: Any, progress: Progress | None) -> None:
-        """Parts of the recordings -> a constraint, its evidence and mechanism for each -> uncertainty -> report."""
+    def _fit_demonstrations(self, given: Demonstrations, client: Any, progress: Progress | None) -> None:
+        """What repeats counts once -> parts of it -> a constraint, evidence and mechanism for each -> report."""
 
         def fit(part: Part, settings: LearnerSettings) -> tuple[Candidate, DataSummary]:
             if client is None and part.demonstrations.n_samples <= IN_MEMORY_SAMPLES:
@@ -197,21 +198,27 @@ class ConstraintLearner:
             source = source_of(part.demonstrations)
             return self._refined(source, part.feature_maps, settings, client, progress)[:2]
 
-        demonstrations = self._with_velocities(recorded)
         with one_thread():
             started = time.perf_counter()
+            recordings = IndependentRecordings.of(given)
+            recorded = recordings.demonstrations
+            demonstrations = self._with_velocities(recorded)
             everything = DataSummary.of(demonstrations)
             check_fastest(everything.u, everything, demonstrations.joint_names)
             division, source = self._divide(demonstrations), BeforeSmoothing(demonstrations, recorded)
             parts = tuple(dataclasses.replace(part, source=source) for part in division.parts)
-            division = dataclasses.replace(division, parts=parts)
+            warnings = (*recordings.warnings, *division.warnings)
+            division = dataclasses.replace(division, parts=parts, warnings=warnings)
             try:
                 answers, division = find_answers(division, demonstrations, self._settings, fit)
             except NotIdentifiableError as refusal:
-                raise advise(refusal, demonstrations, self._feature_maps, division, phases=self.phases) from refusal
+                why = advise(
+                    refusal, demonstrations, self._feature_maps, division, recordings=recordings, phases=self.phases
+                )
+                raise why from refusal
             if progress is not None and client is None:
                 progress("learning", 1.0)
-            self._conclude(answers, division, demonstrations, started)
+            self._conclude(answers, division, recordings, demonstrations.joint_names, started)
 
     def _divide(self, demonstrations: Demonstrations) -> Division:
         if self.estimator in ("joint", "separate"):
@@ -263,16 +270,21 @@ class ConstraintLearner:
         )
 
     def _conclude(
-        self, answers: Sequence[Answer], division: Division, demonstrations: Demonstrations, started: float
+        self,
+        answers: Sequence[Answer],
+        division: Division,
+        recordings: IndependentRecordings,
+        joint_names: tuple[str, ...],
+        started: float,
     ) -> None:
         """Uncertainty -> report, for each answer."""
-        overview = RecordingOverview.of(answers, division, demonstrations)
+        overview = RecordingOverview.of(answers, division, recordings)
         constraints, reports = [], []
         for answer in answers:
             best = answer.candidate
             uncertainty_deg, seconds = self._uncertainty(best), time.perf_counter() - started
             constraint, report = build_report(
-                best, answer.data, demonstrations.joint_names, uncertainty_deg, seconds, answer, overview
+                best, answer.data, joint_names, uncertainty_deg, seconds, answer, overview
             )
             constraints.append(constraint)
             reports.append(report)
