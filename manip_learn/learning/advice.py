@@ -8,12 +8,13 @@ import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.errors import NotIdentifiableError, advice, counted, named, number_if_known
+from manip_learn.errors import NotIdentifiableError, advice, counted, listed, named, number_if_known
 from manip_learn.learning.division import Division
+from manip_learn.learning.evidence.repeats import IndependentRecordings
 from manip_learn.learning.overview import lone_contacts
 from manip_learn.learning.phases.find_phases import one_constraint_fits
-from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.learning.phases.result import Stretch
+from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 
 # share of the motion's energy below which a joint counts as still
 STILL = 1e-6
@@ -48,7 +49,7 @@ def advise(
     causes = [
         *_too_few(recordings),
         *lone_contacts(division, recordings),
-        *_several_phases(division, phases, len(demonstrations)),
+        *_several_phases(division, phases, recordings),
         *_other_rows(demonstrations, feature_maps),
         *_still_joints(demonstrations),
         *_too_slow(demonstrations),
@@ -78,10 +79,12 @@ def _too_few(recordings: IndependentRecordings) -> list[str]:
     if n >= FEWEST:
         return []
     repeated = f" ({'; '.join(recordings.warnings)})" if recordings.warnings else ""
-    return [f"record at least {FEWEST}, better 5, that differ in way and posture, not {counted(n, 'recording')}{repeated}"]
+    return [
+        f"record at least {FEWEST}, better 5, that differ in way and posture, not {counted(n, 'recording')}{repeated}"
+    ]
 
 
-def _several_phases(division: Division, phases: str, n: int) -> list[str]:
+def _several_phases(division: Division, phases: str, recordings: IndependentRecordings) -> list[str]:
     if division.one_fits or division.unlearnt:
         return []
     if phases == "off":
@@ -89,7 +92,11 @@ def _several_phases(division: Division, phases: str, n: int) -> list[str]:
             "cut the recordings to the contact, since no single constraint fits them as a whole"
             + advice(", or allow {}", "phases='auto'", "--phases auto")
         ]
-    if n < 2:
+    found = [s for part in division.parts if part.is_held for s in part.stretches]
+    spans = _spans(found or division.refused, recordings)
+    if found:
+        return [f"cut the recordings more closely to what seems held, each in a file of its own: {spans}"]
+    if len(recordings.demonstrations) < 2:
         return [
             "cut the recording to the contact"
             + advice(" with {}", "trajectory[start:until]", "--from and --until")
@@ -99,7 +106,16 @@ def _several_phases(division: Division, phases: str, n: int) -> list[str]:
         "cut the recordings to the contact"
         + advice(" ({})", "trajectory[start:until]", "--from and --until")
         + ", for no stretch of them obeys a constraint that several confirm, as in free motion"
+        + (f"; the likeliest places, if anything was touched: {spans}" if spans else "")
     ]
+
+
+def _spans(stretches: Sequence[Stretch], recordings: IndependentRecordings) -> str:
+    """Each recording with the times of its stretches, in words."""
+    names, times = distinct_names(recordings.given), dict[str, list[str]]()
+    for place in (p for s in stretches for p in recordings.places(s)):
+        times.setdefault(names[place.trajectory], []).append(f"{place.start:.1f} to {place.end:.1f} s")
+    return ", ".join(f"{name} {listed(spans)}" for name, spans in times.items())
 
 
 def _other_rows(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> list[str]:

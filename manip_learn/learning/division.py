@@ -72,6 +72,7 @@ class Division:
         parts: One per constraint, best supported first.
         free: Stretches of free motion.
         unlearnt: Stretches in which something seems to be held that is not learnt, and why.
+        refused: Stretches of the constraint that comes nearest, where none is supported by enough.
         odd: Trajectories that do not agree with the others, and why.
         one_fits: Whether a single constraint fits nearly all samples.
         warnings: Doubts, in sentences.
@@ -83,6 +84,7 @@ class Division:
     one_fits: bool = True
     warnings: tuple[str, ...] = ()
     unlearnt: tuple[tuple[Stretch, str], ...] = ()
+    refused: tuple[Stretch, ...] = ()
 
     def phases(self) -> tuple[tuple[Stretch, int | None, str], ...]:
         """(stretch, number of the constraint or None, why nothing is learnt from it), in order of time."""
@@ -148,7 +150,10 @@ def divide(
         if found.constraints:
             return _by_phases(demonstrations, usable, found)
         lone = _of_one(found.unsupported)
-        return Division(undivided(demonstrations, feature_maps).parts, one_fits=False, unlearnt=lone)
+        nearest = max(found.rejected, key=lambda c: c.support, default=None)
+        refused = () if nearest is None else nearest.stretches
+        parts = undivided(demonstrations, feature_maps).parts
+        return Division(parts, one_fits=False, unlearnt=lone, refused=refused)
     return Division(undivided(demonstrations, feature_maps).parts, one_fits=False)
 
 

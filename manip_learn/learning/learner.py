@@ -21,9 +21,9 @@ from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSett
 from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, in_memory
 from manip_learn.learning.division import Division, Part, divide, undivided
 from manip_learn.learning.evidence.joint_offsets import JointOffsets
-from manip_learn.learning.excitation import check_fastest
+from manip_learn.learning.evidence.repeats import IndependentRecordings
+from manip_learn.learning.excitation import check_fastest, doubt_velocities
 from manip_learn.learning.overview import RecordingOverview
-from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, build_report
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -207,7 +207,8 @@ class ConstraintLearner:
             check_fastest(everything.u, everything, demonstrations.joint_names)
             division, source = self._divide(demonstrations), BeforeSmoothing(demonstrations, recorded)
             parts = tuple(dataclasses.replace(part, source=source) for part in division.parts)
-            warnings = (*recordings.warnings, *division.warnings)
+            doubts = doubt_velocities(recorded.trajectories, demonstrations.joint_names)
+            warnings = (*recordings.warnings, *doubts, *division.warnings)
             division = dataclasses.replace(division, parts=parts, warnings=warnings)
             try:
                 answers, division = find_answers(division, demonstrations, self._settings, fit)

@@ -39,8 +39,8 @@ SHARE = 0.9
 # 3 % of it apart (study: benchmarks/repeated_recordings.py, seeds from 30000), and where noise or long chords exceed
 # this nothing can be told
 NEAREST = 0.01
-# postures of a recording that are compared, those of a first look, and the share of these that must be near
-POSTURES, PROBES, PROBES_NEAR = 200, 9, 0.6
+# postures of a recording that are compared, those of a first look, and how many of these must be near
+POSTURES, PROBES, PROBES_NEAR = 200, 9, 6
 THINNED = 400  # samples of a path in the first look, at most
 # samples on either side of a seam that a cubic is fitted to, and how many times less than a recording's samples
 SEAM, SEAM_SHARE = (3, 10), 16
@@ -149,45 +149,46 @@ class _Path:
     """Where a recording has been.
 
     Attributes:
-        q: All postures, shape (T, n) [rad or m].
+        trajectory: The recording, with postures q of shape (T, n) [rad or m].
         probes: Some of them, evenly over the way, shape (PROBES, n).
         thinned: Some of them, evenly over the samples, shape (k, n).
-        noise: Of a posture, all joints together, no less than `REPEATED` [rad].
         extent: Length of the diagonal of the box that it fills [rad].
     """
 
-    q: Float[np.ndarray, "T n"]
+    trajectory: Trajectory
     probes: Float[np.ndarray, "k n"]
     thinned: Float[np.ndarray, "m n"]
-    noise: float
     extent: float
 
     @staticmethod
     def of(trajectory: Trajectory) -> _Path:
         q = trajectory.q
-        thinned = q[evenly(len(q), THINNED)]
+        thinned = q[:: -(-len(q) // THINNED)]
         way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(thinned, axis=0), axis=1)))
         probes = thinned[np.searchsorted(way, np.linspace(0.0, way[-1], PROBES)).clip(0, len(way) - 1)]
-        noise2 = float(np.sum(noise_variance(trajectory.time, q))) if len(q) > 5 else 0.0
-        extent = float(np.linalg.norm(np.ptp(thinned, axis=0)))
-        return _Path(q, probes, thinned, float(np.hypot(np.sqrt(noise2), REPEATED)), extent)
+        return _Path(trajectory, probes, thinned, float(np.linalg.norm(np.ptp(thinned, axis=0))))
+
+    @property
+    def noise2(self) -> float:
+        """Variance of a posture, all joints together, no less than `REPEATED` squared [rad^2]."""
+        t = self.trajectory
+        return REPEATED**2 + (float(np.sum(noise_variance(t.time, t.q))) if len(t) > 5 else 0.0)
 
     def distance_from(self, other: _Path) -> float | None:
         """Largest distance of the postures that lie on the other path [rad]; None if too few of the way do."""
         from scipy.spatial import cKDTree
 
-        chosen = self.q[evenly(len(self.q), POSTURES)]
+        q, chosen = other.trajectory.q, self.trajectory.q[evenly(len(self.trajectory), POSTURES)]
         steps = np.linalg.norm(np.diff(chosen, axis=0), axis=1)
         way = np.append(steps, 0.0) + np.append(0.0, steps) + np.finfo(np.float64).tiny
-        nearest = cKDTree(other.q).query(chosen, k=min(3, len(other.q)))[1].reshape(len(chosen), -1)
-        chords = _chord_errors(other.q)
-        distance, allowed = np.full(len(chosen), np.inf), np.zeros(len(chosen))
+        nearest = cKDTree(q).query(chosen, k=min(3, len(q)))[1].reshape(len(chosen), -1)
+        chords = _chord_errors(q)
+        distance, chord = np.full(len(chosen), np.inf), np.zeros(len(chosen))
         for first in (nearest, nearest - 1):
-            for a in first.T.clip(0, len(other.q) - 2):
-                d = _distance_from_segment(chosen, other.q[a], other.q[a + 1])
-                closer = d < distance
-                distance, allowed = np.where(closer, d, distance), np.where(closer, chords[a], allowed)
-        most = LIES * np.sqrt(self.noise**2 + other.noise**2 + allowed**2)
+            for a in first.T.clip(0, max(len(q) - 2, 0)):
+                d = _distance_from_segment(chosen, q[a], q[np.minimum(a + 1, len(q) - 1)])
+                distance, chord = np.minimum(distance, d), np.where(d < distance, chords[a], chord)
+        most = LIES * np.sqrt(self.noise2 + other.noise2 + chord**2)
         lies = distance <= np.minimum(most, NEAREST * max(self.extent, other.extent))
         return float(np.max(distance[lies])) if np.sum(way[lies]) >= SHARE * np.sum(way) else None
 
@@ -210,22 +211,23 @@ def _distance_from_segment(
 
 def _nearby(paths: Sequence[_Path]) -> list[list[int]]:
     """For each path the others of which some postures are near it."""
-    probes = np.stack([p.probes for p in paths])
+    probes = np.stack([p.probes.T for p in paths], axis=1)  # joint by joint
     extents = np.array([p.extent for p in paths])
     out = []
     for j, path in enumerate(paths):
         low, high = path.thinned.min(axis=0), path.thinned.max(axis=0)
         most = NEAREST * np.maximum(extents, path.extent)
-        margin = most[:, None, None]
-        inside = np.all((probes >= low - margin) & (probes <= high + margin), axis=2)
-        candidates = np.flatnonzero(inside.mean(axis=1) >= PROBES_NEAR)
-        candidates = candidates[(candidates != j) & (most[candidates] > 0.0)]
+        candidates = np.flatnonzero((most > 0.0) & (np.arange(len(paths)) != j))
+        for k in range(len(low)):
+            column, margin = probes[k, candidates], most[candidates, None]
+            inside = (column >= low[k] - margin) & (column <= high[k] + margin)
+            candidates = candidates[np.count_nonzero(inside, axis=1) >= PROBES_NEAR]
         step = np.linalg.norm(np.diff(path.thinned, axis=0), axis=1).max(initial=0.0)
         near = []
-        for i in candidates:
-            gaps = np.linalg.norm(probes[i][:, None] - path.thinned[None], axis=2).min(axis=1)
-            if np.mean(gaps <= most[i] + step) >= PROBES_NEAR:
-                near.append(int(i))
+        for i in candidates.tolist():
+            gaps = np.linalg.norm(paths[i].probes[:, None] - path.thinned[None], axis=2).min(axis=1)
+            if np.count_nonzero(gaps <= most[i] + step) >= PROBES_NEAR:
+                near.append(i)
         out.append(near)
     return out
 
@@ -274,19 +276,27 @@ def _seams(trajectories: Sequence[Trajectory]) -> list[_Seam]:
     long = [i for i, t in enumerate(trajectories) if len(t) > 2 * SEAM[0]]  # one is left after a shared sample
     if len(long) < 2:
         return []
-    steps = [np.linalg.norm(np.diff(trajectories[i].q, axis=0), axis=1) for i in long]
-    extents = [np.linalg.norm(np.ptp(trajectories[i].q, axis=0)) for i in long]
-    if np.median([np.mean(s) for s in steps] / np.maximum(extents, np.finfo(np.float64).tiny)) > STEP:
+    starts, ends = (np.array([trajectories[i].q[end] for i in long]) for end in (0, -1))
+    first, last = (
+        np.array([np.mean(np.linalg.norm(np.diff(trajectories[i].q[part], axis=0), axis=1)) for i in long])
+        for part in (slice(SEAM[0] + 1), slice(-SEAM[0] - 1, None))
+    )
+    touching = [
+        (i, long[k])
+        for i, end, step in zip(long, ends, last, strict=True)
+        for k in np.flatnonzero(np.linalg.norm(starts - end, axis=1) <= TOUCHES * np.maximum(first, step))
+        if long[k] != i
+    ]
+    if not touching or np.median([_step(trajectories[i].q) for i in long]) > STEP:
         return []
-    starts = np.array([trajectories[i].q[0] for i in long])
-    first = np.array([np.mean(s[: SEAM[0]]) for s in steps])
-    seams = []
-    for i, own in zip(long, steps, strict=True):
-        reach = TOUCHES * np.maximum(first, np.mean(own[-SEAM[0] :]))
-        for k in np.flatnonzero(np.linalg.norm(starts - trajectories[i].q[-1], axis=1) <= reach):
-            seam = None if long[k] == i else _seam(trajectories, i, long[k])
-            seams += [] if seam is None else [seam]
+    seams = [s for i, k in touching if (s := _seam(trajectories, i, k)) is not None]
     return sorted(seams, key=lambda s: (not s.is_cut, s.after != s.before + 1, s.left))
+
+
+def _step(q: Float[np.ndarray, "T n"]) -> float:
+    """Mean step over the extent; 1 at rest."""
+    extent = float(np.linalg.norm(np.ptp(q, axis=0)))
+    return float(np.mean(np.linalg.norm(np.diff(q, axis=0), axis=1))) / extent if extent > 0.0 else 1.0
 
 
 def _seam(trajectories: Sequence[Trajectory], before: int, after: int) -> _Seam | None:
@@ -320,7 +330,7 @@ def _shared(before: Trajectory, after: Trajectory) -> int:
 
 
 def _on_one_clock(trajectories: Sequence[Trajectory], chain: Sequence[int]) -> tuple[tuple[int, float], ...]:
-    """The pieces in order, each with what is added to its clock so that it goes on one step after the one before [s]."""
+    """The pieces in order, each with what is added to its clock to go on one step after the one before [s]."""
     out = [(chain[0], 0.0)]
     for before, after in zip(chain[:-1], chain[1:], strict=True):
         a, b = trajectories[before], trajectories[after]
