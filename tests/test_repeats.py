@@ -20,6 +20,7 @@ from manip_learn.learning.evidence.repeats import IndependentRecordings
 from manip_learn.learning.excitation import doubt_velocities
 from manip_learn.learning.phases.result import Stretch
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.velocities import with_velocities as derived
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 LOCKED = {"panda": ("panda_finger_joint1", "panda_finger_joint2")}
@@ -207,10 +208,12 @@ def test_advice_to_cut_names_each_file_and_its_times(drawers):
     """Stretches that nearly showed something are named on the clocks of the files that were given."""
     features, motions = drawers
     given = Demonstrations(named([motions[0], *pieces(motions[1]), motions[2]]))
+    given = given.with_joint_names(features.robot.joint_names)
     recordings = IndependentRecordings.of(given)
+    demonstrations = derived(recordings.demonstrations, features.robot)
     refused = (Stretch(0, 0.5, 1.25), Stretch(0, 1.5, 2.0), Stretch(2, 0.25, 1.0))
     division = Division((), one_fits=False, refused=refused)
     refusal = NotIdentifiableError("no evidence", code="no-evidence")
-    again = advise(refusal, recordings.demonstrations, [features], division, recordings=recordings, phases="auto")
+    again = advise(refusal, demonstrations, [features], division, recordings=recordings, phases="auto")
     (cut,) = [a for a in again.advice if a.startswith("cut")]
     assert cut.endswith("demo_0 0.5 to 1.2 s and 1.5 to 2.0 s, demo_9 0.2 to 1.0 s")

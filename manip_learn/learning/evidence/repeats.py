@@ -289,7 +289,8 @@ def _seams(trajectories: Sequence[Trajectory]) -> list[_Seam]:
     ]
     if not touching or np.median([_step(trajectories[i].q) for i in long]) > STEP:
         return []
-    seams = [s for i, k in touching if (s := _seam(trajectories, i, k)) is not None]
+    told = NEAREST * max(float(np.linalg.norm(np.ptp(trajectories[i].q, axis=0))) for i in long)
+    seams = [s for i, k in touching if (s := _seam(trajectories, i, k, told)) is not None]
     return sorted(seams, key=lambda s: (not s.is_cut, s.after != s.before + 1, s.left))
 
 
@@ -299,7 +300,7 @@ def _step(q: Float[np.ndarray, "T n"]) -> float:
     return float(np.mean(np.linalg.norm(np.diff(q, axis=0), axis=1))) / extent if extent > 0.0 else 1.0
 
 
-def _seam(trajectories: Sequence[Trajectory], before: int, after: int) -> _Seam | None:
+def _seam(trajectories: Sequence[Trajectory], before: int, after: int, told: float) -> _Seam | None:
     a, b = trajectories[before], trajectories[after]
     if (a.u is None) != (b.u is None):
         return None
@@ -310,7 +311,7 @@ def _seam(trajectories: Sequence[Trajectory], before: int, after: int) -> _Seam 
     usual = max(float(np.max(_left_by_cubics(q, 2 * half))) for q in (a.q, later))
     ways = [np.linalg.norm(q[2 * half - 1 :] - q[: 1 - 2 * half], axis=1) for q in (a.q, later)]
     way = np.linalg.norm(seam[-1] - seam[0])
-    moving = way > max(MOVING * float(np.mean(np.concatenate(ways))), left / PATH)
+    moving = left < told and way > max(MOVING * float(np.mean(np.concatenate(ways))), left / PATH)
     pause = b.time[0] - a.time[-1]
     goes_on = bool(0.0 <= pause <= 2.0 * max(np.median(np.diff(a.time)), np.median(np.diff(b.time))))
     return _Seam(before, after, goes_on or bool(moving), left) if goes_on or left <= SMOOTH * usual + 1e-12 else None
