@@ -23,8 +23,8 @@ FEW_JOINTS = 1.6
 FAR_OUT = 1e4
 # postures closer together than this share of their size are one and the same
 SAME = 1e-9
-# how far a joint's recorded velocity may be off its positions, as a factor: at one joint 1.05 turns the rows of a drawer
-# by 0.7 degrees (median; 3.2 at worst), 1.2 by 2.6 (12); 8 sets of 4 arms, seeds 20000 to 20007
+# how far a joint's recorded velocity may be off its positions, as a factor: at one joint 1.05 turns a drawer's rows by
+# 0.7 degrees (median; 3.2 at worst), 1.2 by 2.6 (12); 8 sets of 4 arms, seeds 20000 to 20007
 SLOPE = 1.05
 # correlation c of displacements with integrated velocities above which a joint is judged: in the 20 windows of a
 # recording noise moves a slope by sqrt(1 / c^2 - 1) / sqrt(20), 5 % at 0.98
