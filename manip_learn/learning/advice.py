@@ -54,7 +54,8 @@ def advise(
         *_still_joints(demonstrations),
         *_too_slow(demonstrations),
     ]
-    return _advised(refusal, causes) if causes else advise_in_general(refusal)
+    facts = [*recordings.warnings, *_places(division, recordings)]
+    return _advised(refusal, causes, facts) if causes else advise_in_general(refusal)
 
 
 def advise_in_general(refusal: NotIdentifiableError) -> NotIdentifiableError:
@@ -65,23 +66,19 @@ def advise_in_general(refusal: NotIdentifiableError) -> NotIdentifiableError:
     return _advised(refusal, (usual,))
 
 
-def _advised(refusal: NotIdentifiableError, causes: Sequence[str]) -> NotIdentifiableError:
-    """What to do, then why, in two sentences; the first advices are said, all are kept."""
+def _advised(refusal: NotIdentifiableError, causes: Sequence[str], facts: Sequence[str] = ()) -> NotIdentifiableError:
+    """What to do, then why and the facts, in two sentences; the first advices are said, all are kept."""
     everything = (*refusal.advice, *causes)
-    said = f"{'; or '.join(everything[:ADVICES_SAID])}. {str(refusal)[0].upper()}{str(refusal)[1:]}"
-    return NotIdentifiableError(
-        said if everything else str(refusal), code=refusal.code, gaps=refusal.gaps, advice=everything
-    )
+    why = "; ".join([str(refusal), *facts])
+    said = f"{'; or '.join(everything[:ADVICES_SAID])}. {why[0].upper()}{why[1:]}" if everything else why
+    return NotIdentifiableError(said, code=refusal.code, gaps=refusal.gaps, advice=(*everything, *facts))
 
 
 def _too_few(recordings: IndependentRecordings) -> list[str]:
     n = len(recordings.demonstrations)
     if n >= FEWEST:
         return []
-    repeated = f" ({'; '.join(recordings.warnings)})" if recordings.warnings else ""
-    return [
-        f"record at least {FEWEST}, better 5, that differ in way and posture, not {counted(n, 'recording')}{repeated}"
-    ]
+    return [f"record at least {FEWEST}, better 5, that differ in way and posture, not {counted(n, 'recording')}"]
 
 
 def _several_phases(division: Division, phases: str, recordings: IndependentRecordings) -> list[str]:
@@ -92,10 +89,8 @@ def _several_phases(division: Division, phases: str, recordings: IndependentReco
             "cut the recordings to the contact, since no single constraint fits them as a whole"
             + advice(", or allow {}", "phases='auto'", "--phases auto")
         ]
-    found = [s for part in division.parts if part.is_held for s in part.stretches]
-    spans = _spans(found or division.refused, recordings)
-    if found:
-        return [f"cut the recordings more closely to what seems held, each in a file of its own: {spans}"]
+    if _held(division):
+        return ["cut the recordings more closely to what seems held, each stretch in a file of its own"]
     if len(recordings.demonstrations) < 2:
         return [
             "cut the recording to the contact"
@@ -106,16 +101,23 @@ def _several_phases(division: Division, phases: str, recordings: IndependentReco
         "cut the recordings to the contact"
         + advice(" ({})", "trajectory[start:until]", "--from and --until")
         + ", for no stretch of them obeys a constraint that several confirm, as in free motion"
-        + (f"; the likeliest places, if anything was touched: {spans}" if spans else "")
     ]
 
 
-def _spans(stretches: Sequence[Stretch], recordings: IndependentRecordings) -> str:
-    """Each recording with the times of its stretches, in words."""
+def _held(division: Division) -> list[Stretch]:
+    """Stretches in which phases were found."""
+    return [] if division.one_fits else [s for part in division.parts if part.is_held for s in part.stretches]
+
+
+def _places(division: Division, recordings: IndependentRecordings) -> list[str]:
+    """Where something seems held, or nearly so: each recording with its times."""
+    held = _held(division)
     names, times = distinct_names(recordings.given), dict[str, list[str]]()
-    for place in (p for s in stretches for p in recordings.places(s)):
+    for place in (p for s in held or division.refused for p in recordings.places(s)):
         times.setdefault(names[place.trajectory], []).append(f"{place.start:.1f} to {place.end:.1f} s")
-    return ", ".join(f"{name} {listed(spans)}" for name, spans in times.items())
+    spans = ", ".join(f"{name} {listed(of_one)}" for name, of_one in times.items())
+    what = "what seems held" if held else "the likeliest contact, if anything was touched"
+    return [f"{what}: {spans}"] if spans else []
 
 
 def _other_rows(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> list[str]:
