@@ -17,8 +17,7 @@ from manip_learn.errors import FeatureError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.candidate import EstimatorName
 from manip_learn.learning.learner import ESTIMATORS, Switch
-from manip_learn.learning.overview import distinct_names
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.episode_numbers import numbers_read
 from manip_learn.recordings.load_demonstrations import ReadOptions
 from manip_learn.recordings.preprocessing import subsample

@@ -8,10 +8,12 @@ import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.errors import NotIdentifiableError, advice, counted, named, number_if_known
+from manip_learn.errors import NotIdentifiableError, advice, counted, listed, named, number_if_known
+from manip_learn.learning.evidence.repeats import IndependentRecordings
 from manip_learn.learning.explanation.findings import Findings, held_throughout
-from manip_learn.learning.overview import distinct_names, lone_contacts
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.learning.overview import lone_contacts
+from manip_learn.learning.explanation.stretch import Stretch
+from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 
 # share of the motion's energy below which a joint counts as still
 STILL = 1e-6
@@ -28,6 +30,7 @@ def advise(
     feature_maps: Sequence[FeatureMap],
     findings: Findings,
     *,
+    recordings: IndependentRecordings,
     phases: str,
 ) -> NotIdentifiableError:
     """The refusal with its likely causes and the next thing to try for each; others than those of the evidence pass.
@@ -37,19 +40,21 @@ def advise(
         demonstrations: With velocities.
         feature_maps: The candidates for Phi.
         findings: What was found out about the recordings.
+        recordings: Which of those that were given are learnt from.
         phases: Whether phases were looked for (`"auto"`, `"off"`).
     """
     if refusal.code not in ADVISED:
         return refusal
     causes = [
-        *_too_few(demonstrations),
-        *lone_contacts(findings, distinct_names(demonstrations)),
-        *_several_phases(findings, demonstrations, feature_maps, phases),
+        *_too_few(recordings),
+        *lone_contacts(findings, recordings),
+        *_several_phases(findings, feature_maps, phases, recordings),
         *_other_rows(demonstrations, feature_maps),
         *_still_joints(demonstrations),
         *_too_slow(demonstrations),
     ]
-    return _advised(refusal, causes) if causes else advise_in_general(refusal)
+    facts = [*recordings.warnings, *_places(findings, recordings)]
+    return _advised(refusal, causes, facts) if causes else advise_in_general(refusal)
 
 
 def advise_in_general(refusal: NotIdentifiableError) -> NotIdentifiableError:
@@ -60,35 +65,34 @@ def advise_in_general(refusal: NotIdentifiableError) -> NotIdentifiableError:
     return _advised(refusal, (usual,))
 
 
-def _advised(refusal: NotIdentifiableError, causes: Sequence[str]) -> NotIdentifiableError:
-    """What to do, then why, in two sentences; the first advices are said, all are kept."""
+def _advised(refusal: NotIdentifiableError, causes: Sequence[str], facts: Sequence[str] = ()) -> NotIdentifiableError:
+    """What to do, then why and the facts, in two sentences; the first advices are said, all are kept."""
     everything = (*refusal.advice, *causes)
-    said = f"{'; or '.join(everything[:ADVICES_SAID])}. {str(refusal)[0].upper()}{str(refusal)[1:]}"
-    return NotIdentifiableError(
-        said if everything else str(refusal), code=refusal.code, gaps=refusal.gaps, advice=everything
-    )
+    why = "; ".join([str(refusal), *facts])
+    said = f"{'; or '.join(everything[:ADVICES_SAID])}. {why[0].upper()}{why[1:]}" if everything else why
+    return NotIdentifiableError(said, code=refusal.code, gaps=refusal.gaps, advice=(*everything, *facts))
 
 
-def _too_few(demonstrations: Demonstrations) -> list[str]:
-    if len(demonstrations) >= FEWEST:
+def _too_few(recordings: IndependentRecordings) -> list[str]:
+    n = len(recordings.demonstrations)
+    if n >= FEWEST:
         return []
-    return [
-        f"record at least {FEWEST}, better 5, that differ in way and posture, not "
-        f"{counted(len(demonstrations), 'recording')}"
-    ]
+    return [f"record at least {FEWEST}, better 5, that differ in way and posture, not {counted(n, 'recording')}"]
 
 
 def _several_phases(
-    findings: Findings, demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap], phases: str
+    findings: Findings, feature_maps: Sequence[FeatureMap], phases: str, recordings: IndependentRecordings
 ) -> list[str]:
-    if findings.unlearnt or held_throughout(feature_maps, demonstrations):
+    if findings.unlearnt or held_throughout(feature_maps, recordings.demonstrations):
         return []
     if phases == "off":
         return [
             "cut the recordings to the contact, since no single constraint fits them as a whole"
             + advice(", or allow {}", "phases='auto'", "--phases auto")
         ]
-    if len(demonstrations) < 2:
+    if _held(findings):
+        return ["cut the recordings more closely to what seems held, each stretch in a file of its own"]
+    if len(recordings.demonstrations) < 2:
         return [
             "cut the recording to the contact"
             + advice(" with {}", "trajectory[start:until]", "--from and --until")
@@ -99,6 +103,22 @@ def _several_phases(
         + advice(" ({})", "trajectory[start:until]", "--from and --until")
         + ", for no stretch of them obeys a constraint that several confirm, as in free motion"
     ]
+
+
+def _held(findings: Findings) -> list[Stretch]:
+    """Stretches in which phases were found."""
+    return [] if findings.one_fits else [s for part in findings.parts if part.is_held for s in part.stretches]
+
+
+def _places(findings: Findings, recordings: IndependentRecordings) -> list[str]:
+    """Where something seems held, or nearly so: each recording with its times."""
+    held = _held(findings)
+    names, times = distinct_names(recordings.given), dict[str, list[str]]()
+    for place in (p for s in held or findings.refused for p in recordings.places(s)):
+        times.setdefault(names[place.trajectory], []).append(f"{place.start:.1f} to {place.end:.1f} s")
+    spans = ", ".join(f"{name} {listed(of_one)}" for name, of_one in times.items())
+    what = "what seems held" if held else "the likeliest contact, if anything was touched"
+    return [f"{what}: {spans}"] if spans else []
 
 
 def _other_rows(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> list[str]:

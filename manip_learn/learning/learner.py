@@ -19,7 +19,8 @@ from manip_learn.learning.bootstrap import bootstrap_angle_deg
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
 from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, in_memory
 from manip_learn.learning.evidence.joint_offsets import JointOffsets
-from manip_learn.learning.excitation import check_fastest
+from manip_learn.learning.evidence.repeats import IndependentRecordings
+from manip_learn.learning.excitation import check_fastest, doubt_velocities
 from manip_learn.learning.explanation.findings import Findings, Part, find, unexplained
 from manip_learn.learning.overview import RecordingOverview
 from manip_learn.learning.report import LearningReport, build_report
@@ -186,8 +187,8 @@ class ConstraintLearner:
         self._fit_stream(buffer, None, None)
         return self
 
-    def _fit_demonstrations(self, recorded: Demonstrations, client: Any, progress: Progress | None) -> None:
-        """Parts of the recordings -> a constraint, its evidence and mechanism for each -> uncertainty -> report."""
+    def _fit_demonstrations(self, given: Demonstrations, client: Any, progress: Progress | None) -> None:
+        """What repeats counts once -> parts of it -> a constraint, evidence and mechanism for each -> report."""
 
         def fit(part: Part, settings: LearnerSettings) -> tuple[Candidate, DataSummary]:
             if client is None and part.demonstrations.n_samples <= IN_MEMORY_SAMPLES:
@@ -196,21 +197,28 @@ class ConstraintLearner:
             source = source_of(part.demonstrations)
             return self._refined(source, part.feature_maps, settings, client, progress)[:2]
 
-        demonstrations = self._with_velocities(recorded)
         with one_thread():
             started = time.perf_counter()
+            recordings = IndependentRecordings.of(given)
+            recorded = recordings.demonstrations
+            demonstrations = self._with_velocities(recorded)
             everything = DataSummary.of(demonstrations)
             check_fastest(everything.u, everything, demonstrations.joint_names)
             findings, source = self._find(demonstrations), BeforeSmoothing(demonstrations, recorded)
             parts = tuple(dataclasses.replace(part, source=source) for part in findings.parts)
-            findings = dataclasses.replace(findings, parts=parts)
+            doubts = doubt_velocities(recorded.trajectories, demonstrations.joint_names)
+            warnings = (*recordings.warnings, *doubts, *findings.warnings)
+            findings = dataclasses.replace(findings, parts=parts, warnings=warnings)
             try:
                 answers, findings = find_answers(findings, self._settings, fit)
             except NotIdentifiableError as refusal:
-                raise advise(refusal, demonstrations, self._feature_maps, findings, phases=self.phases) from refusal
+                why = advise(
+                    refusal, demonstrations, self._feature_maps, findings, recordings=recordings, phases=self.phases
+                )
+                raise why from refusal
             if progress is not None and client is None:
                 progress("learning", 1.0)
-            self._conclude(answers, findings, demonstrations, started)
+            self._conclude(answers, findings, recordings, demonstrations.joint_names, started)
 
     def _find(self, demonstrations: Demonstrations) -> Findings:
         if self.estimator in ("joint", "separate"):
@@ -262,16 +270,21 @@ class ConstraintLearner:
         )
 
     def _conclude(
-        self, answers: Sequence[Answer], findings: Findings, demonstrations: Demonstrations, started: float
+        self,
+        answers: Sequence[Answer],
+        findings: Findings,
+        recordings: IndependentRecordings,
+        joint_names: tuple[str, ...],
+        started: float,
     ) -> None:
         """Uncertainty -> report, for each answer."""
-        overview = RecordingOverview.of(answers, findings, demonstrations)
+        overview = RecordingOverview.of(answers, findings, recordings)
         constraints, reports = [], []
         for answer in answers:
             best = answer.candidate
             uncertainty_deg, seconds = self._uncertainty(best), time.perf_counter() - started
             constraint, report = build_report(
-                best, answer.data, demonstrations.joint_names, uncertainty_deg, seconds, answer, overview
+                best, answer.data, joint_names, uncertainty_deg, seconds, answer, overview
             )
             constraints.append(constraint)
             reports.append(report)

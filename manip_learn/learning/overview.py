@@ -8,8 +8,9 @@ from typing import NamedTuple, final
 
 from manip_learn.errors import counted
 from manip_learn.learning.answer import Answer
+from manip_learn.learning.evidence.repeats import IndependentRecordings
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.demonstrations import distinct_names
 
 SPANS_SHOWN = 6  # of each constraint, in words
 NO_ANSWER = "what several recordings show here could not be learnt"
@@ -60,21 +61,21 @@ class RecordingOverview:
     warnings: tuple[str, ...] = ()
 
     @staticmethod
-    def of(answers: Sequence[Answer], findings: Findings, demonstrations: Demonstrations) -> RecordingOverview:
-        """The phases with the names of the recordings."""
-        names = distinct_names(demonstrations)
+    def of(answers: Sequence[Answer], findings: Findings, recordings: IndependentRecordings) -> RecordingOverview:
+        """The phases with the names of the recordings, on the clocks of those that were given."""
+        names, given = distinct_names(recordings.demonstrations), distinct_names(recordings.given)
         number = {id(answer.part): k for k, answer in enumerate(answers)}
         phases = []
         for s, part, why in findings.phases():
             constraint = None if part is None else number.get(id(findings.parts[part]))
             reason = NO_ANSWER if part is not None and constraint is None else why
-            phases.append(Phase(names[s.trajectory], s.start, s.end, constraint, reason))
+            phases += [Phase(given[p.trajectory], p.start, p.end, constraint, reason) for p in recordings.places(s)]
         odd = dict(findings.odd)
-        warnings = [*findings.warnings, *lone_contacts(findings, names)]
+        warnings = [*findings.warnings, *lone_contacts(findings, recordings)]
         if odd:
             listed = "; ".join(f"{names[i]}: {why}" for i, why in sorted(odd.items()))
             warnings.append(
-                f"{len(odd)} of {len(demonstrations)} recordings do not agree with the others; what does not agree was "
+                f"{len(odd)} of {len(names)} recordings do not agree with the others; what does not agree was "
                 f"left out of the first constraint: {listed}"
             )
         return RecordingOverview(
@@ -101,13 +102,11 @@ class RecordingOverview:
         return tuple(out)
 
 
-def lone_contacts(findings: Findings, names: Sequence[str]) -> tuple[str, ...]:
+def lone_contacts(findings: Findings, recordings: IndependentRecordings) -> tuple[str, ...]:
     """Advice about contacts that one recording alone shows."""
-    contacts = [
-        f"in {names[s.trajectory]} from {s.start:.1f} s to {s.end:.1f} s"
-        for s, why in findings.unlearnt
-        if why == IN_ONE_ONLY
-    ]
+    alone = [p for s, why in findings.unlearnt if why == IN_ONE_ONLY for p in recordings.places(s)]
+    names = distinct_names(recordings.given)
+    contacts = [f"in {names[p.trajectory]} from {p.start:.1f} s to {p.end:.1f} s" for p in alone]
     if not contacts:
         return ()
     more = f" and {len(contacts) - SPANS_SHOWN} more" if len(contacts) > SPANS_SHOWN else ""
@@ -116,9 +115,3 @@ def lone_contacts(findings: Findings, names: Sequence[str]) -> tuple[str, ...]:
         f"record again, at least twice, {seen} that one recording alone shows: "
         f"{', '.join(contacts[:SPANS_SHOWN])}{more}",
     )
-
-
-def distinct_names(demonstrations: Demonstrations) -> tuple[str, ...]:
-    """A name for each recording: its own, numbered where several have the same."""
-    names = [t.name for t in demonstrations]
-    return tuple(n if names.count(n) == 1 else f"{n} {i + 1}" for i, n in enumerate(names))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import final, overload
@@ -133,3 +134,10 @@ class Demonstrations(Sequence[Trajectory]):
 
     def __iter__(self) -> Iterator[Trajectory]:
         return iter(self.trajectories)
+
+
+def distinct_names(demonstrations: Demonstrations) -> tuple[str, ...]:
+    """A name for each recording: its own, numbered where several have the same."""
+    names = [t.name for t in demonstrations]
+    often = Counter(names)
+    return tuple(n if often[n] == 1 else f"{n} {i + 1}" for i, n in enumerate(names))

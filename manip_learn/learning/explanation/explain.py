@@ -96,6 +96,7 @@ class Explanation:
     Attributes:
         states: Of each chosen sample: 0 free motion, k the k-th hypothesis.
         gains: Of each recording and hypothesis, beyond the best other explanation [nats].
+        refused: Hypotheses that gained enough and were not believed, in the order of their test.
     """
 
     def __init__(self, views: Sequence[View], hypotheses: Sequence[Hypothesis] = (), switch: float = SWITCH):
@@ -108,6 +109,7 @@ class Explanation:
             gain = np.where(self.states == k + 1, self.values[:, k] - self.others(k), 0.0)
             gains[:, k] = np.bincount(self.thin.trajectory, gain, minlength=len(gains))
         self.gains = gains
+        self.refused: tuple[Hypothesis, ...] = ()
 
     def _values(self, *, fine: bool) -> Float[np.ndarray, "n k"]:
         motions = [v.motion if fine else v.thin for v in self.views]
@@ -196,6 +198,7 @@ def explain(views: Sequence[View], believed: Test, switch: float = SWITCH) -> Ex
         # what a better one has replaced would otherwise be found, and replace that one, again and again
         refused += [h for h in now.hypotheses if not any(_similar(h, other) for other in accepted.hypotheses)]
         now = accepted
+    now.refused = tuple(refused)
     return now
 
 

@@ -80,6 +80,7 @@ class Findings:
         parts: One per constraint, best supported first.
         free: Stretches of free motion.
         unlearnt: Stretches in which something seems to be held that is not learnt, and why.
+        refused: Stretches of the hypothesis that comes nearest, where none is believed.
         odd: Trajectories that do not agree with the others, and why.
         explained: Whether the parts are what explains the recordings; if not, nothing does, and there is one part.
         warnings: Doubts, in sentences.
@@ -91,6 +92,7 @@ class Findings:
     explained: bool = False
     warnings: tuple[str, ...] = ()
     unlearnt: tuple[tuple[Stretch, str], ...] = ()
+    refused: tuple[Stretch, ...] = ()
 
     def phases(self) -> tuple[tuple[Stretch, int | None, str], ...]:
         """(stretch, number of the constraint or None, why nothing is learnt from it), in order of time."""
@@ -136,7 +138,9 @@ def find(
         contacts = lone_contacts(explanation, trajectories, shown, rng, min(EXCITED, usable[0].nv))
     if not explanation.hypotheses:
         alone = tuple((s, IN_ONE_ONLY) for s in contacts)
-        return dataclasses.replace(unexplained(demonstrations, feature_maps), unlearnt=alone)
+        nearest = Explanation(explanation.views, explanation.refused[:1], explanation.switch)
+        refused = stretches_of(nearest.thin, nearest.states, 1)
+        return dataclasses.replace(unexplained(demonstrations, feature_maps), unlearnt=alone, refused=refused)
     return _findings(demonstrations, feature_maps, explanation, contacts)
 
 

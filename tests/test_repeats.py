@@ -1,0 +1,220 @@
+"""Copies, replays and pieces of one recording are evidence once; recordings of their own count each."""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
+
+import manip_learn as ml
+from manip_learn.errors import NotIdentifiableError
+from manip_learn.learning.advice import advise
+from manip_learn.learning.division import Division
+from manip_learn.learning.evidence.repeats import IndependentRecordings
+from manip_learn.learning.excitation import doubt_velocities
+from manip_learn.learning.phases.result import Stretch
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.velocities import with_velocities as derived
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+LOCKED = {"panda": ("panda_finger_joint1", "panda_finger_joint2")}
+Motion = tuple[np.ndarray, np.ndarray]
+
+
+def made(
+    kind: str, robot: str, seed: int, n: int, noise: float = 1e-4, whole: bool = False
+) -> tuple[list[Motion], str]:
+    """Generated motions, and the frame that holds the hand."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(EXAMPLES))
+        motions, truth = importlib.import_module("make_recordings.kinematic_sets").make_set(
+            kind, robot, seed, n, noise, whole
+        )
+    return motions, truth["tip"]
+
+
+@pytest.fixture(scope="module")
+def drawers() -> tuple[ml.FrameJacobian, list[Motion]]:
+    """Phi of a drawer, and three motions with it."""
+    motions, tip = made("drawer", "panda", 30001, 3)
+    return ml.FrameJacobian(ml.load_robot("panda", locked=LOCKED["panda"]), tip, "xyz"), motions
+
+
+def named(motions: list[Motion]) -> list[ml.Trajectory]:
+    return [ml.Trajectory(t, q, name=f"demo_{i}") for i, (t, q) in enumerate(motions)]
+
+
+def at_rate(motion: Motion, rate: float, slower: float = 1.0, late: float = 0.0) -> Motion:
+    """Chords between the samples at another rate, in another time."""
+    t, q = motion
+    at = np.arange(t[0], t[-1], 1.0 / rate / slower)
+    return slower * at + late, np.column_stack([np.interp(at, t, column) for column in q.T])
+
+
+def replayed(motion: Motion) -> Motion:
+    """The same path faster, with noise of its own."""
+    t, q = motion
+    at = np.linspace(t[0], t[-1], int(0.8 * len(t)))
+    return 0.8 * at, CubicSpline(t, q)(at) + np.random.default_rng(0).normal(0.0, 1e-4, (len(at), q.shape[1]))
+
+
+def pieces(motion: Motion, *, clock: bool = False, shared: bool = False) -> list[Motion]:
+    """Eight even parts, whose clocks start at 0 s unless they keep theirs."""
+    cut = np.array_split(np.arange(len(motion[0])), 8)
+    spans = [slice(part[0], part[-1] + 1 + (shared and k < 7)) for k, part in enumerate(cut)]
+    return [(motion[0][s] - (0.0 if clock else motion[0][s.start]), motion[1][s]) for s in spans]
+
+
+WAYS: dict[str, Callable[[Motion], list[Motion]]] = {
+    "four copies": lambda m: [m, m, m],
+    "reversed": lambda m: [(m[0][-1] - m[0][::-1], m[1][::-1])],
+    "at 40 Hz": lambda m: [at_rate(m, 40.0)],
+    "at 15 Hz on a late clock": lambda m: [at_rate(m, 15.0, late=7.3)],
+    "slower at 130 Hz": lambda m: [at_rate(m, 130.0, slower=1.7)],
+    "replayed": lambda m: [replayed(m)],
+    "a piece": lambda m: [(m[0][50:150], m[1][50:150])],
+    "eight pieces": pieces,
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_what_repeats_adds_nothing_but_a_warning(way: str, drawers):
+    """Gap, uncertainty, counts, evidence and warnings are those without the repeats, which one more warning names."""
+    features, motions = drawers
+    alone = ml.ConstraintLearner(features).fit(named(motions)).report_
+    report = ml.ConstraintLearner(features).fit(named([*motions, *WAYS[way](motions[1])])).report_
+    assert report.n_trajectories == 3
+    for what in ("gap", "uncertainty_deg", "row_evidence", "n_samples", "held_out_residual", "free_directions"):
+        assert getattr(report, what) == getattr(alone, what), what
+    more = [w for w in report.warnings if w not in alone.warnings]
+    assert set(alone.warnings) < set(report.warnings)
+    assert any("demo_3" in w and "repeat" in w and "demo_1" in w and "they count once" in w for w in more)
+
+
+@pytest.mark.parametrize("clock", [False, True])
+@pytest.mark.parametrize("shared", [False, True])
+def test_pieces_of_one_recording_are_the_uncut_recording(clock: bool, shared: bool, drawers):
+    """Cut in eight, with or without its clock and the sample at each cut: the answer of the uncut one, said of the
+    pieces on their own clocks.
+    """
+    features, motions = drawers
+    whole = ml.ConstraintLearner(features).fit(named(motions)).report_
+    given = named([*motions[:2], *pieces(motions[2], clock=clock, shared=shared)])
+    report = ml.ConstraintLearner(features).fit(given).report_
+    assert (report.n_trajectories, report.n_samples) == (3, whole.n_samples)
+    assert report.uncertainty_deg == pytest.approx(whole.uncertainty_deg, rel=1e-3)
+    assert [w for w in report.warnings if w not in whole.warnings] == [
+        "demo_2 to demo_9 are pieces of one recording, each goes on where another ends; they count once"
+    ]
+    names = [t.name for t in given]
+    assert [p.trajectory for p in report.phases] == names
+    for phase, t in zip(report.phases, given, strict=True):
+        assert t.time[0] <= phase.start < phase.end <= t.time[-1]
+
+
+def test_one_recording_in_eight_is_no_more_than_one(drawers):
+    """A single recording cut in eight has no uncertainty, as before it was cut."""
+    features, motions = drawers
+    report = ml.ConstraintLearner(features).fit(named(pieces(motions[0]))).report_
+    assert report.uncertainty_deg is None
+    assert any(w.startswith("only one trajectory") for w in report.warnings)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-2])
+@pytest.mark.parametrize(
+    ("kind", "robot"),
+    [("free_repeated", "xarm7"), ("drawer_firm", "ur5"), ("hinge", "sawyer"), ("table", "panda"), ("free_slow", "ur5")],
+)
+def test_demonstrations_of_their_own_count_each(kind: str, robot: str, noise: float):
+    """Nothing repeats in what was demonstrated anew each time, be it a reach in nearly the same way."""
+    for whole in (True, False):
+        given = Demonstrations(named(made(kind, robot, 20000, 6, noise, whole)[0]))
+        found = IndependentRecordings.of(given)
+        assert found.demonstrations is given and not found.warnings
+
+
+def test_recordings_that_begin_at_rest_where_the_last_one_ended_count_each():
+    """An arm that is left where it stopped, and postures at random, are no pieces of one recording."""
+    share = np.linspace(0.0, 1.0, 200)[:, None]
+    rest = 10 * share**3 - 15 * share**4 + 6 * share**5
+    rng = np.random.default_rng(3)
+    corners = rng.uniform(-1.0, 1.0, (5, 7))
+    strokes = [(2.0 * share[:, 0], a + rest * (b - a)) for a, b in itertools.pairwise(corners)]
+    noisy = [(t, q + rng.normal(0.0, 1e-4, q.shape)) for t, q in strokes]
+    anywhere = [(2.0 * share[:20, 0], rng.uniform(-1.0, 1.0, (20, 7))) for _ in range(5)]
+    for motions in (strokes, noisy, anywhere):
+        assert len(IndependentRecordings.of(Demonstrations(named(motions))).demonstrations) == len(motions)
+
+
+def with_velocities(
+    drawers, change: Callable[[np.ndarray, CubicSpline, np.ndarray], np.ndarray]
+) -> list[ml.Trajectory]:
+    """The motions with recorded velocities, those of the fourth joint changed."""
+    out = []
+    for i, (t, q) in enumerate(drawers[1]):
+        way = CubicSpline(t, q)
+        u = np.array(way(t, 1))
+        u[:, 3] = change(t, way, u)[:, 3]
+        out.append(ml.Trajectory(t, q, u, name=f"demo_{i}"))
+    return out
+
+
+@pytest.fixture(scope="module")
+def smooth_drawers(drawers) -> tuple[ml.FrameJacobian, list[Motion]]:
+    """The same without noise, so that its derivative is the velocity."""
+    return drawers[0], made("drawer", "panda", 30001, 3, 0.0)[0]
+
+
+@pytest.mark.parametrize("factor", [0.85, 1.08, 1.2])
+def test_a_joint_whose_velocity_has_another_scale_is_named(factor: float, smooth_drawers):
+    """The report names the joint and the factor, to 1 %, and says what to do."""
+    report = (
+        ml.ConstraintLearner(smooth_drawers[0])
+        .fit(with_velocities(smooth_drawers, lambda _t, _w, u: factor * u))
+        .report_
+    )
+    (said,) = [w for w in report.warnings if "recorded velocities" in w]
+    assert "joint panda_joint4 are" in said and "dataclasses.replace(t, u=None)" in said
+    assert float(said.split(" times")[0].split()[-1]) == pytest.approx(factor, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(lambda _t, _w, u: 1.04 * u, id="4 %"),
+        pytest.param(lambda t, w, _u: w(np.clip(t - 0.1, t[0], None), 1), id="0.1 s late"),
+        pytest.param(lambda _t, _w, u: lfilter([0.05], [1.0, -0.95], u, axis=0), id="first-order filter of 0.2 s"),
+        pytest.param(lambda _t, _w, u: u + np.random.default_rng(0).normal(0.0, 0.1, u.shape), id="noise of 0.1 rad/s"),
+    ],
+)
+def test_late_filtered_and_noisy_velocities_are_not_blamed(change, smooth_drawers):
+    """What keeps the scale is no fault of scale."""
+    assert not doubt_velocities(with_velocities(smooth_drawers, change), smooth_drawers[0].robot.joint_names)
+
+
+def test_a_factor_that_all_joints_share_turns_nothing(smooth_drawers):
+    """A clock that runs wrong leaves A u = 0 as it is."""
+    given = [ml.Trajectory(1.2 * t.time, t.q, t.u) for t in with_velocities(smooth_drawers, lambda _t, _w, u: u)]
+    assert not doubt_velocities(given, smooth_drawers[0].robot.joint_names)
+
+
+def test_advice_to_cut_names_each_file_and_its_times(drawers):
+    """Stretches that nearly showed something are named on the clocks of the files that were given."""
+    features, motions = drawers
+    given = Demonstrations(named([motions[0], *pieces(motions[1]), motions[2]]))
+    given = given.with_joint_names(features.robot.joint_names)
+    recordings = IndependentRecordings.of(given)
+    demonstrations = derived(recordings.demonstrations, features.robot)
+    refused = (Stretch(0, 0.5, 1.25), Stretch(0, 1.5, 2.0), Stretch(2, 0.25, 1.0))
+    division = Division((), one_fits=False, refused=refused)
+    refusal = NotIdentifiableError("no evidence", code="no-evidence")
+    again = advise(refusal, demonstrations, [features], division, recordings=recordings, phases="auto")
+    assert any(a.startswith("cut the recordings") for a in again.advice)
+    assert again.advice[-1].endswith(": demo_0 0.5 to 1.2 s and 1.5 to 2.0 s, demo_9 0.2 to 1.0 s")
+    assert str(again).endswith("; ".join([*recordings.warnings, again.advice[-1]]))
