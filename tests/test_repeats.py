@@ -15,10 +15,10 @@ from scipy.signal import lfilter
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.advice import advise
-from manip_learn.learning.division import Division
 from manip_learn.learning.evidence.repeats import IndependentRecordings
 from manip_learn.learning.excitation import doubt_velocities
-from manip_learn.learning.phases.result import Stretch
+from manip_learn.learning.explanation.findings import Findings
+from manip_learn.learning.explanation.stretch import Stretch
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.velocities import with_velocities as derived
 
@@ -212,9 +212,9 @@ def test_advice_to_cut_names_each_file_and_its_times(drawers):
     recordings = IndependentRecordings.of(given)
     demonstrations = derived(recordings.demonstrations, features.robot)
     refused = (Stretch(0, 0.5, 1.25), Stretch(0, 1.5, 2.0), Stretch(2, 0.25, 1.0))
-    division = Division((), one_fits=False, refused=refused)
+    findings = Findings((), refused=refused)
     refusal = NotIdentifiableError("no evidence", code="no-evidence")
-    again = advise(refusal, demonstrations, [features], division, recordings=recordings, phases="auto")
+    again = advise(refusal, demonstrations, [features], findings, recordings=recordings, phases="auto")
     assert any(a.startswith("cut the recordings") for a in again.advice)
     assert again.advice[-1].endswith(": demo_0 0.5 to 1.2 s and 1.5 to 2.0 s, demo_9 0.2 to 1.0 s")
     assert str(again).endswith("; ".join([*recordings.warnings, again.advice[-1]]))

@@ -11,8 +11,8 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, advice, counted, listed, named, number_if_known
 from manip_learn.learning.evidence.repeats import IndependentRecordings
 from manip_learn.learning.explanation.findings import Findings, held_throughout
-from manip_learn.learning.overview import lone_contacts
 from manip_learn.learning.explanation.stretch import Stretch
+from manip_learn.learning.overview import lone_contacts
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 
 # share of the motion's energy below which a joint counts as still
@@ -48,7 +48,7 @@ def advise(
     causes = [
         *_too_few(recordings),
         *lone_contacts(findings, recordings),
-        *_several_phases(findings, feature_maps, phases, recordings),
+        *_several_phases(findings, demonstrations, phases),
         *_other_rows(demonstrations, feature_maps),
         *_still_joints(demonstrations),
         *_too_slow(demonstrations),
@@ -80,10 +80,8 @@ def _too_few(recordings: IndependentRecordings) -> list[str]:
     return [f"record at least {FEWEST}, better 5, that differ in way and posture, not {counted(n, 'recording')}"]
 
 
-def _several_phases(
-    findings: Findings, feature_maps: Sequence[FeatureMap], phases: str, recordings: IndependentRecordings
-) -> list[str]:
-    if findings.unlearnt or held_throughout(feature_maps, recordings.demonstrations):
+def _several_phases(findings: Findings, demonstrations: Demonstrations, phases: str) -> list[str]:
+    if findings.unlearnt or _throughout(findings.refused, demonstrations):
         return []
     if phases == "off":
         return [
@@ -92,7 +90,7 @@ def _several_phases(
         ]
     if _held(findings):
         return ["cut the recordings more closely to what seems held, each stretch in a file of its own"]
-    if len(recordings.demonstrations) < 2:
+    if len(demonstrations) < 2:
         return [
             "cut the recording to the contact"
             + advice(" with {}", "trajectory[start:until]", "--from and --until")
@@ -106,8 +104,14 @@ def _several_phases(
 
 
 def _held(findings: Findings) -> list[Stretch]:
-    """Stretches in which phases were found."""
-    return [] if findings.one_fits else [s for part in findings.parts if part.is_held for s in part.stretches]
+    """Stretches in which rows are held."""
+    return [s for part in findings.parts for s in part.stretches] if findings.explained else []
+
+
+def _throughout(stretches: Sequence[Stretch], demonstrations: Demonstrations) -> bool:
+    """Whether these stretches are all of the recordings, each as a whole."""
+    spans = {(s.trajectory, s.start, s.end) for s in stretches}
+    return all((i, float(t.time[0]), float(t.time[-1])) in spans for i, t in enumerate(demonstrations))
 
 
 def _places(findings: Findings, recordings: IndependentRecordings) -> list[str]:

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import listed
-from manip_learn.learning.phases.result import Stretch
+from manip_learn.learning.explanation.stretch import Stretch
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.local_fit import noise_variance
 from manip_learn.recordings.preprocessing import evenly

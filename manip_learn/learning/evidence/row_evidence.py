@@ -17,9 +17,9 @@ RowState = Literal["held", "unclear", "free", "untried"]
 
 # chance of at least the evidence seen, were the joints independent of each other, that a row may have
 CHANCE = 0.01
-# growth of a row's motion by recombination, exceeded with 99 % confidence, from which the row is believed to be held, and
-# from which it is so beyond doubt. Free motion is coordinated, too: people guiding an arm reach 2.2 (real recordings of
-# two arms), a curved part wiped by hand 2.2 to 3.3, contacts with rails, hinges and tables 4 to 400
+# growth of a row's motion by recombination, exceeded with 99 % confidence, from which the row is believed to be held,
+# and from which it is so beyond doubt. Free motion is coordinated, too: people guiding an arm reach 2.2 (real
+# recordings of two arms), a curved part wiped by hand 2.2 to 3.3, contacts with rails, hinges and tables 4 to 400
 BELIEVED, CLEAR = 2.0, 4.0
 # least strength of a row that is ranked before one found held: noise spreads unevenly, the first row has the least
 LEANING_STRENGTH = 1.3

@@ -186,7 +186,7 @@ def _findings(
     contacts: Sequence[Stretch],
 ) -> Findings:
     trajectories, states = demonstrations.trajectories, explanation.fine_states()
-    order = np.argsort(-explanation.supports)
+    order = np.argsort(-explanation.supports).tolist()
     parts, odd, apart = list[Part](), dict[int, str](), list[Stretch]()
     views = [explanation.views[explanation.hypotheses[k].view] for k in order]
     found = []
@@ -235,8 +235,8 @@ def _doubts(explanation: Explanation, order: Sequence[int]) -> list[str]:
             angle = _angle(one, other)
             if angle < NEARLY_THE_SAME:
                 out.append(
-                    f"constraints {i + 1} and {j + 1} differ by {angle:.1f} deg only: two contacts that nearly coincide, "
-                    "or one that is not quite constant; they are kept apart, not averaged"
+                    f"constraints {i + 1} and {j + 1} differ by {angle:.1f} deg only: two contacts that nearly "
+                    "coincide, or one that is not quite constant; they are kept apart, not averaged"
                 )
     return out
 

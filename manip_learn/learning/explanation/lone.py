@@ -31,8 +31,8 @@ def lone_contacts(
 ) -> list[Stretch]:
     """Stretches beside those explained in which rows hold firmly, in one recording each.
 
-    The same search finds straight and flat parts of free motion, too. What it finds there is known from recordings whose
-    joints come from different ones: a contact must exceed the best of them.
+    The same search finds straight and flat parts of free motion, too. What it finds there is known from recordings
+    whose joints come from different ones: a contact must exceed the best of them.
 
     Args:
         explanation: What several recordings show.

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.learning.explanation.reason import reason
+from manip_learn.learning.explanation.reason import reason, way_along
 from manip_learn.learning.explanation.row_motion import RowMotion
 from manip_learn.learning.explanation.stretch import Stretch, covered, pieces_of
 from manip_learn.recordings.trajectory import Trajectory
@@ -82,7 +82,8 @@ def drifting(
     """Number of each trajectory with a stretch that does not agree, and why."""
     members = pieces_of(trajectories, [s for s, good in zip(stretches, agrees, strict=True) if good])[1]
     out = {}
-    for s, piece in zip(*pieces_of(trajectories, [s for s, good in zip(stretches, agrees, strict=True) if not good])):
+    odd = pieces_of(trajectories, [s for s, good in zip(stretches, agrees, strict=True) if not good])
+    for s, piece in zip(*odd, strict=True):
         out[s.trajectory] = reason(features, [*members, piece], selection, len(members), range(len(members)))
     return out
 
@@ -149,6 +150,4 @@ def slipping(
 
 
 def _moved(features: FeatureMap, trajectory: Trajectory, selection: Float[np.ndarray, "s p"]) -> float:
-    from manip_learn.learning.explanation.reason import way_along
-
     return _extent(way_along(features, trajectory, selection))

@@ -265,9 +265,9 @@ def _why_none(table: Sequence[Alternative]) -> str:
     repeated = [a for a in table if a.verdict == REPEATED]
     if repeated:
         return (
-            f"the path looks like a {repeated[0].name}, but exchanging the joints between the trajectories hardly changes "
-            "that: nothing shows a contact that all of them share. Learn from them one by one, or record from other "
-            "postures and with other grips"
+            f"the path looks like a {repeated[0].name}, but exchanging the joints between the trajectories hardly "
+            "changes that: nothing shows a contact that all of them share. Learn from them one by one, or "
+            "record from other postures and with other grips"
         )
     return "no line, plane, hinge, ball, screw, cylinder or orientation holds the hand"
 

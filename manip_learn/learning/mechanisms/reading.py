@@ -13,8 +13,8 @@ from manip_learn.learning.mechanisms.residuals import Place
 from manip_learn.linalg import null_basis
 from manip_learn.robot.rotations import skew
 
-# rows of translation and of rotation stand apart where each is of one kind to this share: a row of a learnt Lambda leaks
-# by its uncertainty, 1e-2 at 0.6 degrees, and a row that mixes the two for good does so by 0.3 and more
+# rows of translation and of rotation stand apart where each is of one kind to this share: a row of a learnt Lambda
+# leaks by its uncertainty, 1e-2 at 0.6 degrees, and a row that mixes the two for good does so by 0.3 and more
 MIXED = 0.2
 # [m] an axis or a centre farther away is read as this far: the fit to positions decides how far it is
 FARTHEST_START = 5.0
@@ -97,7 +97,7 @@ def _rank(block: Float[np.ndarray, "s k"]) -> int | None:
 
 
 def _of_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -> Read | None:
-    """From the twists (v, w) about m that are left free: the lower pairs (G. Chasles: every displacement is a screw)."""
+    """From the twists (v, w) about m that are left free; every displacement is a screw (G. Chasles)."""
     v, w = free[:, :3], free[:, 3:]
     U, turning, axes = np.linalg.svd(w)
     turns = int(np.count_nonzero(turning > MIXED))
@@ -138,7 +138,7 @@ def _named(kind: str, orientation: Orientation, place: Place) -> Read | None:
 def _of_surface(
     selection: Float[np.ndarray, "s 12"], middle: Float[np.ndarray, " 3"], p: Float[np.ndarray, "N 3"]
 ) -> Read | None:
-    """From rows n.v + sum B_ij (p - m)_i v_j: a cylinder's side, B = I - a a^T, or a helix, whose other row has B = [a]."""
+    """From rows n.v + sum B_ij (p - m)_i v_j: a cylinder's side, B = I - a a^T; a helix has another row, B = [a]."""
     n, B = selection[:, :3], selection[:, 3:].reshape(-1, 3, 3)
     odd = 0.5 * (B - B.transpose(0, 2, 1)).reshape(len(B), -1)
     U, sizes, _ = np.linalg.svd(odd)
