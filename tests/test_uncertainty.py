@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
-from generated_motions import angle_deg, arm_features, guided_motions, oblique
+import pytest
+from generated_motions import PLANAR_ROWS, angle_deg, arm_features, guided_motions, oblique, paper_motions
 
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.estimators.null_space import estimate_null_space
 from manip_learn.learning.evidence.joint_offsets import JointOffsets
 from manip_learn.learning.samples import Samples
+from manip_learn.learning.uncertainty import JOINT_ZEROS, NOISE, PARTS, POLICY, in_words, uncertainty_of
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 
 
-def held(seed: int, offset: float, noise: float = 0.005):
+def held(seed: int, offset: float, noise: float = 0.005, motions: int = 10):
     """Ten motions of an arm with two held rows, and its joints' zeros off by Gaussian offsets [rad]."""
     rng = np.random.default_rng([61, seed])
-    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, 10, 20, 0.05, noise=noise)
+    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, motions, 20, 0.05, noise=noise)
     delta = offset * rng.standard_normal(7)
     shifted = [Trajectory(t.time, t.q + delta, t.u, t.joint_names, t.name) for t in demos]
     return Demonstrations(shifted), truth, delta
@@ -74,3 +78,81 @@ def test_nothing_to_say_without_freedom_or_residual():
     whitened = truth.selection @ np.linalg.pinv(samples.whitening)
     assert JointOffsets.of(samples, np.linalg.qr(whitened.T)[0].T) is None
     assert JointOffsets.of(samples, np.eye(3)) is None
+
+
+@pytest.mark.parametrize("motions", [5, 60])
+def test_noise_alone_is_no_offset_however_much_is_recorded(motions):
+    """The pattern stays within what chance makes of it: with the noise of u in K it is 10 standard errors and more."""
+    for seed in range(4):
+        demos, truth, _ = held(200 + seed, 0.0, motions=motions)
+        samples = Samples.collect(truth.features, demos)
+        estimate = estimate_null_space(samples, 2)
+        offsets = JointOffsets.of(samples, estimate.whitened_selection)
+        assert offsets is not None
+        seen = offsets.curvatures > 0.0
+        z = offsets.pattern[seen] / np.sqrt(offsets.curvatures[seen] * offsets.variance)
+        assert np.max(np.abs(z)) < 4.0
+        parts = uncertainty_of(samples, estimate, np.random.default_rng(seed))
+        zeros, scatter = parts[JOINT_ZEROS], parts[NOISE]
+        assert zeros is not None and scatter is not None and zeros < 0.3 * scatter
+
+
+def test_a_turn_of_the_base_shows_nowhere():
+    """An offset of the first joint, whose axis is vertical, leaves no pattern at any noise: Lambda takes all of it."""
+    demos, truth, _ = held(7, 0.0, noise=0.05, motions=30)
+    samples = Samples.collect(truth.features, demos)
+    offsets = JointOffsets.of(samples, estimate_null_space(samples, 2).whitened_selection)
+    assert offsets is not None
+    assert offsets.directions[0] ** 2 @ offsets.curvatures < 1e-12 * offsets.curvatures[-1]
+    assert np.linalg.norm(offsets.response[:, 0]) > 0.1
+
+
+def test_noise_that_a_trajectory_shares_counts_as_often_as_there_are_trajectories():
+    """An error common to each trajectory, as of a posture held, makes sigma larger than independent samples do."""
+    demos, truth, _ = held(8, 0.0, noise=0.0)
+    rng = np.random.default_rng(3)
+
+    def variance(errors: list[np.ndarray]) -> float:
+        noisy = [Trajectory(t.time, t.q, t.u + e, t.joint_names, t.name) for t, e in zip(demos, errors, strict=True)]
+        samples = Samples.collect(truth.features, Demonstrations(noisy))
+        offsets = JointOffsets.of(samples, estimate_null_space(samples, 2).whitened_selection)
+        assert offsets is not None
+        return offsets.variance
+
+    alike = [np.tile(0.01 * rng.standard_normal(7), (len(t), 1)) for t in demos]
+    apart = [0.01 * rng.standard_normal(t.q.shape) for t in demos]
+    assert variance(alike) > 4.0 * variance(apart)
+
+
+def test_the_report_states_the_parts():
+    """The total is the root of the sum of squares; what does not apply is None; words, JSON and the file say it."""
+    demos, truth, _ = held(9, 2e-3)
+    learner = ConstraintLearner(truth.features, 2, "null-space", phases="off", mechanism="off").fit(demos)
+    report = learner.report_
+    assert tuple(report.uncertainty) == PARTS
+    assert report.uncertainty[POLICY] is None
+    known = [part for part in report.uncertainty.values() if part is not None]
+    assert len(known) == 2 and report.uncertainty_deg == pytest.approx(np.linalg.norm(known))
+    assert json.loads(json.dumps(report.to_dict()))["uncertainty"] == report.uncertainty
+    assert learner.constraint_.provenance["uncertainty"] == report.uncertainty
+    said = report.known_to()
+    assert "noise" in said and "joint zeros" in said and "policy" not in said
+    assert "not included: a base that stands turned" in said
+
+
+def test_the_policy_is_a_part_of_the_joint_estimators_angle():
+    """With the policy integrated out, and no joint zeros, which the joint estimator leaves out and says so."""
+    demos, truth = paper_motions(list(PLANAR_ROWS.values())[0], np.random.default_rng(4), n_trajectories=40, noise=0.01)
+    report = ConstraintLearner(truth.features, 2, "joint").fit(demos).report_
+    assert report.uncertainty[JOINT_ZEROS] is None
+    assert report.uncertainty[POLICY] is not None and report.uncertainty[NOISE] is not None
+    assert "not included: joint zeros that are off and a base that stands turned" in report.known_to()
+
+
+def test_one_trajectory_has_no_parts():
+    """None for each, as the total is; rows in the tool's axes do not care how the base stands."""
+    demos, truth, _ = held(10, 0.0, motions=1)
+    report = ConstraintLearner(truth.features, 2, "null-space", phases="off", mechanism="off").fit(demos).report_
+    assert report.uncertainty == dict.fromkeys(PARTS) and report.uncertainty_deg is None
+    parts = {NOISE: 0.01, JOINT_ZEROS: 0.02, POLICY: None}
+    assert in_words(parts, "local") == "noise 0.01 degrees, joint zeros 0.02 degrees"

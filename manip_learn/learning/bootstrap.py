@@ -8,10 +8,10 @@ from typing import final
 import numpy as np
 from jaxtyping import Float, Int
 
-from manip_learn.learning.evidence.joint_offsets import JointOffsets
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import complement_rows, row_space_angles
 
+SHARE = 0.68  # of the cases in which the truth lies within a stated angle: one standard deviation of a normal one
 # least share of the residual that is left where a trajectory alone determines a direction, so that its influence on
 # that direction is bounded
 LEVERAGE_FLOOR = 1e-3
@@ -54,8 +54,7 @@ def bootstrap_angle_deg(
     hessians: Float[np.ndarray, "g d d"],
     rng: np.random.Generator,
     repetitions: int = 200,
-    quantile: float = 0.68,
-    offsets: JointOffsets | None = None,
+    quantile: float = SHARE,
     prior: PolicyPrior | None = None,
 ) -> float | None:
     """Angle [deg] within which a share of the repetitions keeps the row space of Lambda.
@@ -74,7 +73,6 @@ def bootstrap_angle_deg(
         rng: For the draws.
         repetitions: How many.
         quantile: Share of the repetitions.
-        offsets: What the residual says about the joints' offsets, whose error comes on top.
         prior: Of the policy's parameters, which the Hessians leave out.
 
     Returns:
@@ -91,11 +89,18 @@ def bootstrap_angle_deg(
     freedom = max(float(energy.sum() ** 2 / np.sum(energy**2)), 2.0)
     spread = np.sqrt(rng.chisquare(freedom, size=repetitions) / freedom)
     steps = (-weights @ influence) / spread[:, None]
-    if offsets is not None:
-        steps = steps + offsets.errors(repetitions, rng)
-    if prior is not None:
-        steps = steps + prior.errors(hessians, m, repetitions, rng)
-    turns = steps.reshape(repetitions, s, r - s) @ complement_rows(whitened_selection)
+    return angle_within_deg(samples, whitened_selection, steps, quantile)
+
+
+def angle_within_deg(
+    samples: Samples,
+    whitened_selection: Float[np.ndarray, "s r"],
+    steps: Float[np.ndarray, "k m"],
+    quantile: float = SHARE,
+) -> float:
+    """Angle [deg] within which a share of the errors B of Lambda + B Lambda_perp leaves its row space."""
+    s, r = whitened_selection.shape
+    turns = steps.reshape(len(steps), s, r - s) @ complement_rows(whitened_selection)
     angles = row_space_angles((whitened_selection + turns) @ samples.whitening, samples.selection(whitened_selection))
     return float(np.degrees(np.quantile(angles, quantile)))
 

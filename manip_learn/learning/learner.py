@@ -15,15 +15,14 @@ from manip_learn.errors import FeatureError, NotFittedError, NotIdentifiableErro
 from manip_learn.learning.advice import advise, advise_in_general
 from manip_learn.learning.answer import Answer, find_answers
 from manip_learn.learning.before_smoothing import BeforeSmoothing
-from manip_learn.learning.bootstrap import bootstrap_angle_deg
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
 from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, in_memory
-from manip_learn.learning.evidence.joint_offsets import JointOffsets
 from manip_learn.learning.evidence.repeats import IndependentRecordings
 from manip_learn.learning.excitation import check_fastest, doubt_velocities
 from manip_learn.learning.explanation.findings import Findings, Part, find, unexplained
 from manip_learn.learning.overview import RecordingOverview
 from manip_learn.learning.report import LearningReport, build_report
+from manip_learn.learning.uncertainty import uncertainty_of
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.given_motions import Motion
@@ -235,7 +234,8 @@ class ConstraintLearner:
                 best, data, names = self._refined(source, self._feature_maps, self._settings, client, progress)
             except NotIdentifiableError as refusal:
                 raise advise_in_general(refusal) from refusal
-            constraint, report = build_report(best, data, names, self._uncertainty(best), time.perf_counter() - started)
+            uncertainty = uncertainty_of(best.samples, best.estimate, best.rng)
+            constraint, report = build_report(best, data, names, uncertainty, time.perf_counter() - started)
             self._set((constraint,), (report,))
 
     def _refined(
@@ -260,15 +260,6 @@ class ConstraintLearner:
             best, data = refine(chosen, summary, executor)
         return best, data, stream.joint_names
 
-    def _uncertainty(self, best: Candidate) -> float | None:
-        """Of the row space [deg]."""
-        e = best.estimate
-        constrained = e.name == "null-space"
-        offsets = JointOffsets.of(best.samples, e.whitened_selection) if constrained else None
-        return bootstrap_angle_deg(
-            best.samples, e.whitened_selection, e.gradients, e.hessians, best.rng, offsets=offsets, prior=e.prior
-        )
-
     def _conclude(
         self,
         answers: Sequence[Answer],
@@ -282,10 +273,9 @@ class ConstraintLearner:
         constraints, reports = [], []
         for answer in answers:
             best = answer.candidate
-            uncertainty_deg, seconds = self._uncertainty(best), time.perf_counter() - started
-            constraint, report = build_report(
-                best, answer.data, joint_names, uncertainty_deg, seconds, answer, overview
-            )
+            uncertainty = uncertainty_of(best.samples, best.estimate, best.rng)
+            seconds = time.perf_counter() - started
+            constraint, report = build_report(best, answer.data, joint_names, uncertainty, seconds, answer, overview)
             constraints.append(constraint)
             reports.append(report)
         self._set(tuple(constraints), tuple(reports))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -20,6 +20,7 @@ from manip_learn.learning.data_summary import DataSummary
 from manip_learn.learning.estimators.estimate import CLEAR_GAP
 from manip_learn.learning.excitation import energy_shares
 from manip_learn.learning.overview import OddTrajectory, Phase, RecordingOverview
+from manip_learn.learning.uncertainty import PARTS, Uncertainty, in_words, total_deg
 from manip_learn.recordings.preprocessing import evenly
 from manip_learn.robot import html_card
 
@@ -29,8 +30,27 @@ MOST_NOTES = 20
 KEPT_POSTURES = 144
 _PHASE_COLUMNS = ("recording", "from [s]", "until [s]", "constraint")
 PROVENANCE = (
-    *("estimator", "kind", "gap", "uncertainty_deg", "n_samples", "n_trajectories", "sentence", "warnings"),
-    *("phases", "odd_trajectories", "mechanism", "evidence", "row_evidence", "held_out_residual", "n_constraints"),
+    *(
+        "estimator",
+        "kind",
+        "gap",
+        "uncertainty_deg",
+        "uncertainty",
+        "n_samples",
+        "n_trajectories",
+        "sentence",
+        "warnings",
+    ),
+    *(
+        "warnings",
+        "phases",
+        "odd_trajectories",
+        "mechanism",
+        "evidence",
+        "row_evidence",
+        "held_out_residual",
+        "n_constraints",
+    ),
 )
 
 
@@ -69,8 +89,10 @@ class LearningReport:
             learnt from directly. Empty for the joint estimator.
         energy_fraction: Share of the motion's energy that breaks A u = 0, for the best A of n_constraints rows.
         held_out_residual: Root of the share of energy that is not explained, on trajectories that were left out.
-        uncertainty_deg: 68 % of bootstrap repetitions over trajectories put the row space within this angle; None with
-            a single trajectory or where there is only one possible row space.
+        uncertainty_deg: In 68 % of cases the row space is within this angle of the true one: the root of the sum of
+            the squares of the parts in `uncertainty`; None with a single trajectory or where there is only one
+            possible row space. A base that stands turned turns all recordings alike, which none of them shows: it is
+            not included.
         excitation: Joint name -> its share of the motion's energy.
         policy_model: Joint estimator: the model of the null-space policy.
         policy_residuals: Joint estimator: model -> held-out share of unexplained energy.
@@ -83,6 +105,10 @@ class LearningReport:
         phases: Stretches of the recordings, each held by a constraint or free.
         odd_trajectories: Recordings that do not agree with the others, and why.
         mechanism: What holds the hand, if that was found out.
+        uncertainty: The parts of `uncertainty_deg` [deg]: `"noise"`, the scatter over trajectories (bootstrap);
+            `"joint zeros"`, what the residual says of constant errors of the joints' zeros (null-space estimator);
+            `"policy"`, what is not known of the policy (joint estimator, where its parameters are integrated out). None
+            where a part does not apply.
     """
 
     sentence: str
@@ -111,12 +137,14 @@ class LearningReport:
     phases: tuple[Phase, ...] = ()
     odd_trajectories: tuple[OddTrajectory, ...] = ()
     mechanism: Mechanism | None = None
+    uncertainty: Uncertainty = field(default_factory=lambda: dict.fromkeys(PARTS))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists, for JSON; None where there is no number."""
         content = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         for name in ("phases", "odd_trajectories", "row_evidence"):
             content[name] = [entry._asdict() for entry in content[name]]
+        content["uncertainty"] = dict(self.uncertainty)
         content["mechanism"] = None if self.mechanism is None else self.mechanism.to_dict()
         return _plain(content)
 
@@ -169,8 +197,7 @@ class LearningReport:
     def known_to(self) -> str:
         """The uncertainty in words, as in the sentence: what is known how well; empty if nothing is known of it."""
         said = known_to(self.uncertainty_deg, self.mechanism, self._is_told)
-        means = "scatter of the samples" if self.uncertainty_deg is None else "bootstrap"
-        return f"{said} (68 %, {means})" if said else ""
+        return f"{said} (68 %, {in_words(self.uncertainty, self.reference)})" if said else ""
 
     def mechanism_in_words(self) -> str:
         """What holds the hand, without the place if the sentence tells it; empty if nothing was found."""
@@ -202,7 +229,7 @@ def build_report(
     best: Candidate,
     data: DataSummary,
     joint_names: tuple[str, ...],
-    uncertainty_deg: float | None,
+    uncertainty: Uncertainty,
     seconds: float,
     answer: Answer | None = None,
     overview: RecordingOverview | None = None,
@@ -213,12 +240,12 @@ def build_report(
         best: The candidate chosen.
         data: Summary of all samples.
         joint_names: One per velocity.
-        uncertainty_deg: Of the row space [deg].
+        uncertainty: Parts of the angle of the row space [deg], see `uncertainty_of`.
         seconds: Time for the fit [s].
         answer: Evidence and mechanism, where they were looked for.
         overview: What the recordings show as a whole.
     """
-    overview = overview or RecordingOverview()
+    overview, uncertainty_deg = overview or RecordingOverview(), total_deg(uncertainty)
     samples, estimate, warnings = best.samples, best.estimate, list(best.warnings)
     features = samples.features
     selection = samples.selection(estimate.whitened_selection)
@@ -258,6 +285,7 @@ def build_report(
         phases=overview.phases,
         odd_trajectories=overview.odd_trajectories,
         mechanism=mechanism,
+        uncertainty=uncertainty,
     )
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
     provenance["postures"] = np.round(data.q[evenly(len(data.q), KEPT_POSTURES)], 5).tolist()
