@@ -29,6 +29,7 @@ STUDIES = {
     "small-turn": 6,
     "phases-pose": 3,
     "physics": 2,
+    "apart": 4,
     "timing": 3,
     "speed": 3,
 }
@@ -53,6 +54,7 @@ class Case:
         turn: Only so much of the way about the mechanism's axis is kept [deg]; None: all of it.
         lone: Only the last recording keeps its second contact; the others end before.
         duration: Each recording is slowed down or sped up to this [s]; None: as it is.
+        apart: Half of the recordings are with furniture that is turned by so much [deg]; None: all with the same.
     """
 
     kind: str
@@ -67,12 +69,15 @@ class Case:
     turn: float | None = None
     lone: bool = False
     duration: float | None = None
+    apart: float | None = None
 
     def make(self) -> tuple[Arm, list[Trajectory], dict[str, Any]]:
         """The arm, the trajectories and the truth."""
         arm, maker = load_arm(self.robot), physics_sets if self.physics else kinematic_sets
         noise = 0.0 if self.duration else self.noise
         made, truth = maker.make_set(self.kind, self.robot, self.seed, self.n - self.mixed, noise, self.whole)
+        if self.apart:
+            return arm, *self._halves(made, truth, arm)
         if self.mixed:
             more = kinematic_sets.make_set(self.kind, self.robot, self.seed + 5000, self.mixed, self.noise, self.whole)
             made = [*made, *more[0]]
@@ -92,6 +97,18 @@ class Case:
             made = [_stretched(t, q, self.duration, self.noise, rng) for t, q in made]
         names = arm.robot.joint_names
         return arm, [Trajectory(t, q, None, names, f"demo_{i}") for i, (t, q) in enumerate(made)], truth
+
+    def _halves(self, made: list[Recorded], truth: dict[str, Any], arm: Arm) -> tuple[list[Trajectory], dict[str, Any]]:
+        """The first half of the recordings as they are, the other half with the furniture turned."""
+        half = self.n // 2
+        more, other = kinematic_sets.make_set(
+            self.kind, self.robot, self.seed, self.n, self.noise, self.whole, tilt=self.apart or 0.0
+        )
+        made = [*made[:half], *more[half:]]
+        truth["windows"] = truth["windows"][:half] + [[[a, b, 1] for a, b, _ in w] for w in other["windows"][half:]]
+        truth["mechanisms"] += other["mechanisms"]
+        names = arm.robot.joint_names
+        return [Trajectory(t, q, None, names, f"demo_{i}") for i, (t, q) in enumerate(made)], truth
 
 
 Recorded = tuple[np.ndarray, np.ndarray]
@@ -170,6 +187,10 @@ def cases_of(study: str, sets: int, first_seed: int, kinds: list[str] | None) ->
         case "small-turn":
             lines = of(("door", "door_firm", "hinge"), whole=False, turn=SMALL_TURN)
             yield from ((f"{kind}, {SMALL_TURN:g} deg", cases) for kind, cases in lines)
+        case "apart":
+            for degrees in (2.0, 5.0, 10.0, 20.0):
+                lines = of(("table", "drawer"), n=8, whole=False, apart=degrees)
+                yield from ((f"{kind}s {degrees:g} deg apart", cases) for kind, cases in lines)
         case "timing":
             lines = of((*PHASES, "free"), duration=LONG)
             yield from ((f"{kind}, 6 x {LONG:g} s", cases) for kind, cases in lines)

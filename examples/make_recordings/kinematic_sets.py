@@ -13,17 +13,19 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from make_recordings.arms import ROBOTS, Arm, load_arm
 from make_recordings.furniture import comfortable
 from make_recordings.hand_motion import RATE
 from make_recordings.kinds import FREE, KINDS, TASKS
 from make_recordings.mechanism_motion import UnreachableError
-from make_recordings.mechanisms import Mechanism
+from make_recordings.mechanisms import Mechanism, across
 from make_recordings.whole_recording import TRIES, Perform, Session, Tape
 
 ENCODER_NOISE = 1e-4  # [rad]
@@ -37,7 +39,13 @@ Draw = Callable[[str, Arm, list[int], int, bool], Drawn]
 
 
 def make_set(
-    kind: str, robot: str, seed: int, n_demonstrations: int = 6, noise: float = ENCODER_NOISE, whole: bool = True
+    kind: str,
+    robot: str,
+    seed: int,
+    n_demonstrations: int = 6,
+    noise: float = ENCODER_NOISE,
+    whole: bool = True,
+    tilt: float = 0.0,
 ) -> tuple[Trajectories, dict[str, Any]]:
     """Demonstrations of one task, and the truth about them.
 
@@ -48,6 +56,7 @@ def make_set(
         n_demonstrations: At least 1.
         noise: Standard deviation of the encoders [rad].
         whole: Whether approach, retreat and rests are recorded, or the contacts only.
+        tilt: By how much the furniture is turned about where the hand takes hold, across its axis [deg].
 
     Returns:
         (time [s], q [rad]) of each demonstration, sampled at 100 Hz; and the truth, see `describe`.
@@ -56,7 +65,7 @@ def make_set(
         ValueError: No such kind or robot, or no demonstration asked for.
         RuntimeError: Nothing within reach was drawn.
     """
-    return record_set(draw_set, kind, robot, seed, n_demonstrations, noise, whole)
+    return record_set(partial(draw_set, tilt=tilt), kind, robot, seed, n_demonstrations, noise, whole)
 
 
 def record_set(
@@ -105,7 +114,14 @@ def describe(tapes: list[Tape], mechanisms: list[Mechanism], other: list[int]) -
 
 
 def draw_set(
-    kind: str, arm: Arm, key: list[int], n: int, whole: bool, settle: float = 0.0, perform: Perform | None = None
+    kind: str,
+    arm: Arm,
+    key: list[int],
+    n: int,
+    whole: bool,
+    settle: float = 0.0,
+    perform: Perform | None = None,
+    tilt: float = 0.0,
 ) -> Drawn:
     """One draw of the furniture, and n demonstrations with it; the key seeds it.
 
@@ -121,6 +137,8 @@ def draw_set(
     places = [comfortable(arm, rng) for _ in task.makers]
     handles = [arm.pose(place)[:3, 3] for place in places]
     mechanisms = [maker(handle, rng) for maker, handle in zip(task.makers, handles, strict=True)]
+    if tilt:
+        mechanisms = [_tilted(m, tilt) for m in mechanisms]
     if task.contaminates == "mechanism" and not _differ(*mechanisms):
         raise UnreachableError("the other one is too much like the first")
     count = int(rng.integers(1, max((n - 1) // 2, 1) + 1)) if task.contaminates else 0
@@ -137,6 +155,13 @@ def draw_set(
         held = replace(session, arm=replace(arm, offset=tuple(offset.tolist()))) if task.offset else session
         tapes.append(held.demonstrate(indices, slips, [*key, number]))
     return tapes, mechanisms, other
+
+
+def _tilted(mechanism: Mechanism, tilt: float) -> Mechanism:
+    turn = Rotation.from_rotvec(np.radians(tilt) * across(np.array(mechanism.truth()["axis"]))[0]).as_matrix()
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = turn, mechanism.handle - turn @ mechanism.handle
+    return mechanism.moved(motion)
 
 
 def _with_moved_furniture(session: Session, key: list[int], n: int) -> Drawn:

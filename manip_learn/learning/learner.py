@@ -227,15 +227,31 @@ class ConstraintLearner:
         return find(demonstrations, self._feature_maps, rng, phases=self.phases == "auto", mechanisms=mechanisms)
 
     def _fit_stream(self, source: TrajectorySource, client: Any, progress: Progress | None) -> None:
-        """One constraint from recordings that are not held in memory together."""
+        """From recordings that are not held in memory together: some of them say what holds, all of them how exactly.
+
+        Of recordings of several tasks, or with approach and retreat, only those that say it are learnt from.
+        """
+        from manip_learn.learning.streaming.sample_stream import open_stream, representative
+
+        few, is_all = representative(open_stream(source, self._feature_maps, self.velocities), IN_MEMORY_SAMPLES)
+        findings = self._find(few)
+        if is_all or findings.divided:
+            self._fit_demonstrations(few, client, progress)
+            return
+
+        def fit(part: Part, settings: LearnerSettings) -> tuple[Candidate, DataSummary]:
+            return self._refined(source, part.feature_maps, settings, client, progress)[:2]
+
         with one_thread():
             started = time.perf_counter()
             try:
-                best, data, names = self._refined(source, self._feature_maps, self._settings, client, progress)
+                answers, _ = find_answers(findings, self._settings, fit)
             except NotIdentifiableError as refusal:
                 raise advise_in_general(refusal) from refusal
+            best = answers[0].candidate
             uncertainty = uncertainty_of(best.samples, best.estimate, best.rng)
-            constraint, report = build_report(best, data, names, uncertainty, time.perf_counter() - started)
+            seconds = time.perf_counter() - started
+            constraint, report = build_report(best, answers[0].data, few.joint_names, uncertainty, seconds, answers[0])
             self._set((constraint,), (report,))
 
     def _refined(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Literal, final
@@ -60,7 +61,7 @@ class RowEvidence:
     @property
     def lower(self) -> tuple[float, ...]:
         """What the strength of each row exceeds with 99 % confidence, the choice of the recordings paid for."""
-        z = NormalDist().inv_cdf(1.0 - CHANCE / self.choices)
+        z = -NormalDist().inv_cdf(max(CHANCE / self.choices, sys.float_info.min))
         return tuple(s * math.exp(-z * sd) for s, sd in zip(self.strengths, self.spread, strict=True))
 
     @property

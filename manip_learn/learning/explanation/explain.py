@@ -65,10 +65,14 @@ class Hypothesis:
         """Gain without the best supporter's, where there are several recordings [nats]."""
         return float(supports_of(self.gains[:, None])[0])
 
-    def worth(self, seconds: float) -> float:
-        """Support less the price of the parameters of Lambda, s (r - s) of them (G. Schwarz, 1978) [nats]."""
+    def price(self, seconds: float) -> float:
+        """Of the s (r - s) parameters of Lambda, learnt from so many seconds (G. Schwarz, 1978) [nats]."""
         s, r = self.rows.shape
-        return self.support - 0.5 * s * (r - s) * float(np.log(max(seconds / MEMORY, 2.0)))
+        return 0.5 * s * (r - s) * float(np.log(max(seconds / MEMORY, 2.0)))
+
+    def worth(self, seconds: float) -> float:
+        """Support less the price [nats]."""
+        return self.support - self.price(seconds)
 
     def evidence(self, motion: RowMotion) -> Float[np.ndarray, " n"]:
         """Of each sample of its view [nats]."""
@@ -156,8 +160,28 @@ class Explanation:
             now = Explanation(now.views, [h for k, h in enumerate(now.hypotheses) if k != idle], now.switch)
         return now
 
-    def _refitted(self, k: int) -> Hypothesis:
-        h, held = self.hypotheses[k], self.states == k + 1
+    def plainest(self) -> Explanation:
+        """Each hypothesis in the first view in which as many rows explain as much, the price of them considered."""
+        now, seconds = self, float(self.thin.weight.sum())
+        for k, h in enumerate(self.hypotheses):
+            for number, view in enumerate(self.views[: h.view]):
+                if view.largest < h.n_rows:
+                    continue
+                width = view.thin.rates.shape[1]
+                plain = dataclasses.replace(h, view=number, rows=np.eye(h.n_rows, width))
+                trial = now._with(k, now._with(k, plain)._refitted(k, now.states == k + 1))
+                saved = h.price(seconds) - plain.price(seconds)
+                if float(trial.explained.sum()) + saved >= float(now.explained.sum()):
+                    now = trial
+                    break
+        return now
+
+    def _with(self, k: int, hypothesis: Hypothesis) -> Explanation:
+        others = self.hypotheses
+        return Explanation(self.views, (*others[:k], hypothesis, *others[k + 1 :]), self.switch)
+
+    def _refitted(self, k: int, held: Bool[np.ndarray, " n"] | None = None) -> Hypothesis:
+        h, held = self.hypotheses[k], self.states == k + 1 if held is None else held
         thin = self.views[h.view].thin
         if np.count_nonzero(held & thin.moving) < 3 * h.rows.shape[1]:
             return h
@@ -198,6 +222,7 @@ def explain(views: Sequence[View], believed: Test, switch: float = SWITCH) -> Ex
         # what a better one has replaced would otherwise be found, and replace that one, again and again
         refused += [h for h in now.hypotheses if not any(_similar(h, other) for other in accepted.hypotheses)]
         now = accepted
+    now = now.plainest()
     now.refused = tuple(refused)
     return now
 

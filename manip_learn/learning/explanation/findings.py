@@ -94,6 +94,11 @@ class Findings:
     unlearnt: tuple[tuple[Stretch, str], ...] = ()
     refused: tuple[Stretch, ...] = ()
 
+    @property
+    def divided(self) -> bool:
+        """Whether several constraints, or one in parts of the recordings, explain them."""
+        return self.explained and (len(self.parts) > 1 or bool(self.free) or bool(self.unlearnt))
+
     def phases(self) -> tuple[tuple[Stretch, int | None, str], ...]:
         """(stretch, number of the constraint or None, why nothing is learnt from it), in order of time."""
         held = [(s, k, "") for k, part in enumerate(self.parts) for s in part.stretches]
@@ -131,8 +136,11 @@ def find(
     if not usable or any(widths != {f.nv} for f in feature_maps):
         return unexplained(demonstrations, feature_maps)  # refused where the samples are collected
     shown = partial(views_of, [*usable, *(mechanism_features(usable, trajectories) if mechanisms else ())])
+    views = shown(trajectories)
+    if not views:
+        return unexplained(demonstrations, feature_maps)  # a single row: nothing to compare it with
     believed = partial(_believed, trajectories, int(rng.integers(2**32)))
-    explanation = explain(shown(trajectories), believed, SWITCH if phases else np.inf)
+    explanation = explain(views, believed, SWITCH if phases else np.inf)
     contacts = list[Stretch]()
     if phases and len(trajectories) > 1 and all(t.q.shape[1] == usable[0].nv for t in trajectories):
         contacts = lone_contacts(explanation, trajectories, shown, rng, min(EXCITED, usable[0].nv))
@@ -149,7 +157,10 @@ def held_throughout(feature_maps: Sequence[FeatureMap], demonstrations: Demonstr
     usable = [f for f in feature_maps if _moves(f, demonstrations.trajectories)]
     if not usable:
         return False
-    found = explain(views_of(usable, demonstrations.trajectories), lambda *_: True, np.inf)
+    views = views_of(usable, demonstrations.trajectories)
+    if not views:
+        return False
+    found = explain(views, lambda *_: True, np.inf)
     return bool(found.hypotheses) and len(np.unique(found.thin.trajectory[found.states > 0])) == len(demonstrations)
 
 
@@ -218,6 +229,8 @@ def _findings(
                 math.comb(len(trajectories), shown),
             )
         )
+    if not parts:
+        return unexplained(demonstrations, feature_maps)
     taken = [s for part in parts for s in part.stretches] + apart
     lone = [s for s in contacts if not any(s.shared(other) > 0.0 for other in taken)]
     free = tuple(uncovered(explanation.views[0].motion, [*taken, *lone]))

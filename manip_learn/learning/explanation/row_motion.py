@@ -127,7 +127,9 @@ class RowMotion:
         step = max(1, round(len(self) / max(float(self.weight.sum()), 1e-9) / rate))
         if step == 1:
             return self
-        parts = [np.arange(a + step // 2, b, step) for a, b in zip(self.first[:-1], self.first[1:], strict=True)]
+        # of the shortest recording at least one
+        spans = zip(self.first[:-1], self.first[1:], strict=True)
+        parts = [np.arange(a + min(step, b - a) // 2, b, step) for a, b in spans]
         keep = np.zeros(len(self), dtype=bool)
         keep[np.concatenate(parts)] = True
         return self.chosen(keep, float(step))

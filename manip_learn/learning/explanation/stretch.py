@@ -69,7 +69,7 @@ def stretches_of(motion: RowMotion, states: Int[np.ndarray, " n"], state: int) -
 
 
 def sharpened(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretches: Sequence[Stretch]) -> tuple[Stretch, ...]:
-    """Stretches without their ends where these have left what the inner part holds still.
+    """Stretches without their ends where these have left what the inner part holds still; not at a recording's ends.
 
     A hand that leaves a surface at a flat angle has moved along the held rows before its velocity shows it.
     """
@@ -85,8 +85,9 @@ def sharpened(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretches: Sequ
         away = np.linalg.norm(way - np.median(way[inner], axis=0), axis=1)
         left = time[(away > FAR * np.quantile(away[inner], 0.9)) & ~inner]
         before, after = left[left < s.start + EDGE], left[left > s.end - EDGE]
-        start = s.start if not len(before) else float(time[time > before[-1]][0])
-        end = s.end if not len(after) else float(time[time < after[0]][-1])
+        first, last = motion.ends[s.trajectory]
+        start = float(time[time > before[-1]][0]) if len(before) and s.start > first else s.start
+        end = float(time[time < after[0]][-1]) if len(after) and s.end < last else s.end
         out.append(Stretch(s.trajectory, start, end))
     return tuple(out)
 

@@ -12,6 +12,8 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import RecordingError
 from manip_learn.learning.data_summary import check_joints
 from manip_learn.learning.streaming.accumulator import Chunk, chunks
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.preprocessing import evenly
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource
 from manip_learn.recordings.velocities import VelocityMethod, derive_together
@@ -19,6 +21,7 @@ from manip_learn.robot.robot import Robot
 
 DERIVED = "velocities were derived from the positions"
 TOGETHER = 16  # trajectories whose velocities are derived at a time
+MOST_RECORDINGS = 64  # that stand for all: what holds in most of them holds in most of the others
 
 
 @final
@@ -105,6 +108,29 @@ def open_stream(source: TrajectorySource, features: Sequence[FeatureMap], veloci
                 )
             return SampleStream(source, names, robot, velocities)
     raise RecordingError("there are no demonstrations: give at least one trajectory", code="empty")
+
+
+def representative(stream: SampleStream, most: int) -> tuple[Demonstrations, bool]:
+    """Whole recordings that stand for all, evenly chosen, and whether they are all there are.
+
+    Args:
+        stream: The recordings.
+        most: Number of samples that they may have together.
+
+    Raises:
+        RecordingError: As for `SampleStream.chunks`.
+    """
+    parts, notes = evenly(stream.source.n_parts, MOST_RECORDINGS).tolist(), list[str]()
+    taken, complete = list[Trajectory](), len(parts) == stream.source.n_parts
+    for part in parts:
+        made = list(stream.trajectories(part, notes))
+        longest = max((len(t) for t in made), default=1)
+        each = max(1, min(MOST_RECORDINGS, most // longest) // len(parts))
+        fits = sum(len(t) for t in [*taken, *made]) <= most and complete
+        chosen = made if fits else [made[i] for i in evenly(len(made), each)]
+        complete &= len(chosen) == len(made)
+        taken += chosen
+    return Demonstrations(taken, tuple(dict.fromkeys(notes))), complete
 
 
 def _check_joints(trajectory: Trajectory, names: tuple[str, ...], robot: Robot | None) -> None:

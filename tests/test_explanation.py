@@ -1,0 +1,360 @@
+"""Whole recordings are divided where a contact begins and ends, those that disagree are told apart, and free motion
+explains itself.
+"""
+
+from __future__ import annotations
+
+import importlib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import manip_learn as ml
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.features.place_rows import PlaceRows
+from manip_learn.errors import FeatureError
+from manip_learn.learning.explanation.evidence import HeldScale, evidence, gains_of, held_by, states_of
+from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, find
+from manip_learn.learning.explanation.odd import agreeing
+from manip_learn.learning.explanation.proposals import proposed
+from manip_learn.learning.explanation.row_motion import RowMotion, broken_energy, joints_at_once
+from manip_learn.learning.explanation.stretch import Stretch
+from manip_learn.linalg import complement_rows, row_space_angle
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.velocities import derive_velocities
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+LOCKED = {"panda": ("panda_finger_joint1", "panda_finger_joint2")}
+MOVES = 0.01  # tip slower than this is at rest [m/s]
+Recordings = tuple[FrameJacobian, list[Trajectory], dict[str, Any]]
+
+
+@cache
+def recordings(kind: str, robot: str, seed: int, n: int, whole: bool = True, tilt: float = 0.0) -> Recordings:
+    """Generated recordings, with velocities, and their truth."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(EXAMPLES))
+        make_set = importlib.import_module("make_recordings.kinematic_sets").make_set
+        motions, truth = make_set(kind, robot, seed, n, whole=whole, tilt=tilt)
+    arm = ml.load_robot(robot, locked=LOCKED.get(robot, ()))
+    made = [
+        derive_velocities(Trajectory(t, q, None, arm.joint_names, f"demo_{i}"), arm) for i, (t, q) in enumerate(motions)
+    ]
+    return FrameJacobian(arm, truth["tip"], "xyz"), made, truth
+
+
+def found(made: Recordings, **options: Any) -> Findings:
+    features, trajectories, _ = made
+    return find(Demonstrations(trajectories), [features], np.random.default_rng(0), **options)
+
+
+def true_rows(truth: dict[str, Any], mechanism: int) -> np.ndarray:
+    """Translational rows that a mechanism holds."""
+    rows = np.array(truth["mechanisms"][mechanism]["rows"])[:, :3]
+    return rows[np.linalg.norm(rows, axis=1) > 0.5]
+
+
+def shares(made: Recordings, mechanism: int, stretches: tuple[Stretch, ...]) -> tuple[float, float, float]:
+    """Share of a contact's motion that was found, share of the found motion outside it, median boundary error [s]."""
+    features, trajectories, truth = made
+    inside = outside = total = 0
+    errors = []
+    for i, t in enumerate(trajectories):
+        speed = np.linalg.norm(np.einsum("npv,nv->np", features.batch(t.q), t.u), axis=1)
+        contact, said = np.zeros(len(t), dtype=bool), np.zeros(len(t), dtype=bool)
+        for start, end, number in truth["windows"][i]:
+            contact |= (t.time >= start) & (t.time <= end) & (number == mechanism)
+        for s in stretches:
+            said |= (t.time >= s.start) & (t.time <= s.end) & (s.trajectory == i)
+        contact, said = contact & (speed > MOVES), said & (speed > MOVES)
+        inside, outside = inside + np.sum(contact & said), outside + np.sum(said & ~contact)
+        total += np.sum(contact)
+        if np.any(said):
+            ends = t.time[contact][[0, -1]], t.time[said][[0, -1]]
+            errors += list(np.abs(ends[0] - ends[1]))
+    return inside / total, outside / max(inside + outside, 1), float(np.median(errors))
+
+
+@pytest.mark.parametrize(("kind", "robot"), [("drawer", "panda"), ("table", "ur5"), ("drawer_then_table", "xarm7")])
+def test_contacts_are_found_with_their_rows_and_boundaries(kind: str, robot: str):
+    """Every contact of a recording: its rows within 0.1 degrees, 95 % of its motion, at most 3 % of other motion."""
+    made = recordings(kind, robot, 2011, 5)
+    parts = found(made).parts
+    assert len(parts) == len(made[2]["mechanisms"])
+    for mechanism in range(len(made[2]["mechanisms"])):
+        angles = [np.degrees(row_space_angle(p.found, true_rows(made[2], mechanism))) for p in parts]
+        best = parts[int(np.argmin(angles))]
+        assert min(angles) < 0.1
+        inside, outside, boundary = shares(made, mechanism, best.stretches)
+        assert inside > 0.95
+        assert outside < 0.03
+        assert boundary <= 0.1
+        assert {s.trajectory for s in best.stretches} == set(range(5))
+
+
+@pytest.mark.parametrize("kind", ["drawer", "table", "door"])
+def test_a_cut_recording_is_one_stretch(kind: str):
+    """Recordings that hold nothing but the contact: one part, every recording as a whole, none of them odd."""
+    made = recordings(kind, "xarm7", 2021, 8, whole=False)
+    result = found(made)
+    assert len(result.parts) == 1 and not result.odd and not result.free
+    spans = [(s.trajectory, s.start, s.end) for s in result.parts[0].stretches]
+    assert spans == [(i, t.time[0], t.time[-1]) for i, t in enumerate(made[1])]
+
+
+@pytest.mark.parametrize("phases", [True, False])
+@pytest.mark.parametrize("kind", ["free", "free_repeated", "free_slow", "free_sticking", "free_one_joint"])
+def test_free_motion_is_explained_by_nothing_else(kind: str, phases: bool):
+    """Nothing is held, so nothing is found, in parts of the recordings or in all of them."""
+    result = found(recordings(kind, "panda", 2012, 5), phases=phases)
+    assert not result.explained
+    assert result.parts[0].found is None
+
+
+def test_a_contact_in_one_recording_only_is_named_and_not_learnt():
+    """What no other recording supports is no constraint; where it is, is said."""
+    features, held, truth = recordings("drawer", "panda", 2013, 4)
+    _, free, _ = recordings("free", "panda", 2013, 4)
+    result = found((features, [held[0], *free], {}))
+    assert not result.explained
+    assert [(s.trajectory, why) for s, why in result.unlearnt] == [(0, IN_ONE_ONLY)]
+    (start, end, _), (stretch, _) = truth["windows"][0][0], result.unlearnt[0]
+    assert min(end, stretch.end) - max(start, stretch.start) > 0.8 * (end - start)
+
+
+def test_times_are_those_of_each_recordings_own_clock():
+    """A recording whose clock starts later has its stretches as much later, and nothing else changes."""
+    features, trajectories, _ = recordings("drawer", "panda", 2011, 5)
+    late = Trajectory(trajectories[1].time + 1000.0, trajectories[1].q, trajectories[1].u, trajectories[1].joint_names)
+    before = found((features, trajectories, {})).parts[0]
+    after = found((features, [trajectories[0], late, *trajectories[2:]], {})).parts[0]
+    # a clock that is a thousand seconds on has three digits less for the steps between the samples
+    assert row_space_angle(before.found, after.found) < 1e-5
+    for a, b in zip(before.stretches, after.stretches, strict=True):
+        shift = 1000.0 if a.trajectory == 1 else 0.0
+        assert (b.trajectory, b.start, b.end) == pytest.approx((a.trajectory, a.start + shift, a.end + shift))
+
+
+def test_stretches_of_a_recording_do_not_overlap():
+    """Held and free stretches follow one another."""
+    spans = [
+        (s.trajectory, s.start, s.end) for s, *_ in found(recordings("drawer_then_table", "xarm7", 2011, 5)).phases()
+    ]
+    for (i, _, end), (j, start, _) in zip(sorted(spans)[:-1], sorted(spans)[1:], strict=True):
+        assert i != j or start >= end - 1e-9
+
+
+@pytest.mark.parametrize("seed", [2021, 2022])
+@pytest.mark.parametrize("kind", ["drawer_other_direction", "drawer_slip"])
+def test_odd_ones_are_named_with_numbers_and_units(kind: str, seed: int):
+    """Another drawer, or a grip that slips: exactly these recordings, with the reason, and both rows are kept."""
+    made = recordings(kind, "panda", seed, 8, whole=False)
+    result = found(made)
+    told = {i for i, _ in result.odd} | {s.trajectory for part in result.parts[1:] for s in part.stretches}
+    assert sorted(told) == made[2]["contaminated"]
+    for i, reason in result.odd:
+        assert made[1][i].name in reason
+        assert " mm along " in reason
+    assert np.degrees(row_space_angle(result.parts[0].found, true_rows(made[2], 0))) < 0.2
+
+
+@pytest.mark.parametrize(("kind", "degrees"), [("table", 2.0), ("table", 10.0), ("drawer", 2.0), ("drawer", 20.0)])
+def test_two_that_nearly_coincide_are_told_apart(kind: str, degrees: float):
+    """Four recordings of one table or drawer and four of another, some degrees apart: each has its own rows."""
+    features, first, truth = recordings(kind, "panda", 2023, 8, whole=False)
+    _, second, other = recordings(kind, "panda", 2023, 8, whole=False, tilt=degrees)
+    result = found((features, [*first[:4], *second[4:]], {}))
+    members = [sorted(s.trajectory for s in part.stretches) for part in result.parts]
+    assert sorted(members) == [[0, 1, 2, 3], [4, 5, 6, 7]]
+    for part, numbers in zip(result.parts, members, strict=True):
+        assert np.degrees(row_space_angle(part.found, true_rows(truth if 0 in numbers else other, 0))) < 0.1
+
+
+@pytest.mark.parametrize("kind", ["table", "drawer"])
+def test_one_is_not_divided(kind: str):
+    """Sixteen recordings of one table or drawer with bad encoders are one constraint."""
+    features, trajectories, _ = recordings(kind, "ur5", 2024, 16, whole=False)
+    rng = np.random.default_rng(1)
+    noisy = [
+        derive_velocities(
+            Trajectory(t.time, t.q + rng.normal(0.0, 3e-3, t.q.shape), None, t.joint_names), features.robot
+        )
+        for t in trajectories
+    ]
+    assert len(found((features, noisy, {})).parts) == 1
+
+
+def test_noise_that_differs_among_recordings_is_not_odd():
+    """A recording from a noisier encoder obeys the constraint as well as its noise allows."""
+    features, trajectories, _ = recordings("drawer", "panda", 2023, 4, whole=False)
+    rng = np.random.default_rng(3)
+    noisy = [
+        Trajectory(t.time, t.q, np.asarray(t.u) + sigma * rng.normal(size=t.q.shape), t.joint_names, t.name)
+        for t, sigma in zip(trajectories, (0.0, 0.003, 0.01, 0.001), strict=True)
+    ]
+    assert not found((features, noisy, {})).odd
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_a_stretch_that_slips_is_odd(share: float):
+    """It has left the rows that the others hold still, wherever in it."""
+    features = ml.CustomFeatures(lambda q: np.eye(2), ("x", "y"), 2)
+    time = np.linspace(0.0, 2.0, 201)
+
+    def moved(height: np.ndarray) -> Trajectory:
+        q = np.column_stack([0.01 * np.sin(time), height])
+        return Trajectory(time, q, np.gradient(q, time, axis=0))
+
+    members = [moved(1e-5 * np.sin(9.0 * time + k)) for k in range(4)]
+    slipping = moved(0.02 / (1.0 + np.exp(-(time - 2.0 * share) / 0.01)))
+    motion = RowMotion.collect(features, [*members, slipping])
+    rows = np.linalg.qr(motion.whitening @ np.array([[0.0], [1.0]]))[0].T
+    agrees = agreeing(motion, rows, [Stretch(i, 0.0, 2.0) for i in range(5)])
+    assert agrees.tolist() == [True] * 4 + [False]
+
+
+@pytest.mark.parametrize(("robot", "seed", "n"), [("ur5", 2102, 4), ("xarm7", 3005, 8)])
+def test_a_tether_is_learnt_from_whole_recordings(robot: str, seed: int, n: int):
+    """Type, centre and radius within 0.5 mm, one row; the second one's sphere is so large that parts of it pass for a
+    soft plane.
+    """
+    features, made, truth = recordings("tether", robot, seed, n)
+    maps = [FrameJacobian(features.robot, truth["tip"], "xyz", r) for r in ("world", "local")]
+    learner = ml.ConstraintLearner(maps).fit(made)
+    report, true = learner.report_, truth["mechanisms"][0]
+    assert report.mechanism is not None
+    assert report.mechanism.type == "ball"
+    assert report.mechanism.point == pytest.approx(np.array(true["point"]), abs=5e-4)
+    assert report.mechanism.radius == pytest.approx(true["radius"], abs=5e-4)
+    assert learner.constraint_.n_constraints == 1
+
+
+def test_an_orientation_that_is_held_softly_is_learnt_with_its_axis():
+    """A glass that sways by a degree: its two rows, about the vertical within three stated standard deviations."""
+    features, made, truth = recordings("glass", "sawyer", 107, 6, whole=False)
+    arm = features.robot
+    learner = ml.ConstraintLearner([FrameJacobian(arm, truth["tip"], "rotation", r) for r in ("world", "local")]).fit(
+        made
+    )
+    mechanism = learner.report_.mechanism
+    assert mechanism is not None
+    assert mechanism.type == "held-orientation"
+    assert mechanism.axis is not None
+    tilt = np.degrees(np.arccos(min(1.0, abs(mechanism.axis[2]))))
+    assert tilt < min(3.0 * mechanism.uncertainty["axis"], 6.0)
+    A = learner.constraint_(made[0].q[100])
+    assert A.shape == (2, arm.nv)
+    turning = np.linalg.pinv(FrameJacobian(arm, truth["tip"], "rotation")(made[0].q[100])) @ mechanism.axis
+    np.testing.assert_allclose(A @ turning, 0.0, atol=1e-9)
+
+
+def test_two_recordings_together_propose_the_centre_of_a_sphere():
+    """The best pair puts the centre within 2 cm, although one window alone fits many spheres."""
+    features, made, truth = recordings("tether", "panda", 2101, 6)
+    rows = PlaceRows(features.robot, truth["tip"], "point", np.array([0.4, 0.1, 0.4]))
+    motion = RowMotion.collect(rows, made).thinned()
+    offered = proposed(motion, np.zeros(len(motion), dtype=np.int64), 1)[1]
+    selections = [motion.selection(r)[0] for r in offered]
+    centres = np.array([rows.middle - x[:3] / x[3] for x in selections])
+    apart = np.linalg.norm(centres - np.array(truth["mechanisms"][0]["point"]), axis=1)
+    assert np.min(apart) < 0.02
+
+
+@pytest.mark.parametrize("form", ["point", "point and rotation", "twist", "surface"])
+def test_place_rows_have_exact_derivatives(robot_of, form: str):
+    """dPhi/dq is that of central differences, in bulk as one by one, at a singular posture too."""
+    arm, h = robot_of("panda"), 1e-6
+    rows = PlaceRows(arm, "panda_hand_tcp", form, [0.3, -0.1, 0.4])
+    for q in (np.zeros(arm.nq), np.random.default_rng(1).uniform(-1.0, 1.0, arm.nq)):
+        steps = [(rows(q + h * e) - rows(q - h * e)) / (2.0 * h) for e in np.eye(arm.nv)]
+        np.testing.assert_allclose(rows.derivative(q), np.stack(steps, axis=2), atol=1e-8)
+        Phi, dPhi = rows.batch_with_derivative(q[None])
+        np.testing.assert_allclose(Phi[0], rows(q), atol=1e-12)
+        np.testing.assert_allclose(dPhi[0], rows.derivative(q), atol=1e-10)
+
+
+def test_place_rows_hold_what_they_say(robot_of):
+    """[-(c - m), 1] Phi u = (p - c).v for any centre c, and a twist's rows are the velocity of the point at m."""
+    arm, rng = robot_of("ur5"), np.random.default_rng(2)
+    m, c, q, u = rng.normal(size=3), rng.normal(size=3), rng.uniform(-1.0, 1.0, 6), rng.normal(size=6)
+    J, p = arm.jacobian(q, arm.frame("tool0")) @ u, arm.position(q, arm.frame("tool0"))
+    point, twist = (PlaceRows(arm, "tool0", form, m)(q) @ u for form in ("point", "twist"))
+    assert np.append(m - c, 1.0) @ point == pytest.approx((p - c) @ J[:3])
+    np.testing.assert_allclose(twist, [*(J[:3] + np.cross(p - m, J[3:])), *J[3:]], atol=1e-12)
+
+
+def test_place_rows_refuse_what_is_none(robot_of):
+    """Another form, and a middle that is no place."""
+    with pytest.raises(FeatureError, match="form"):
+        PlaceRows(robot_of("ur5"), "tool0", "sphere")  # type: ignore[arg-type]
+    with pytest.raises(FeatureError, match="middle"):
+        PlaceRows(robot_of("ur5"), "tool0", "point", [0.0, np.nan, 1.0])
+
+
+def test_energy_that_breaks_a_hypothesis():
+    """It equals |A^+ A u|^2 by singular value decomposition, for one row and for several."""
+    features, trajectories, _ = recordings("drawer", "panda", 2011, 5)
+    motion = RowMotion.collect(features, trajectories[:1])
+    rng = np.random.default_rng(5)
+    for s in (1, 2):
+        rows = np.linalg.qr(rng.normal(size=(3, s)))[0].T
+        energy = broken_energy(motion, rows[None])[:, 0]
+        for i in (50, 200, 400):
+            A = rows @ motion.whitening @ features(trajectories[0].q[i])
+            broken = np.linalg.pinv(A) @ A @ trajectories[0].u[i]
+            assert energy[i] == pytest.approx(broken @ broken, rel=1e-8)
+
+
+def test_what_is_free_is_the_mean_over_the_signs_of_the_joints():
+    """u^T P u averaged over all signs of the joint velocities, for each of the rows."""
+    features, trajectories, _ = recordings("drawer", "panda", 2011, 5)
+    motion, rng = RowMotion.collect(features, trajectories[:1]), np.random.default_rng(6)
+    for i in (60, 300):
+        Phi, u = features(trajectories[0].q[i]), trajectories[0].u[i]
+        P = np.linalg.pinv(Phi) @ Phi
+        signed = u * rng.choice([-1.0, 1.0], (20_000, len(u)))
+        assert motion.free[i] == pytest.approx(np.mean(np.einsum("ni,ij,nj->n", signed, P, signed)) / 3.0, rel=0.03)
+
+
+def test_standstill_says_nothing():
+    """Without motion the evidence for and against a constraint is zero."""
+    features, trajectories, _ = recordings("drawer", "panda", 2011, 5)
+    motion = RowMotion.collect(features, trajectories)
+    still = motion.chosen(motion.free < motion.noise)
+    rows = complement_rows(np.array([[1.0, 0.0, 0.0]]))
+    values = evidence(still, broken_energy(still, rows[None]), 2, [HeldScale(2.0, 0.01)])
+    assert len(still) > 20
+    assert np.max(np.abs(values)) < 1e-9
+
+
+def test_the_best_sequence_ignores_what_is_shorter_than_a_change_is_worth():
+    """Viterbi's algorithm: boundaries to the sample, a brief lapse bridged, a brief coincidence left out; a recording
+    that is in one state throughout pays for no change.
+    """
+    values, first = np.full((200, 2), -1.0), np.array([0, 200])
+    values[40:100, 0] = 1.0
+    values[60:63, 0] = -1.0  # lapse
+    values[100:160, 1] = 1.0
+    values[180:184, 1] = 1.0  # coincidence
+    expected = np.zeros(200, dtype=int)
+    expected[40:100], expected[100:160] = 1, 2
+    assert np.array_equal(states_of(values, first, switch=10.0), expected)
+    assert np.array_equal(states_of(values[:, :1], first, switch=10.0), np.where(expected == 1, 1, 0))
+    assert np.array_equal(held_by(values, first, switch=10.0)[:, 0], expected == 1)
+    assert gains_of(values, first, switch=10.0)[0, 0] == pytest.approx(57.0 - 3.0 - 10.0)
+    brief = np.full((5, 1), 1.0)
+    assert gains_of(brief, np.array([0, 5]), switch=10.0)[0, 0] == 5.0
+    assert np.all(states_of(brief, np.array([0, 5]), switch=10.0) == 1)
+    assert np.all(states_of(values, first, switch=np.inf) == 0)
+
+
+def test_joints_that_move_at_once():
+    """One for a joint alone, as many as there are for equal ones, whatever the pace."""
+    pace = np.linspace(1.0, 2.0, 50)[:, None]
+    assert joints_at_once(pace * [1.0, 0.0, 0.0], 1e-8) == pytest.approx(1.0)
+    assert joints_at_once(pace * [1.0, -1.0, 1.0], 1e-8) == pytest.approx(3.0)
+    assert joints_at_once(np.full((50, 3), 1e-5), 1e-8) == 0.0
