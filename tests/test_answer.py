@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from test_phases import recordings
+from test_explanation import recordings
 
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError

@@ -81,13 +81,13 @@ def _too_few(recordings: IndependentRecordings) -> list[str]:
 
 
 def _several_phases(findings: Findings, demonstrations: Demonstrations, phases: str) -> list[str]:
-    if findings.unlearnt or _throughout(findings.refused, demonstrations):
-        return []
     if phases == "off":
         return [
             "cut the recordings to the contact, since no single constraint fits them as a whole"
             + advice(", or allow {}", "phases='auto'", "--phases auto")
         ]
+    if findings.unlearnt or _throughout(findings.refused, demonstrations):
+        return []
     if _held(findings):
         return ["cut the recordings more closely to what seems held, each stretch in a file of its own"]
     if len(demonstrations) < 2:

@@ -59,8 +59,16 @@ class Answer:
     warnings: tuple[str, ...]
 
 
-def find_answers(findings: Findings, settings: LearnerSettings, fit: Fit) -> tuple[list[Answer], Findings]:
-    """Learn a constraint from each part.
+def find_answers(
+    findings: Findings, everything: Part, settings: LearnerSettings, fit: Fit
+) -> tuple[list[Answer], Findings]:
+    """Learn a constraint from each part; or one from all recordings, if the demonstrator imposes it.
+
+    Args:
+        findings: What explains the recordings.
+        everything: All of them as one part.
+        settings: What the user asked for.
+        fit: Makes an estimate from a part.
 
     Returns:
         The answers, best supported first, and the findings with a part for each of them.
@@ -78,9 +86,24 @@ def find_answers(findings: Findings, settings: LearnerSettings, fit: Fit) -> tup
             refused.append((part, refusal))
     if not answers:
         raise refused[0][1]
+    if settings.estimator == "auto" and not answers[0].candidate.is_held:
+        imposed = _imposed(everything, settings, fit)
+        if imposed is not None:
+            return [imposed], dataclasses.replace(findings, parts=(everything,), free=(), odd=(), unlearnt=())
     said = tuple(f"a further constraint is not learnt: {refusal}" for _, refusal in refused)
     parts = (*(a.part for a in answers), *(part for part, _ in refused))
     return answers, dataclasses.replace(findings, parts=parts, warnings=(*findings.warnings, *said))
+
+
+def _imposed(everything: Part, settings: LearnerSettings, fit: Fit) -> Answer | None:
+    """Rows that are moved on purpose, if a model of the null-space policy explains all recordings better than that
+    rows are held.
+    """
+    try:
+        candidate, data = fit(everything, settings)
+    except NotIdentifiableError:
+        return None
+    return Answer(everything, candidate, data, None, None, ()) if candidate.estimate.name == "joint" else None
 
 
 def _explained(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
@@ -99,6 +122,10 @@ def _explained(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
         features, n = _straight(mechanism, part) or (features, n)
     held = dataclasses.replace(settings, estimator="null-space", n_constraints=asked or n)
     candidate, data = fit(dataclasses.replace(part, feature_maps=(features,)), held)
+    if isinstance(features, PlaceRows) and candidate.estimate.table.verdict(candidate.n_constraints) == "none":
+        # so few rows of so many are not determined by a contact that gives way: plainer ones are
+        candidate, data = fit(dataclasses.replace(part, feature_maps=part.asked), held)
+    features = candidate.samples.features
     evidence = _evidence(features, part, settings)
     return Answer(part, candidate, data, evidence, mechanism, _doubts(evidence, candidate.n_constraints, asked))
 

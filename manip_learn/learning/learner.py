@@ -207,9 +207,10 @@ class ConstraintLearner:
             parts = tuple(dataclasses.replace(part, source=source) for part in findings.parts)
             doubts = doubt_velocities(recorded.trajectories, demonstrations.joint_names)
             warnings = (*recordings.warnings, *doubts, *findings.warnings)
+            (everyone,) = unexplained(demonstrations, self._feature_maps).parts
             findings = dataclasses.replace(findings, parts=parts, warnings=warnings)
             try:
-                answers, findings = find_answers(findings, self._settings, fit)
+                answers, findings = find_answers(findings, everyone, self._settings, fit)
             except NotIdentifiableError as refusal:
                 why = advise(
                     refusal, demonstrations, self._feature_maps, findings, recordings=recordings, phases=self.phases
@@ -245,7 +246,8 @@ class ConstraintLearner:
         with one_thread():
             started = time.perf_counter()
             try:
-                answers, _ = find_answers(findings, self._settings, fit)
+                (everyone,) = unexplained(few, self._feature_maps).parts
+                answers, _ = find_answers(findings, everyone, self._settings, fit)
             except NotIdentifiableError as refusal:
                 raise advise_in_general(refusal) from refusal
             best = answers[0].candidate

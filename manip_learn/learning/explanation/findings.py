@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.errors import counted, listed
 from manip_learn.learning.before_smoothing import BeforeSmoothing
 from manip_learn.learning.evidence.recombination import recombination_test
 from manip_learn.learning.explanation.evidence import SWITCH
@@ -233,9 +234,14 @@ def _findings(
         return unexplained(demonstrations, feature_maps)
     taken = [s for part in parts for s in part.stretches] + apart
     lone = [s for s in contacts if not any(s.shared(other) > 0.0 for other in taken)]
+    tasks = [{s.trajectory for s in part.stretches} for part in parts]
+    warnings = _doubts(explanation, order)
+    if len(tasks) > 1 and not set.intersection(*tasks):
+        shown = listed(counted(len(task), "recording") for task in tasks)
+        warnings.append(f"the recordings are of {len(tasks)} tasks, {shown}: each constraint is learnt from its own")
     free = tuple(uncovered(explanation.views[0].motion, [*taken, *lone]))
     unlearnt = (*((s, DISAGREES) for s in apart), *((s, IN_ONE_ONLY) for s in lone))
-    return Findings(tuple(parts), free, tuple(sorted(odd.items())), True, tuple(_doubts(explanation, order)), unlearnt)
+    return Findings(tuple(parts), free, tuple(sorted(odd.items())), True, tuple(warnings), unlearnt)
 
 
 def _doubts(explanation: Explanation, order: Sequence[int]) -> list[str]:

@@ -84,8 +84,16 @@ def drifting(
     out = {}
     odd = pieces_of(trajectories, [s for s, good in zip(stretches, agrees, strict=True) if not good])
     for s, piece in zip(*odd, strict=True):
-        out[s.trajectory] = reason(features, [*members, piece], selection, len(members), range(len(members)))
+        why = reason(features, [*members, piece], selection, len(members), range(len(members)))
+        out[s.trajectory] = f"{why}, fastest at {_fastest(features, piece, selection):.2f} s"
     return out
+
+
+def _fastest(features: FeatureMap, trajectory: Trajectory, selection: Float[np.ndarray, "s p"]) -> float:
+    """When it goes farthest along the rows within a tenth of a second [s]."""
+    time, way = trajectory.time, way_along(features, trajectory, selection)
+    later = np.minimum(np.searchsorted(time, time + 0.1), len(time) - 1)
+    return float(time[np.argmax(np.linalg.norm(way[later] - way, axis=1))])
 
 
 def missing(

@@ -24,6 +24,8 @@ LONGEST_STEP = 0.2
 RANK = 1e-8
 # length of the windows from which the noise of the velocities is told [s]
 NOISE_WINDOW = 0.6
+# directions that a smooth motion, one like a cubic, fills of a window
+SMOOTH = 4
 # samples this many times above the noise count as motion of the tip
 MOVING = 4.0
 # a direction in which the joints move less than this share of the liveliest is not used
@@ -209,18 +211,23 @@ def _weights(time: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
 
 
 def velocity_noise(trajectory: Trajectory) -> float:
-    """Variance of a joint velocity's noise: what is left in short windows beside the few directions of a smooth motion.
+    """Variance of a joint velocity's noise: what is left in short windows beside a smooth motion.
 
-    A motion as smooth as a cubic fills four directions of a window; where there are fewer joints than that, the least
-    used one is all there is.
+    A motion as smooth as a cubic fills four directions of a window, of its samples as of the joints: what is left in
+    the others is noise. Where there are no more joints than that, the samples alone tell.
     """
     u, time = np.asarray(trajectory.u), trajectory.time
     nv, T = u.shape[1], len(u)
-    length = max(2 * nv, int(np.searchsorted(time, time[0] + NOISE_WINDOW)))
-    if T < length + 1:
-        length = T
-    total = np.concatenate([np.zeros((1, nv, nv)), np.cumsum(u[:, :, None] * u[:, None, :], axis=0)])
+    length = min(T, max(2 * nv, int(np.searchsorted(time, time[0] + NOISE_WINDOW))))
     starts = np.arange(0, T - length + 1, max(1, length // 2))
-    values = np.linalg.eigvalsh((total[starts + length] - total[starts]) / length)
-    least = np.median(np.mean(np.maximum(values[:, : max(1, nv - 4)], 0.0), axis=1))
-    return float(max(least, 1e-10 * float(np.mean(u**2)), 1e-24))
+    windows = np.stack([u[a : a + length] for a in starts])
+    left = []
+    if nv > SMOOTH:
+        values = np.linalg.eigvalsh(np.einsum("wti,wtj->wij", windows, windows) / length)
+        left.append(np.mean(values[:, : nv - SMOOTH], axis=1))
+    if length > SMOOTH:
+        cubic = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), SMOOTH))[0]
+        rest = windows - cubic @ (cubic.T @ windows)
+        left.append(np.sum(rest**2, axis=(1, 2)) / ((length - SMOOTH) * nv))
+    least = min((float(np.median(x)) for x in left), default=0.0)
+    return max(least, 1e-10 * float(np.mean(u**2)), 1e-24)

@@ -19,7 +19,7 @@ SHORTEST = 0.3
 # left out at both ends of a stretch before rows are fitted: velocities are smoothed over the change [s]
 TRIM = 0.1
 # ends of a stretch that may have left it [s], and how many times as far from where it is held as its inner part
-EDGE, FAR = 0.3, 3.0
+EDGE, FAR = 0.3, 2.5
 FEWEST_SAMPLES = 4  # of a stretch that is learnt from
 
 
