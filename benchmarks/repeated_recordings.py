@@ -18,7 +18,7 @@ from make_recordings.kinds import FREE, TASKS
 from recording_cases import Case
 from scipy.interpolate import CubicSpline
 
-from manip_learn.learning.evidence.repeats import IndependentRecordings
+from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 

@@ -15,10 +15,10 @@ from scipy.signal import lfilter
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.advice import advise
-from manip_learn.learning.evidence.repeats import IndependentRecordings
 from manip_learn.learning.excitation import doubt_velocities
 from manip_learn.learning.explanation.findings import Findings
 from manip_learn.learning.explanation.stretch import Stretch
+from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.velocities import with_velocities as derived
 

@@ -9,10 +9,10 @@ import numpy as np
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, advice, counted, listed, named, number_if_known
-from manip_learn.learning.evidence.repeats import IndependentRecordings
 from manip_learn.learning.explanation.findings import Findings, held_throughout
 from manip_learn.learning.explanation.stretch import Stretch
 from manip_learn.learning.overview import lone_contacts
+from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 
 # share of the motion's energy below which a joint counts as still

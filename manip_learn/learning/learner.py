@@ -17,10 +17,10 @@ from manip_learn.learning.answer import Answer, find_answers
 from manip_learn.learning.before_smoothing import BeforeSmoothing
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
 from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, in_memory
-from manip_learn.learning.evidence.repeats import IndependentRecordings
 from manip_learn.learning.excitation import check_fastest, doubt_velocities
 from manip_learn.learning.explanation.findings import Findings, Part, find, unexplained
 from manip_learn.learning.overview import RecordingOverview
+from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, build_report
 from manip_learn.learning.uncertainty import uncertainty_of
 from manip_learn.linalg import one_thread

@@ -8,8 +8,8 @@ from typing import NamedTuple, final
 
 from manip_learn.errors import counted
 from manip_learn.learning.answer import Answer
-from manip_learn.learning.evidence.repeats import IndependentRecordings
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings
+from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.recordings.demonstrations import distinct_names
 
 SPANS_SHOWN = 6  # of each constraint, in words

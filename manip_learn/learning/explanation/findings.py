@@ -13,11 +13,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import counted, listed
 from manip_learn.learning.before_smoothing import BeforeSmoothing
 from manip_learn.learning.evidence.recombination import recombination_test
 from manip_learn.learning.explanation.evidence import SWITCH
-from manip_learn.learning.explanation.explain import Explanation, Hypothesis, explain
+from manip_learn.learning.explanation.explain import LEAST_GAIN, Explanation, Hypothesis, explain
 from manip_learn.learning.explanation.lone import lone_contacts
 from manip_learn.learning.explanation.odd import agreeing, drifting, missing, slipping
 from manip_learn.learning.explanation.row_motion import joints_at_once
@@ -25,11 +26,14 @@ from manip_learn.learning.explanation.stretch import Stretch, pieces_of, sharpen
 from manip_learn.learning.explanation.views import View, mechanism_features, views_of
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.robot import Reference
 
 RECOMBINATIONS = 99
 # a joint that moves alone goes where it must: only joints that move at the same time show what coordinates them. Joints
 # that are moved one after the other give 1.00, contacts of twelve mechanisms with four arms 1.4 to 4 (least 1.1)
 AT_ONCE = 1.1
+# largest share of the free velocity along the rows of a firm contact
+FIRM = 0.05
 # directions in which the joints must move for a contact that one recording alone shows
 EXCITED = 5
 # rows of two constraints closer together than this may be one constraint, or two [deg]
@@ -142,6 +146,7 @@ def find(
         return unexplained(demonstrations, feature_maps)  # a single row: nothing to compare it with
     believed = partial(_believed, trajectories, int(rng.integers(2**32)))
     explanation = explain(views, believed, SWITCH if phases else np.inf)
+    elsewhere = _elsewhere(usable, trajectories, explanation)
     contacts = list[Stretch]()
     if phases and len(trajectories) > 1 and all(t.q.shape[1] == usable[0].nv for t in trajectories):
         contacts = lone_contacts(explanation, trajectories, shown, rng, min(EXCITED, usable[0].nv))
@@ -149,8 +154,32 @@ def find(
         alone = tuple((s, IN_ONE_ONLY) for s in contacts)
         nearest = Explanation(explanation.views, explanation.refused[:1], explanation.switch)
         refused = stretches_of(nearest.thin, nearest.states, 1)
-        return dataclasses.replace(unexplained(demonstrations, feature_maps), unlearnt=alone, refused=refused)
-    return _findings(demonstrations, feature_maps, explanation, contacts)
+        nothing = unexplained(demonstrations, feature_maps)
+        return dataclasses.replace(nothing, unlearnt=alone, refused=refused, warnings=elsewhere)
+    found = _findings(demonstrations, feature_maps, explanation, contacts)
+    return dataclasses.replace(found, warnings=(*found.warnings, *elsewhere))
+
+
+def _elsewhere(
+    feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory], explanation: Explanation
+) -> tuple[str, ...]:
+    """A warning if rows in the other reference, which was not asked for, explain all recordings better."""
+    tried = {f.reference for f in feature_maps if isinstance(f, FrameJacobian)}
+    firm = explanation.hypotheses and all(h.scale.share <= FIRM for h in explanation.hypotheses)
+    if len(tried) != 1 or firm:
+        return ()
+    other: Reference = "local" if "world" in tried else "world"
+    maps = [
+        FrameJacobian(f.robot, f.frame.name, f.row_names, other) for f in feature_maps if isinstance(f, FrameJacobian)
+    ]
+    there = explain(views_of(maps, trajectories), lambda *_: True, np.inf)
+    throughout = len(np.unique(there.thin.trajectory[there.states > 0])) == len(trajectories)
+    if not throughout or there.explained.sum() < explanation.explained.sum() + LEAST_GAIN:
+        return ()
+    return (
+        f"in the {tried.pop()} reference no constraint fits all recordings, in the {other} one does: the rows are held "
+        f"there (reference {other!r})",
+    )
 
 
 def held_throughout(feature_maps: Sequence[FeatureMap], demonstrations: Demonstrations) -> bool:
