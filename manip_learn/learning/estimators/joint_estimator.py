@@ -6,18 +6,13 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning.estimators.conditional_pca import conditional_pca
-from manip_learn.learning.estimators.estimate import Estimate, GapTable, gaps_of_residuals
+from manip_learn.learning.estimators.estimate import Estimate
 from manip_learn.learning.estimators.joint_fit import JointFit
 from manip_learn.learning.estimators.model_search import (
     COMPARE,
+    POOR,
     ROUNDING,
-    SCAN_COLUMNS,
-    WORTH,
     CrossValidatedFit,
-    cross_validate,
-    has_enough,
-    is_better,
     null_energy,
     search_model,
 )
@@ -25,7 +20,7 @@ from manip_learn.learning.estimators.noise_covariance import whitened, whitening
 from manip_learn.learning.estimators.per_trajectory_offsets import estimate_with_offsets, offsets_if_clear
 from manip_learn.learning.estimators.policy_model import HarmonicModel, PolicyModel, PolynomialModel, RadialModel
 from manip_learn.learning.estimators.policy_prior import ScoredFit, fit_marginal
-from manip_learn.learning.estimators.row_count import POOR, drop_doubtful_rows
+from manip_learn.learning.estimators.row_count import count_rows
 from manip_learn.learning.estimators.variable_projection import fit_joint, scores
 from manip_learn.learning.samples import Samples
 
@@ -77,14 +72,22 @@ def estimate_joint(
         return estimate_with_offsets(samples, n_constraints, rng)
     few = _subsample(samples)
     models = _list_models(few, rng, policy_model)
-    usable = _scan_counts(few, [one for one in models[:2] if one.n_terms * few.nv <= SCAN_COLUMNS] or models[:1])
-    if n_constraints is None and len(usable) < 2 or (n_constraints is not None and n_constraints not in usable):
+    counted = count_rows(few, models, rng)
+    usable = {} if counted is None else counted.fits
+    if counted is None or len(usable) < 2 or (n_constraints is not None and n_constraints not in usable):
         raise NotIdentifiableError(
             f"{len(samples)} samples are too few for the joint estimator on {samples.n_rows} rows and {samples.nv} "
             "joints: record more trajectories, or name fewer axes",
             code="too-few-samples",
         )
-    table, doubts = _count_rows(few, usable) if n_constraints is None else (_build_table(few, usable), ())
+    table = counted.table
+    if n_constraints is None and table.best == 0:
+        raise NotIdentifiableError(
+            "a policy of the posture alone explains the motion: nothing in it is steered on purpose, or too few "
+            "trajectories show what is; record more, from other starts to other targets",
+            code="no-task",
+        )
+    doubts = () if n_constraints is not None else counted.warnings
     s = n_constraints or table.best
     chosen, residuals = search_model(few, s, models, usable[s])
     is_poor = chosen.held_out > POOR * null_energy(samples, chosen.fit)
@@ -174,51 +177,6 @@ def _list_models(samples: Samples, rng: np.random.Generator, name: str) -> list[
 
 def _make_radial(samples: Samples, rng: np.random.Generator) -> RadialModel:
     return RadialModel(np.concatenate([b.x for b in samples.blocks()]), N_CENTRES, rng)
-
-
-def _list_counts(samples: Samples) -> range:
-    return range(min(samples.n_rows, samples.nv - 1) + 1)
-
-
-def _scan_counts(samples: Samples, models: list[PolicyModel]) -> dict[int, CrossValidatedFit]:
-    """Best of the models for each number of rows that there are samples enough for, all from one closed-form start."""
-    fitting = {s: [m for m in models if has_enough(samples, s, m)] for s in _list_counts(samples)}
-    if not any(fitting.values()):
-        return {}
-    _, directions = conditional_pca(samples, PolynomialModel(_choose_start_degree(samples), samples.q.shape[1]))
-    return {s: _select_model(samples, fit, directions[:s]) for s, fit in fitting.items() if fit}
-
-
-def _select_model(samples: Samples, models: list[PolicyModel], start: np.ndarray) -> CrossValidatedFit:
-    """Best of the models from a start; a richer one only if it is worth its parameters."""
-    best = cross_validate(samples, models[0], start)
-    for model in models[1:]:
-        candidate = cross_validate(samples, model, start)
-        if is_better(samples, candidate, best, WORTH):
-            best = candidate
-    return best
-
-
-def _choose_start_degree(samples: Samples) -> int:
-    m = samples.q.shape[1]
-    return 2 if len(samples) > 4 * (m + 1) * (m + 2) // 2 else 1 if len(samples) > 4 * (m + 1) else 0
-
-
-def _count_rows(samples: Samples, scan: dict[int, CrossValidatedFit]) -> tuple[GapTable, tuple[str, ...]]:
-    """The table with no more rows than the trajectories can tell, and a warning where these are fewer."""
-    return drop_doubtful_rows(
-        _build_table(samples, scan),
-        {s: one.folds / (samples.nv - s) for s, one in scan.items()},
-        {s: one.held_out / null_energy(samples, one.fit) for s, one in scan.items()},
-        NOTHING * samples.energy,
-    )
-
-
-def _build_table(samples: Samples, scan: dict[int, CrossValidatedFit]) -> GapTable:
-    residuals = {s: float(np.sqrt(c.held_out / (samples.nv - s))) for s, c in scan.items()}
-    floor = 1e-15 * float(np.sqrt(samples.energy))
-    present = {s: r for s, r in residuals.items() if s == 0 or s - 1 in residuals}
-    return gaps_of_residuals(present, floor, len(samples))
 
 
 def _fit_whitened(samples: Samples, fit: JointFit) -> tuple[Samples, JointFit]:
