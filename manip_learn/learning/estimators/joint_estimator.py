@@ -16,11 +16,17 @@ from manip_learn.learning.estimators.model_search import (
     null_energy,
     search_model,
 )
-from manip_learn.learning.estimators.noise_covariance import whitened, whitening_factor
+from manip_learn.learning.estimators.noise_covariance import (
+    UNEQUAL,
+    noise_in_time,
+    shape_in_time,
+    whitened,
+    whitening_factor,
+)
 from manip_learn.learning.estimators.per_trajectory_offsets import estimate_with_offsets, offsets_if_clear
 from manip_learn.learning.estimators.policy_model import HarmonicModel, PolicyModel, PolynomialModel, RadialModel
 from manip_learn.learning.estimators.policy_prior import ScoredFit, fit_marginal
-from manip_learn.learning.estimators.row_count import count_rows
+from manip_learn.learning.estimators.row_count import ABOVE_NOISE, RowCount, count_rows
 from manip_learn.learning.estimators.variable_projection import fit_joint, scores
 from manip_learn.learning.samples import Samples
 
@@ -31,8 +37,6 @@ RANDOM_STARTS = 2
 # models are compared on at most this many samples, and fitted with at most this many columns unless asked for
 COMPARE_LIMIT = 1_500
 MAX_COLUMNS = 260
-# share of the energy below which a residual is rounding
-NOTHING = 1e-20
 # share of the energy above which a residual is noise that hides a part of the policy
 NOISY = 1e-10
 
@@ -72,49 +76,111 @@ def estimate_joint(
         return estimate_with_offsets(samples, n_constraints, rng)
     few = _subsample(samples)
     models = _list_models(few, rng, policy_model)
-    counted = count_rows(few, models, rng)
-    usable = {} if counted is None else counted.fits
-    if counted is None or len(usable) < 2 or (n_constraints is not None and n_constraints not in usable):
-        raise NotIdentifiableError(
-            f"{len(samples)} samples are too few for the joint estimator on {samples.n_rows} rows and {samples.nv} "
-            "joints: record more trajectories, or name fewer axes",
-            code="too-few-samples",
-        )
-    table = counted.table
-    if n_constraints is None and table.best == 0:
+    counted = _count(few, models, n_constraints, rng)
+    L = _unequal_noise(samples, few, counted.fits[n_constraints or counted.table.best].fit)
+    weighted = samples if L is None else whitened(samples, L)
+    if L is not None:
+        few = whitened(few, L)
+        counted = _count(few, models, n_constraints, rng)
+    s = n_constraints or counted.table.best
+    if s == 0:
         raise NotIdentifiableError(
             "a policy of the posture alone explains the motion: nothing in it is steered on purpose, or too few "
             "trajectories show what is; record more, from other starts to other targets",
             code="no-task",
         )
-    doubts = () if n_constraints is not None else counted.warnings
-    s = n_constraints or table.best
-    chosen, residuals = search_model(few, s, models, usable[s])
-    is_poor = chosen.held_out > POOR * null_energy(samples, chosen.fit)
-    # rich models come close to separate rest postures, which alone are exact then
-    is_close = usable[s].held_out > POOR * null_energy(samples, usable[s].fit) and not _is_exact(chosen.fit)
-    if policy_model == "auto" and (is_poor or is_close) and not _is_exact(usable[s].fit):
-        own = offsets_if_clear(samples, n_constraints, rng, chosen.fit.whitened_selection)
-        if own is not None and (is_poor or own.unexplained < EXACT):
+    first = counted.fits[s]
+    chosen, residuals = search_model(few, s, models, first)
+    if policy_model == "auto":
+        own = _with_own_postures(weighted, n_constraints, first, chosen, rng)
+        if own is not None:
             return own
-    if chosen.held_out > unexplained * null_energy(samples, chosen.fit):
+    if chosen.held_out > unexplained * null_energy(weighted, chosen.fit):
         raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
-    own_samples, fit, scored = _fit_all(samples, chosen, rng, is_start=isotropic, is_free=policy_model == "auto")
+    samples = samples if isotropic else weighted
+    samples, fit, scored = _fit_all(samples, chosen, rng, is_start=isotropic, is_free=policy_model == "auto")
     return Estimate(
         "joint",
         scored.whitened_selection,
-        table,
-        fit.cost / null_energy(own_samples, fit),
-        chosen.held_out / null_energy(samples, chosen.fit),
+        counted.table,
+        fit.cost / null_energy(samples, fit),
+        chosen.held_out / null_energy(weighted, chosen.fit),
         scored.gradients,
         scored.hessians,
         fit.model.name,
         residuals,
         noise=chosen.held_out / (samples.nv - s),
-        warnings=doubts,
+        warnings=() if n_constraints is not None else counted.warnings,
         joint=fit,
         prior=scored.prior,
     )
+
+
+def _count(
+    samples: Samples, models: list[PolicyModel], n_constraints: int | None, rng: np.random.Generator
+) -> RowCount:
+    """The number of rows, with fits for one more and one less.
+
+    Raises:
+        NotIdentifiableError: Too few samples.
+    """
+    counted = count_rows(samples, models, rng)
+    if counted is None or len(counted.fits) < 2 or (n_constraints is not None and n_constraints not in counted.fits):
+        raise NotIdentifiableError(
+            f"{len(samples)} samples are too few for the joint estimator on {samples.n_rows} rows and {samples.nv} "
+            "joints: record more trajectories, or name fewer axes",
+            code="too-few-samples",
+        )
+    return counted
+
+
+def _unequal_noise(samples: Samples, few: Samples, fit: JointFit) -> Float[np.ndarray, "nv nv"] | None:
+    """Factor of the covariance of noise that is stronger in some joints than in others; None where it is not.
+
+    Equal weights draw Lambda to where its null space is least noisy, so far with strong noise (19 degrees at 10 %, each
+    joint in proportion to its motion) that the residual shows nothing of the covariance: it is seen in time, and
+    believed where weights by it leave as much noise as is seen.
+    """
+    S = shape_in_time(samples)
+    if S is None or np.linalg.cond(S) < UNEQUAL or fit.cost <= NOISY * fit.energy:
+        return None
+    L = np.linalg.cholesky(S)
+    weighted = whitened(few, L)
+    again = fit_joint(weighted, fit.whitened_selection, fit.model, **COMPARE)
+    left = again.cost / (samples.nv - len(again.whitened_selection)) / noise_in_time(whitened(samples, L))
+    return L if 1.0 / ABOVE_NOISE < left < ABOVE_NOISE else None
+
+
+def _without_policy(samples: Samples, fit: JointFit) -> Float[np.ndarray, "n nv"]:
+    """u - pi."""
+    return samples.u - np.concatenate([fit.model(b.x, b.trajectory) for b in samples.blocks()]) @ fit.theta
+
+
+def _with_own_postures(
+    samples: Samples,
+    n_constraints: int | None,
+    first: CrossValidatedFit,
+    chosen: CrossValidatedFit,
+    rng: np.random.Generator,
+) -> Estimate | None:
+    """The estimate with a rest posture for each trajectory, where a shared policy explains the motion poorly.
+
+    Args:
+        samples: What was recorded.
+        n_constraints: As asked for.
+        first: The fit that gave the number of rows.
+        chosen: The fit with the selected policy model.
+        rng: For the starts.
+    """
+    if _is_exact(first.fit):
+        return None
+    is_poor = chosen.held_out > POOR * null_energy(samples, chosen.fit)
+    # rich models come close to separate rest postures, which alone are exact then
+    is_close = first.held_out > POOR * null_energy(samples, first.fit) and not _is_exact(chosen.fit)
+    if not (is_poor or is_close):
+        return None
+    own = offsets_if_clear(samples, n_constraints, rng, chosen.fit.whitened_selection)
+    return own if own is not None and (is_poor or own.unexplained < EXACT) else None
 
 
 def _is_exact(fit: JointFit) -> bool:
@@ -184,8 +250,7 @@ def _fit_whitened(samples: Samples, fit: JointFit) -> tuple[Samples, JointFit]:
     if fit.cost <= ROUNDING * fit.energy:
         return samples, fit
     for _ in range(2):
-        pi = np.concatenate([fit.model(block.x, block.trajectory) for block in samples.blocks()]) @ fit.theta
-        L = whitening_factor(samples, fit.whitened_selection, samples.u - pi)
+        L = whitening_factor(samples, fit.whitened_selection, _without_policy(samples, fit))
         if L is None:
             break
         samples = whitened(samples, L)

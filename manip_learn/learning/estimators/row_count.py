@@ -43,6 +43,8 @@ RANDOM_STARTS = 3
 ABOVE_NOISE = 1.5
 # share of the task's motion along a direction that a rich policy model must leave for the direction to be the task's
 NOT_THE_POLICYS = 0.5
+# share of the evidence that is lacking which a richer model must find for a still richer one to be tried
+PROGRESS = 0.1
 # left-out motion over that of no policy at all beyond which a model has not predicted it but for noise
 PREDICTS = 1.2
 
@@ -128,8 +130,10 @@ def explain(samples: Samples, models: Sequence[PolicyModel], rng: np.random.Gene
                 continue
             if same:
                 best = _best_of(found)
-                too_few = s < commanded and _left(samples, best.judged.fit) <= ABOVE_NOISE * noise
-                if too_few or _promise(samples, _most(same), model, noise) <= (best.nats if best.predicts else -np.inf):
+                is_answered = _left(samples, best.judged.fit) <= ABOVE_NOISE * noise
+                if is_answered and (s < commanded or _is_hopeless(same, best)):
+                    continue
+                if best.predicts and _promise(samples, _most(same), model, noise) <= best.nats:
                     continue
             warm = [_most(same).judged.fit.whitened_selection] if same else []
             found.append(_explained(samples, _fit_from_starts(samples, s, model, warm, noise, rng)))
@@ -144,6 +148,13 @@ def _best_of(found: Sequence[Explanation]) -> Explanation:
     """The one with the most evidence among those that predict; the one that errs least on what was left out if none."""
     predicting = [one for one in found if one.predicts]
     return _most(predicting) if predicting else min(found, key=lambda one: one.judged.held_out)
+
+
+def _is_hopeless(same: Sequence[Explanation], best: Explanation) -> bool:
+    """Whether the last of the richer models came hardly closer to the best."""
+    if len(same) < 2:
+        return False
+    return same[-1].nats - _most(same[:-1]).nats < PROGRESS * (best.nats - same[-1].nats)
 
 
 def _doubt(best: Explanation, rivals: Sequence[Explanation]) -> tuple[str, ...]:
