@@ -16,6 +16,7 @@ import itertools
 import time
 import warnings
 from collections import Counter
+from typing import Any
 
 import numpy as np
 from efficiency import ARMS, features_of, motion_of, noisy
@@ -34,7 +35,7 @@ OUTCOMES = ("right", "right, warned", "wrong, warned", "refused", "wrong, silent
 
 def outcome(
     arm: str, s: int, policy: str, noise: float, size: tuple[int, int], apart: float, seed: int, estimator: str
-) -> tuple[str, dict[str, float]]:
+) -> tuple[str, dict[str, Any]]:
     """One of `OUTCOMES`, and figures of the answer."""
     rng = np.random.default_rng([seed, ARMS.index(arm), s, POLICIES.index(policy), *size])
     selection = orthonormal_rows(rng.standard_normal((s, features_of(arm).n_rows)))
@@ -42,7 +43,7 @@ def outcome(
     demos, _ = noisy(motion, noise, apart, rng)
     started = time.process_time()
     try:
-        learner = ConstraintLearner(motion.features, estimator=estimator).fit(demos)
+        learner = ConstraintLearner(motion.features, estimator="auto" if estimator == "auto" else "joint").fit(demos)
     except NotIdentifiableError as refusal:
         return "refused", {"seconds": time.process_time() - started, "code": refusal.code}
     report, found = learner.report_, learner.constraint_.selection
@@ -67,8 +68,8 @@ def main() -> None:
     parser.add_argument("--apart", type=float, default=1.0)
     parser.add_argument("--sets", type=int, default=4, help="of each policy and size")
     parser.add_argument("--first-seed", type=int, default=20000)
-    parser.add_argument("--estimator", default="joint")
-    parser.add_argument("--verbose", action="store_true")
+    parser.add_argument("--estimator", choices=("joint", "auto"), default="joint")
+    parser.add_argument("--verbose", action="store_true", help="say what came of each set that is not plainly right")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     print("| arm | rows | noise | " + " | ".join(OUTCOMES) + " | angle [deg] | inside | s a fit |")
@@ -80,8 +81,10 @@ def main() -> None:
         found = []
         cases = itertools.product(given.policy, given.size, range(given.sets))
         for policy, size, k in cases:
-            k_n = tuple(map(int, size.split("x")))
-            one = outcome(arm, s, policy, noise, k_n, given.apart, given.first_seed + k, given.estimator)
+            n_trajectories, n_points = map(int, size.split("x"))
+            one = outcome(
+                arm, s, policy, noise, (n_trajectories, n_points), given.apart, given.first_seed + k, given.estimator
+            )
             if given.verbose and one[0] != "right":
                 print(f"    {arm} {s} {policy} {noise:g} {size} {given.first_seed + k}: {one}", flush=True)
             found.append(one)

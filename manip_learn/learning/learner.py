@@ -20,6 +20,7 @@ from manip_learn.learning.bootstrap import bootstrap_angle_deg
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
 from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, in_memory
 from manip_learn.learning.division import Division, Part, divide, undivided
+from manip_learn.learning.estimators.estimate import check_uncertainty
 from manip_learn.learning.evidence.joint_offsets import JointOffsets
 from manip_learn.learning.excitation import check_fastest
 from manip_learn.learning.overview import RecordingOverview
@@ -254,13 +255,19 @@ class ConstraintLearner:
         return best, data, stream.joint_names
 
     def _uncertainty(self, best: Candidate) -> float | None:
-        """Of the row space [deg]."""
+        """Of the row space [deg].
+
+        Raises:
+            NotIdentifiableError: It is too large for an answer.
+        """
         e = best.estimate
         constrained = e.name == "null-space"
         offsets = JointOffsets.of(best.samples, e.whitened_selection) if constrained else None
-        return bootstrap_angle_deg(
+        angle = bootstrap_angle_deg(
             best.samples, e.whitened_selection, e.gradients, e.hessians, best.rng, offsets=offsets, prior=e.prior
         )
+        check_uncertainty(e, angle)
+        return angle
 
     def _conclude(
         self, answers: Sequence[Answer], division: Division, demonstrations: Demonstrations, started: float

@@ -149,7 +149,7 @@ def _climb_exact_models(
 ) -> tuple[CrossValidatedFit, dict[str, float]]:
     """The same where next to nothing is left, and normal equations would compare rounding: fits by QR, one by one."""
     for model in models:
-        if model.name in residuals or best.held_out <= ROUNDING * best.fit.energy:
+        if model.name == best.fit.model.name or best.held_out <= ROUNDING * best.fit.energy:
             continue
         if model not in usable or model.n_terms * samples.nv > SCAN_COLUMNS:
             continue

@@ -15,6 +15,7 @@ known: it costs log(S / sigma^2) / 2 a sample, which no residual shows.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -34,18 +35,18 @@ from manip_learn.learning.estimators.variable_projection import fit_joint
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import row_bases
 
-# share of the root mean square of u that is noise enough: a policy model that leaves less of the motion explains it,
-# and what an exact recording resolves below it is how well the model approximates the policy
+# share of the root mean square of u that is noise enough: what is resolved below it, in recordings without noise, is
+# how well a model approximates the policy, and with more rows every model comes closer
 RESOLVED = 1e-3
 # random starts where the closed-form one does not lead to the noise
 RANDOM_STARTS = 3
-# variance over that of the noise from which there may be a better optimum
+# variance over that of the noise up to which a fit leaves noise alone: 22 % in amplitude
 ABOVE_NOISE = 1.5
-# share of the task's motion along a direction that a rich policy model must leave for the direction to be the task's
+# share of the motion along a direction that a rich policy model must leave for the direction to be the task's
 NOT_THE_POLICYS = 0.5
 # share of the evidence that is lacking which a richer model must find for a still richer one to be tried
 PROGRESS = 0.1
-# left-out motion over that of no policy at all beyond which a model has not predicted it but for noise
+# left-out motion over that of no policy at all up to which a model predicts it: 1 where there is noise alone to predict
 PREDICTS = 1.2
 
 
@@ -254,12 +255,10 @@ def _fit_from_starts(
 ) -> JointFit:
     """The fit of the least cost from closed-form starts, and from random ones where these do not lead to the noise."""
     r = samples.n_rows
-    starts = [conditional_pca(samples, model)[1][:s], *warm]
-    best: JointFit | None = None
-    for k in range(len(starts) + RANDOM_STARTS):
-        start = starts[k] if k < len(starts) else rng.standard_normal((s, r))
-        fit = fit_joint(samples, start, model, **COMPARE)
-        best = fit if best is None or fit.cost < best.cost else best
+    best = fit_joint(samples, conditional_pca(samples, model)[1][:s], model, **COMPARE)
+    random = (rng.standard_normal((s, r)) for _ in range(RANDOM_STARTS))
+    for start in itertools.chain(warm, random):
         if s in (0, r) or _left(samples, best) <= ABOVE_NOISE * noise:
-            return best
+            break
+        best = min(best, fit_joint(samples, start, model, **COMPARE), key=lambda fit: fit.cost)
     return best
