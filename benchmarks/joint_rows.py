@@ -6,7 +6,7 @@
 Reaches of `efficiency.motion_of` along one row or more, drawn at random, with b unknown and policies of the posture;
 `apart` is the ratio of the largest to the least standard deviation of the noise over directions of joint space. Wrong
 and silent is the failure. `angle` is the median over the sets with the right number, `inside` how many of those have
-an error within the stated 68 % angle.
+an error within the stated 68 % angle. Sets whose curved policy runs away (no finite posture) are left out, and counted.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from efficiency import ARMS, features_of, motion_of, noisy
 
-from manip_learn.errors import NotIdentifiableError
+from manip_learn.errors import ConfigurationError, NotIdentifiableError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 
@@ -30,7 +30,8 @@ NOISES = (0.0, 0.01, 0.02, 0.05)
 # trajectories x points
 SIZES = ((5, 100), (20, 20), (100, 10))
 MOST_ROWS = {"planar3": 2, "sawyer": 3}
-OUTCOMES = ("right", "right, warned", "wrong, warned", "refused", "wrong, silent")
+RAN_AWAY = "ran away"
+OUTCOMES = ("right", "right, warned", "wrong, warned", "refused", "wrong, silent", RAN_AWAY)
 
 
 def outcome(
@@ -39,7 +40,10 @@ def outcome(
     """One of `OUTCOMES`, and figures of the answer."""
     rng = np.random.default_rng([seed, ARMS.index(arm), s, POLICIES.index(policy), *size])
     selection = orthonormal_rows(rng.standard_normal((s, features_of(arm).n_rows)))
-    motion = motion_of(arm, policy, *size, rng, selection)
+    try:
+        motion = motion_of(arm, policy, *size, rng, selection)
+    except ConfigurationError:
+        return RAN_AWAY, {"seconds": 0.0}
     demos, _ = noisy(motion, noise, apart, rng)
     started = time.process_time()
     try:

@@ -69,8 +69,8 @@ def estimate_joint(
             model alone: for a fit that goes on.
 
     Raises:
-        NotIdentifiableError: One trajectory or motion only, too few samples for even the smallest model, no task in it, or
-            given up.
+        NotIdentifiableError: One trajectory or motion only, too few samples for even the smallest model, no task in
+            them, or given up.
     """
     _check_trajectories(samples)
     if policy_model == "affine-offset":

@@ -40,6 +40,8 @@ from manip_learn.linalg import row_bases
 RESOLVED = 1e-3
 # random starts where the closed-form one does not lead to the noise
 RANDOM_STARTS = 3
+# starts with a row less within the rows that were found
+SUBSPACES = 4
 # variance over that of the noise up to which a fit leaves noise alone: 22 % in amplitude
 ABOVE_NOISE = 1.5
 # share of the motion along a direction that a rich policy model must leave for the direction to be the task's
@@ -138,7 +140,17 @@ def explain(samples: Samples, models: Sequence[PolicyModel], rng: np.random.Gene
                     continue
             warm = [_most(same).judged.fit.whitened_selection] if same else []
             found.append(_explained(samples, _fit_from_starts(samples, s, model, warm, noise, rng)))
-    return found
+    return found + _within(samples, _best_of(found), rng) if found else found
+
+
+def _within(samples: Samples, best: Explanation, rng: np.random.Generator) -> list[Explanation]:
+    """One row less, from starts among the rows of the best: they hold the true ones where these are fewer."""
+    Lambda, model = best.judged.fit.whitened_selection, best.judged.fit.model
+    s = len(Lambda)
+    if s < 2:
+        return []
+    fits = [fit_joint(samples, (rng.standard_normal((s, s)) @ Lambda)[1:], model, **COMPARE) for _ in range(SUBSPACES)]
+    return [_explained(samples, min(fits, key=lambda fit: fit.cost))]
 
 
 def _most(found: Sequence[Explanation]) -> Explanation:
