@@ -6,7 +6,7 @@
 Reaches of `efficiency.motion_of` along one row or more, drawn at random, with b unknown and policies of the posture;
 `apart` is the ratio of the largest to the least standard deviation of the noise over directions of joint space. Wrong
 and silent is the failure. `angle` is the median over the sets with the right number, `inside` how many of those have
-an error within the stated 68 % angle. Sets whose curved policy runs away (no finite posture) are left out, and counted.
+an error within the stated 68 % angle. Sets whose curved policy runs away (no finite posture or speed) are only counted.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from efficiency import ARMS, features_of, motion_of, noisy
 
-from manip_learn.errors import ConfigurationError, NotIdentifiableError
+from manip_learn.errors import ConfigurationError, NotIdentifiableError, RecordingError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 
@@ -48,16 +48,18 @@ def outcome(
     started = time.process_time()
     try:
         learner = ConstraintLearner(motion.features, estimator="auto" if estimator == "auto" else "joint").fit(demos)
+    except RecordingError:  # a velocity of 1e9 rad/s is an outlier
+        return RAN_AWAY, {"seconds": time.process_time() - started}
     except NotIdentifiableError as refusal:
         return "refused", {"seconds": time.process_time() - started, "code": refusal.code}
     report, found = learner.report_, learner.constraint_.selection
     figures = {"seconds": time.process_time() - started, "rows": len(found), "gap": report.gap}
+    figures["warnings"] = [w[:70] for w in report.warnings]
     if len(found) != s:
         return "wrong, warned" if report.warnings else "wrong, silent", figures
     figures["angle"] = float(np.degrees(row_space_angle(selection, found)))
     if report.uncertainty_deg is not None:
         figures["inside"] = figures["angle"] <= max(report.uncertainty_deg, 1e-6)
-    figures["warnings"] = [w[:70] for w in report.warnings]
     return "right, warned" if report.warnings else "right", figures
 
 
