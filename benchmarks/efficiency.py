@@ -97,23 +97,30 @@ def policy_of(name: str, rest: np.ndarray, reach: np.ndarray, rng: np.random.Gen
     )
 
 
-def motion_of(arm: str, policy_name: str, n_trajectories: int, n_points: int, rng: np.random.Generator) -> Motion:
-    """Reaches: A u = d exp(-t) with d of each trajectory, Euler steps; all trajectories at once."""
+def motion_of(
+    arm: str,
+    policy_name: str,
+    n_trajectories: int,
+    n_points: int,
+    rng: np.random.Generator,
+    selection: np.ndarray | None = None,
+) -> Motion:
+    """Reaches along two rows, or those given: A u = d exp(-t) with d of each trajectory, Euler steps."""
     features = features_of(arm)
     nv = features.nv
     if arm == "planar3":
-        selection, dt = np.eye(3)[PLANAR_ROWS[rng.integers(3)]], 0.02
+        selection, dt = np.eye(3)[PLANAR_ROWS[rng.integers(3)]] if selection is None else selection, 0.02
         q = np.radians(rng.uniform([0, 90, 0], [10, 100, 10], (n_trajectories, 3)))
         rest, reach = np.radians([10.0, -10.0, 10.0]), np.full(3, 1.0)
         turn = np.cumsum(q, axis=1)
         r = np.stack([np.cos(turn).sum(1), np.sin(turn).sum(1), turn[:, 2]], axis=1)
         d = (rng.uniform([-1, 0, 0], [1, 2, np.pi], (n_trajectories, 3)) - r) @ selection.T
     else:
-        selection, dt = np.linalg.qr(rng.standard_normal((3, 2)))[0].T, 0.04
+        selection, dt = np.linalg.qr(rng.standard_normal((3, 2)))[0].T if selection is None else selection, 0.04
         middle = 0.5 * (features.robot.position_lower + features.robot.position_upper)
         rest, reach = middle + rng.uniform(-0.3, 0.3, nv), np.full(nv, 0.8)
         q = middle + reach * rng.uniform(-1, 1, (n_trajectories, nv))
-        d = rng.uniform(-0.5, 0.5, (n_trajectories, 2))
+        d = rng.uniform(-0.5, 0.5, (n_trajectories, len(selection)))
     policy = policy_of(policy_name, rest, reach, rng)
     Q, U = np.empty((n_points, n_trajectories, nv)), np.empty((n_points, n_trajectories, nv))
     for i in range(n_points):

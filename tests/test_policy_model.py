@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from generated_motions import PLANAR_ROWS, angle_deg, arm_features, paper_motions
+from generated_motions import PLANAR_ROWS, angle_deg, arm_features, oblique, paper_motions
 
-from manip_learn.experiments.paper_setup import Setup, demonstrate, planar_features
+from manip_learn.errors import NotIdentifiableError
+from manip_learn.experiments.paper_setup import Setup, demonstrate, noise_deviations, planar_features
+from manip_learn.experiments.ways import fit_told_noise
 from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.estimators.estimate import GapTable
-from manip_learn.learning.estimators.noise_covariance import whitened, whitening_factor
+from manip_learn.learning.estimators.estimate import Estimate, GapTable, check_uncertainty
+from manip_learn.learning.estimators.joint_estimator import estimate_joint
+from manip_learn.learning.estimators.noise_covariance import noise_in_time, shape_in_time, whitened, whitening_factor
 from manip_learn.learning.estimators.policy_equations import OrthonormalRegressors, Projections, Solver, curvature
 from manip_learn.learning.estimators.policy_model import HarmonicModel, PolynomialModel, TrajectoryOffsetModel
 from manip_learn.learning.estimators.projected_equations import fit_projected, held_out_by_fold
-from manip_learn.learning.estimators.row_count import drop_doubtful_rows
+from manip_learn.learning.estimators.row_count import explain
 from manip_learn.learning.estimators.variable_projection import fit_joint, held_out_costs
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import row_space_angle
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from efficiency import measure, motion_of, noisy  # noqa: E402
@@ -154,16 +160,124 @@ def test_unequal_noise_is_seen_and_equal_noise_is_not():
             assert e @ e == pytest.approx(expected @ np.linalg.solve(Z.T @ L @ L.T @ Z, expected))
 
 
-def test_no_more_rows_than_the_trajectories_tell():
-    """A row that helps in one fold only, or weakly where nothing explains the motion, is dropped with a warning."""
-    table = GapTable((1, 2, 3), (2.0, 12.0, 1.6), 1.3, 3)
-    residuals = {1: np.full(5, 9.0), 2: np.array([1.0, 1.1, 0.9, 1.0, 8.0]), 3: np.array([1.1, 1.0, 0.9, 1.1, 1.0])}
-    explained = dict.fromkeys(range(4), 0.001)
-    fewer, warnings = drop_doubtful_rows(table, residuals, explained, 0.0)
-    assert fewer.best == 2 and len(warnings) == 1
-    certain = residuals | {2: 2.5 + residuals[3]}
-    assert drop_doubtful_rows(table, certain, explained, 0.0) == (table, ())
-    assert drop_doubtful_rows(table, certain, explained | {3: 0.2}, 0.0)[0].best == 2
+def one_row(policy: str, noise: float, size: tuple[int, int], seed: int, apart: float = 1.0):
+    """Reaches of the planar arm along one oblique row."""
+    rng = np.random.default_rng([seed, 1])
+    motion = motion_of("planar3", policy, *size, rng, oblique(1, 3, rng))
+    return motion, noisy(motion, noise, apart, rng)[0]
+
+
+@pytest.mark.parametrize(
+    ("policy", "size"), [("sinusoidal", (20, 20)), ("sinusoidal", (100, 10)), ("affine", (20, 20))]
+)
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_one_row_is_not_answered_with_two(policy: str, size: tuple[int, int], noise: float):
+    """Two rows leave less of the motion than one with a policy model that is too small; one row is the answer."""
+    for seed in range(20100, 20103):
+        motion, demos = one_row(policy, noise, size, seed)
+        learner = ConstraintLearner(motion.features, estimator="joint").fit(demos)
+        assert learner.constraint_.n_constraints == 1
+        assert np.degrees(row_space_angle(motion.selection, learner.constraint_.selection)) < (5.0 if noise else 1e-9)
+
+
+def test_the_evidence_counts_rows_where_residuals_do_not():
+    """A second row lowers the residual of a model that is too small, and costs what is not known of the task in it."""
+    motion, demos = one_row("sinusoidal", 0.0, (100, 10), 20100)
+    samples = Samples.collect(motion.features, demos)
+    found = explain(samples, [PolynomialModel(degree, 3) for degree in (1, 2)], np.random.default_rng(0))
+    residual = {
+        one.n_rows: one.judged.fit.cost / (3 - one.n_rows) for one in found if one.judged.fit.model.name == "affine"
+    }
+    nats = {s: max(one.nats for one in found if one.n_rows == s) for s in range(3)}
+    assert residual[2] < 0.1 * residual[1]
+    assert nats[1] > nats[2] + 1000.0 and nats[1] > nats[0] + 1000.0
+
+
+def test_evidence_does_not_depend_on_the_number_of_rows_of_a_motion_without_structure(rng):
+    """White noise in all joints, no policy: a row more is as likely as one less, but for the price of parameters."""
+    motion, demos = one_row("affine", 0.0, (20, 20), 20100)
+    samples = Samples.collect(motion.features, demos)
+    samples = dataclasses.replace(samples, u=rng.standard_normal(samples.u.shape))
+    found = explain(samples, [PolynomialModel(0, 3)], np.random.default_rng(0))
+    nats = [one.nats for one in sorted(found, key=lambda one: one.n_rows)]
+    assert np.ptp(nats) < 0.5 * 12 * np.log(len(samples))
+
+
+def test_a_policy_alone_is_no_task():
+    """Reaches to one rest posture, every joint a function of the posture: nothing is steered on purpose."""
+    motion, _ = one_row("affine", 0.0, (20, 20), 20100)
+    free = np.array([np.exp(-0.4 * np.arange(20) * 0.1)[:, None] * start for start in motion.q[:, 0]])
+    t = 0.1 * np.arange(20)
+    demos = Demonstrations([Trajectory(t, q, -0.4 * q, motion.features.robot.joint_names) for q in free])
+    with pytest.raises(NotIdentifiableError) as refusal:
+        ConstraintLearner(motion.features, estimator="joint").fit(demos)
+    assert refusal.value.code == "no-task"
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.7, -1.0])
+def test_a_motion_that_is_replayed_is_one_motion(rate: float, rng):
+    """The same free motion six times, with noise, at another rate or backwards: said by its name."""
+    features, t = arm_features(), np.linspace(0.0, 2.0, 120)
+    middle = 0.5 * (features.robot.position_lower + features.robot.position_upper)
+    pace, phase = rng.uniform(1.0, 3.0, 7), rng.uniform(0.0, 6.0, 7)
+    demos = []
+    for k in range(6):
+        own = (rate if k % 2 else 1.0) * t + (2.0 if rate < 0.0 and k % 2 else 0.0)
+        q = middle + 0.4 * np.sin(own[:, None] * pace + phase) + 1e-3 * rng.standard_normal((120, 7))
+        u = 0.4 * pace * np.cos(own[:, None] * pace + phase) * (rate if k % 2 else 1.0)
+        demos.append(Trajectory(t, q, u + 0.01 * rng.standard_normal(u.shape), features.robot.joint_names))
+    with pytest.raises(NotIdentifiableError, match="repeat"):
+        ConstraintLearner(features, estimator="joint").fit(demos)
+    with pytest.raises(NotIdentifiableError, match="repeat one motion") as refusal:
+        estimate_joint(Samples.collect(features, Demonstrations(demos)), None, rng)
+    assert refusal.value.code == "repeated-motion"
+
+
+@pytest.mark.parametrize("rows", ["x y", "y rz"])
+def test_unequal_noise_does_not_bend_the_rows(rows: str):
+    """Noise of 10 % of each joint's own motion: telling the noise hardly moves the answer; from equal weights it does.
+
+    (There may be two optima as likely as each other, 10 degrees apart, of which the truth is near one.)
+    """
+    angles, told = [], []
+    for seed in range(20100, 20106):
+        rng = np.random.default_rng(seed)
+        setup = Setup(rows, noise=0.1)
+        Lambda = setup.selection(rng)
+        demos = demonstrate(setup, Lambda, rng)
+        learner = ConstraintLearner(planar_features(), 2, "joint", policy_model="affine").fit(demos)
+        learnt = learner.constraint_.selection
+        better = fit_told_noise(planar_features(), demos, learnt, noise_deviations(demos, 0.1))
+        angles.append(row_space_angle(Lambda, learnt))
+        told.append(row_space_angle(Lambda, better))
+    assert np.median(angles) < 2.0 * np.median(told)
+
+
+def test_noise_is_seen_in_time(rng):
+    """Shape and size of the covariance of noise on a smooth motion, bursts of single samples left aside."""
+    motion, demos = one_row("affine", 0.0, (50, 40), 20100)
+    samples = Samples.collect(motion.features, demos)
+    L = np.linalg.qr(rng.standard_normal((3, 3)))[0] * [1.0, 2.0, 5.0]
+    e = 0.05 * rng.standard_normal(samples.u.shape) @ L.T
+    burst = np.where(rng.uniform(size=len(e)) < 0.01, 50.0, 1.0)[:, None]
+    noisy_samples = dataclasses.replace(samples, u=samples.u + e * burst)
+    S = shape_in_time(noisy_samples)
+    assert S is not None
+    assert np.linalg.norm(S - L @ L.T / 10.0) < 0.25 * np.linalg.norm(L @ L.T / 10.0)
+    assert noise_in_time(noisy_samples) == pytest.approx(0.05**2 * 10.0, rel=0.25)
+    assert shape_in_time(samples.subset(np.arange(len(samples)) < 30)) is None
+
+
+def test_an_uncertainty_beyond_thirty_degrees_is_no_answer():
+    """The joint estimate is refused; one of held rows, which other evidence supports, is not."""
+    table = GapTable((1,), (12.0,), 1.3, 1)
+    estimate = Estimate("joint", np.eye(1, 3), table, 0.0, 0.0, np.zeros((2, 2)), np.zeros((2, 2, 2)))
+    check_uncertainty(estimate, 29.0)
+    check_uncertainty(estimate, None)
+    with pytest.raises(NotIdentifiableError) as refusal:
+        check_uncertainty(estimate, 31.0)
+    assert refusal.value.code == "uncertain"
+    check_uncertainty(dataclasses.replace(estimate, name="null-space"), 31.0)
 
 
 def test_ten_long_trajectories_of_an_arm():

@@ -44,7 +44,7 @@ def advise(
         phases: Whether phases were looked for (`"auto"`, `"off"`).
     """
     if refusal.code not in ADVISED:
-        return refusal
+        return _advised(refusal, (), recordings.warnings) if recordings.warnings else refusal
     causes = [
         *_too_few(recordings),
         *lone_contacts(findings, recordings),

@@ -6,7 +6,7 @@ import numpy as np
 
 from manip_learn.errors import error_in_words, listed
 from manip_learn.learning.bootstrap import angle_within_deg, bootstrap_angle_deg
-from manip_learn.learning.estimators.estimate import Estimate
+from manip_learn.learning.estimators.estimate import Estimate, check_uncertainty
 from manip_learn.learning.evidence.joint_offsets import JointOffsets
 from manip_learn.learning.samples import Samples
 
@@ -22,6 +22,9 @@ def uncertainty_of(samples: Samples, estimate: Estimate, rng: np.random.Generato
     None where a part does not apply: the joints' zeros of any but the null-space estimator, the policy of any but the
     joint one with its parameters integrated out, and all of them with a single trajectory or where there is only one
     possible row space.
+
+    Raises:
+        NotIdentifiableError: A joint estimate that is known too badly for an answer.
     """
     whitened, prior = estimate.whitened_selection, estimate.prior
     noise = bootstrap_angle_deg(samples, whitened, estimate.gradients, estimate.hessians, rng, prior=prior)
@@ -34,7 +37,9 @@ def uncertainty_of(samples: Samples, estimate: Estimate, rng: np.random.Generato
         POLICY: None if prior is None else prior.errors(estimate.hessians, s * (r - s), DRAWS, rng),
     }
     added = {part: None if e is None else angle_within_deg(samples, whitened, e) for part, e in errors.items()}
-    return {NOISE: noise, **added}
+    parts = {NOISE: noise, **added}
+    check_uncertainty(estimate, total_deg(parts))
+    return parts
 
 
 def total_deg(parts: Uncertainty) -> float | None:

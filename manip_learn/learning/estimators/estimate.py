@@ -8,6 +8,7 @@ from typing import Literal, final
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.bootstrap import PolicyPrior
 from manip_learn.learning.estimators.joint_fit import JointFit
 
@@ -16,6 +17,9 @@ CLEAR_GAP = 10.0
 WEAK_GAP = 3.0
 # the joint estimator compares residuals of whole fits: noise enters both, so that less of a ratio says as much
 WEAK_RESIDUAL_GAP = 1.3
+
+# 68 % within this angle [deg] is no answer: of all directions in space 13 % are as close to any
+MOST_UNCERTAIN_DEG = 30.0
 
 Verdict = Literal["clear", "weak", "none"]
 
@@ -82,6 +86,24 @@ class Estimate:
     joint: JointFit | None = None
     prior: PolicyPrior | None = None
     levels: Float[np.ndarray, " r"] = field(default_factory=lambda: np.zeros(0))
+
+
+def check_uncertainty(estimate: Estimate, uncertainty_deg: float | None) -> None:
+    """Refuse a joint estimate that says next to nothing; one of held rows has gap and recombination to stand on.
+
+    Args:
+        estimate: What was learnt.
+        uncertainty_deg: Of its row space [deg].
+
+    Raises:
+        NotIdentifiableError: It is known to more than `MOST_UNCERTAIN_DEG` only.
+    """
+    if estimate.name == "joint" and uncertainty_deg is not None and uncertainty_deg > MOST_UNCERTAIN_DEG:
+        raise NotIdentifiableError(
+            f"record more trajectories, from other starts to other targets: these tell the rows to "
+            f"{uncertainty_deg:.0f} degrees only, and beyond {MOST_UNCERTAIN_DEG:g} that is no answer",
+            code="uncertain",
+        )
 
 
 def gaps_of_levels(levels: Float[np.ndarray, " r"], nv: int) -> GapTable:

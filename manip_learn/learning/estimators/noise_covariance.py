@@ -8,6 +8,7 @@ is as linear in its parameters as pi: generalised least squares without a new es
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +24,9 @@ LEAST, MOST = 1e-2, 1e2  # variances beside their mean
 # largest variance over the least below which equal weights cost a few per cent at most
 UNEQUAL = 2.0
 ENOUGH = 20  # residuals for each entry of the covariance
+DIFFERENCES = 3  # of neighbouring samples: motion that is a parabola over four samples leaves nothing
+MEDIAN = 0.6745  # of the absolute value of a standard normal variable
+TYLER_STEPS = 10
 
 
 def whitening_factor(
@@ -48,6 +52,37 @@ def whitening_factor(
     if gain < entries + BEYOND_CHANCE * np.sqrt(2.0 * entries):
         return None
     return np.linalg.cholesky(Sigma * nv / np.trace(Sigma))
+
+
+def shape_in_time(samples: Samples) -> Float[np.ndarray, "nv nv"] | None:
+    """Covariance over its mean variance of what in u is no smooth motion; None for too few neighbouring samples.
+
+    Whatever moves the arm, policy or task, moves it smoothly, and noise does not: differences of neighbouring samples
+    show it without any model. Bursts at singular postures have their direction, not their length, in it (Tyler, 1987,
+    Annals of Statistics 15(1): the shape S with mean e e^T / (e^T S^-1 e) = S / nv).
+    """
+    e, nv = _differences(samples), samples.nv
+    e = e[np.any(e != 0.0, axis=1)]
+    if len(e) < ENOUGH * nv:
+        return None
+    S = np.eye(nv)
+    for _ in range(TYLER_STEPS):
+        length = np.einsum("ni,ni->n", e, np.linalg.solve(S, e.T).T)
+        S = (e / length[:, None]).T @ e
+        S *= nv / np.trace(S)
+    return S
+
+
+def noise_in_time(samples: Samples) -> float:
+    """Variance of the same, the mean over the joints; bursts do not count [(rad/s)^2]."""
+    e = _differences(samples)
+    return float(np.mean((np.median(np.abs(e), axis=0) / MEDIAN) ** 2)) if len(e) else 0.0
+
+
+def _differences(samples: Samples) -> Float[np.ndarray, "k nv"]:
+    """Of neighbouring samples of a trajectory, with the variance of white noise."""
+    inside = samples.trajectory[DIFFERENCES:] == samples.trajectory[:-DIFFERENCES]
+    return np.diff(samples.u, DIFFERENCES, axis=0)[inside] / np.sqrt(math.comb(2 * DIFFERENCES, DIFFERENCES))
 
 
 def whitened(samples: Samples, L: Float[np.ndarray, "nv nv"]) -> Samples:

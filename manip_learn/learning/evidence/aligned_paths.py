@@ -14,7 +14,7 @@ from manip_learn.recordings.trajectory import Trajectory
 # a joint that moves less than this share of the liveliest one does not set the phase: its noise would
 STILL_SHARE = 0.3
 # time that one bin should cover [s], and the numbers of bins that are allowed
-BIN_SECONDS, FEWEST_BINS, MOST_BINS = 1.0, 4, 24
+BIN_SECONDS, FEWEST_BINS, MOST_BINS = 0.25, 4, 24
 # points of a trajectory at which Phi is evaluated, at most
 MOST_POINTS = 240
 NODES_PER_BIN = 4

@@ -181,7 +181,9 @@ class Explanation:
         return Explanation(self.views, (*others[:k], hypothesis, *others[k + 1 :]), self.switch)
 
     def _refitted(self, k: int, held: Bool[np.ndarray, " n"] | None = None) -> Hypothesis:
-        h, held = self.hypotheses[k], self.states == k + 1 if held is None else held
+        h = self.hypotheses[k]
+        if held is None:
+            held = self.states == k + 1
         thin = self.views[h.view].thin
         if np.count_nonzero(held & thin.moving) < 3 * h.rows.shape[1]:
             return h

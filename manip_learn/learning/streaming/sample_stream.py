@@ -14,6 +14,7 @@ from manip_learn.learning.data_summary import check_joints
 from manip_learn.learning.streaming.accumulator import Chunk, chunks
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.preprocessing import evenly
+from manip_learn.recordings.readers.option_uses import refuse_unmatched
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource
 from manip_learn.recordings.velocities import VelocityMethod, derive_together
@@ -118,7 +119,7 @@ def representative(stream: SampleStream, most: int) -> tuple[Demonstrations, boo
         most: Number of samples that they may have together.
 
     Raises:
-        RecordingError: As for `SampleStream.chunks`.
+        RecordingError: As for `SampleStream.chunks`; or a setting that no part has a use for.
     """
     parts, notes = evenly(stream.source.n_parts, MOST_RECORDINGS).tolist(), list[str]()
     taken, complete = list[Trajectory](), len(parts) == stream.source.n_parts
@@ -130,7 +131,8 @@ def representative(stream: SampleStream, most: int) -> tuple[Demonstrations, boo
         chosen = made if fits else [made[i] for i in evenly(len(made), each)]
         complete &= len(chosen) == len(made)
         taken += chosen
-    return Demonstrations(taken, tuple(dict.fromkeys(notes))), complete
+    kept = refuse_unmatched(notes, len(parts)) if len(parts) == stream.source.n_parts else notes
+    return Demonstrations(taken, tuple(dict.fromkeys(kept))), complete
 
 
 def _check_joints(trajectory: Trajectory, names: tuple[str, ...], robot: Robot | None) -> None:
