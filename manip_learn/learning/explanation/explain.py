@@ -180,11 +180,9 @@ class Explanation:
         others = self.hypotheses
         return Explanation(self.views, (*others[:k], hypothesis, *others[k + 1 :]), self.switch)
 
-    def _refitted(self, k: int, held: Bool[np.ndarray, " n"] | None = None) -> Hypothesis:
-        h = self.hypotheses[k]
-        if held is None:
-            held = self.states == k + 1
-        thin = self.views[h.view].thin
+    def _refitted(self, k: int, chosen: Bool[np.ndarray, " n"] | None = None) -> Hypothesis:
+        h, thin = self.hypotheses[k], self.views[self.hypotheses[k].view].thin
+        held: np.ndarray = self.states == k + 1 if chosen is None else chosen
         if np.count_nonzero(held & thin.moving) < 3 * h.rows.shape[1]:
             return h
         again = dataclasses.replace(h, rows=_rows(thin, held, h))
