@@ -77,7 +77,7 @@ def find_answers(
         NotIdentifiableError: No part determines a constraint; the reason for the first.
     """
     if not findings.explained:
-        return [_undivided(findings.parts[0], settings, fit)], findings
+        return [_undivided(findings.parts[0], settings, fit, elsewhere=findings.elsewhere)], findings
     answers, refused = list[Answer](), list[tuple[Part, NotIdentifiableError]]()
     for part in findings.parts:
         try:
@@ -142,7 +142,7 @@ def _straight(found: MechanismFit | None, part: Part) -> tuple[FeatureMap, int] 
     return maps[0], int(np.linalg.matrix_rank(np.stack(columns), 1e-6))
 
 
-def _undivided(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
+def _undivided(part: Part, settings: LearnerSettings, fit: Fit, *, elsewhere: bool) -> Answer:
     """The constraint of recordings that nothing explains: one that the demonstrator imposes, or too few recordings.
 
     Raises:
@@ -153,7 +153,7 @@ def _undivided(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
         return Answer(part, candidate, data, None, None, ())
     evidence, s = _evidence(candidate.samples.features, part, settings), candidate.n_constraints
     answer = Answer(part, candidate, data, evidence, None, _doubts(evidence, s, settings.n_constraints))
-    if settings.n_constraints is not None or not evidence.strengths:
+    if settings.n_constraints is not None or not evidence.strengths or (elsewhere and evidence.n_rows == s):
         return answer
     if evidence.enough:
         gaps = candidate.estimate.table

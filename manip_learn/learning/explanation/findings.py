@@ -86,6 +86,7 @@ class Findings:
         free: Stretches of free motion.
         unlearnt: Stretches in which something seems to be held that is not learnt, and why.
         refused: Stretches of the hypothesis that comes nearest, where none is believed.
+        elsewhere: Whether rows in the other reference are held instead.
         odd: Trajectories that do not agree with the others, and why.
         explained: Whether the parts are what explains the recordings; if not, nothing does, and there is one part.
         warnings: Doubts, in sentences.
@@ -98,6 +99,7 @@ class Findings:
     warnings: tuple[str, ...] = ()
     unlearnt: tuple[tuple[Stretch, str], ...] = ()
     refused: tuple[Stretch, ...] = ()
+    elsewhere: bool = False
 
     @property
     def divided(self) -> bool:
@@ -147,6 +149,8 @@ def find(
     believed = partial(_believed, trajectories, int(rng.integers(2**32)))
     explanation = explain(views, believed, SWITCH if phases else np.inf)
     elsewhere = _elsewhere(usable, trajectories, explanation)
+    if elsewhere:  # what disagrees in this reference is no other task
+        return dataclasses.replace(unexplained(demonstrations, feature_maps), warnings=elsewhere, elsewhere=True)
     contacts = list[Stretch]()
     if phases and len(trajectories) > 1 and all(t.q.shape[1] == usable[0].nv for t in trajectories):
         contacts = lone_contacts(explanation, trajectories, shown, rng, min(EXCITED, usable[0].nv))
@@ -155,9 +159,8 @@ def find(
         nearest = Explanation(explanation.views, explanation.refused[:1], explanation.switch)
         refused = stretches_of(nearest.thin, nearest.states, 1)
         nothing = unexplained(demonstrations, feature_maps)
-        return dataclasses.replace(nothing, unlearnt=alone, refused=refused, warnings=elsewhere)
-    found = _findings(demonstrations, feature_maps, explanation, contacts)
-    return dataclasses.replace(found, warnings=(*found.warnings, *elsewhere))
+        return dataclasses.replace(nothing, unlearnt=alone, refused=refused)
+    return _findings(demonstrations, feature_maps, explanation, contacts)
 
 
 def _elsewhere(
@@ -165,7 +168,8 @@ def _elsewhere(
 ) -> tuple[str, ...]:
     """A warning if rows in the other reference, which was not asked for, explain all recordings better."""
     tried = {f.reference for f in feature_maps if isinstance(f, FrameJacobian)}
-    firm = explanation.hypotheses and all(h.scale.share <= FIRM for h in explanation.hypotheses)
+    whole = [np.all(explanation.gains[:, k] > 0.0) for k in range(len(explanation.hypotheses))]
+    firm = any(w and h.scale.share <= FIRM for w, h in zip(whole, explanation.hypotheses, strict=True))
     if len(tried) != 1 or firm:
         return ()
     other: Reference = "local" if "world" in tried else "world"
