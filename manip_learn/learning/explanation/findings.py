@@ -32,6 +32,8 @@ RECOMBINATIONS = 99
 # a joint that moves alone goes where it must: only joints that move at the same time show what coordinates them. Joints
 # that are moved one after the other give 1.00, contacts of twelve mechanisms with four arms 1.4 to 4 (least 1.1)
 AT_ONCE = 1.1
+# a stretch shorter than this share of the usual one is chance: another motion that passes along the free directions
+CHANCE = 0.25
 # largest share of the free velocity along the rows of a firm contact
 FIRM = 0.05
 # directions in which the joints must move for a contact that one recording alone shows
@@ -238,7 +240,8 @@ def _findings(
     for k, view in zip(order, views, strict=True):
         h = explanation.hypotheses[k]
         spans = sharpened(view.motion, h.rows, stretches_of(view.motion, states, k + 1))
-        found.append(tuple(pieces_of(trajectories, spans)[0]))
+        usual = np.median([s.duration for s in spans]) if spans else 0.0
+        found.append(tuple(pieces_of(trajectories, [s for s in spans if s.duration >= CHANCE * usual])[0]))
     for number, (k, view, stretches) in enumerate(zip(order, views, found, strict=True), start=1):
         rows = explanation.hypotheses[k].rows
         if not stretches:
