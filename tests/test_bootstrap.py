@@ -7,7 +7,7 @@ import pytest
 from generated_motions import PLANAR_ROWS, angle_deg, arm_features, guided_motions, oblique, paper_motions
 
 from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.bootstrap import LEVERAGE_FLOOR, bootstrap_angle_deg, influences
+from manip_learn.learning.uncertainty import LEVERAGE_FLOOR, bootstrap_angle_deg, influences
 
 
 def held_arm(seed: int):

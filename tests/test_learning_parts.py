@@ -12,8 +12,9 @@ from manip_learn.constraint.features import CustomFeatures, FrameJacobian, Mecha
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.selection_in_words import describe, free_directions
 from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.estimators.conditional_pca import conditional_pca
+from manip_learn.learning.estimators import variable_projection
 from manip_learn.learning.estimators.estimate import gaps_of_levels, gaps_of_residuals
+from manip_learn.learning.estimators.model_search import conditional_pca
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
 from manip_learn.learning.estimators.policy_model import PolynomialModel, RadialModel
 from manip_learn.learning.estimators.variable_projection import fit_joint, held_out_costs, scores
@@ -92,9 +93,14 @@ def test_conditional_pca_is_a_good_start(reaching):
     assert sizes[1] > 2.0 * sizes[2]
 
 
+@pytest.mark.parametrize("by_rows", [False, True])
 @pytest.mark.parametrize("by_sample", [False, True])
-def test_cross_validation_judges_what_was_not_fitted(reaching, by_sample):
-    """Each fold's share of |Z^T (u - pi)|^2, with pi fitted to the other folds alone, written out."""
+def test_cross_validation_judges_what_was_not_fitted(reaching, by_sample, by_rows, monkeypatch):
+    """Each fold's share of |Z^T (u - pi)|^2, with pi fitted to the other folds alone, written out; by normal equations
+    and by QR.
+    """
+    if by_rows:
+        monkeypatch.setattr(variable_projection, "held_out_by_fold", lambda *_: None)
     samples, _ = reaching
     Lambda, model, n_folds = np.linalg.qr(np.random.default_rng(6).normal(size=(3, 2)))[0].T, PolynomialModel(1, 3), 5
     rows, targets, folds = [], [], []

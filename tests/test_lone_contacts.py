@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
-from manip_learn.learning.explanation.surrogates import lenders
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 LOCKED = {"panda": ("panda_finger_joint1", "panda_finger_joint2")}
@@ -44,13 +43,3 @@ def test_the_drawer_of_one_recording_is_named_beside_the_door_of_all(robot: str,
     assert [p.trajectory for p in alone] == ["demo_5"]
     start, end, _ = truth["windows"][5][1]
     assert min(alone[0].end, end) - max(alone[0].start, start) > 0.8 * (end - start)
-
-
-@pytest.mark.parametrize(("g", "nv"), [(6, 6), (8, 7), (3, 7), (2, 6)])
-def test_lenders_are_as_different_as_there_are_recordings(g: int, nv: int):
-    """No lender gives a recording more joints than its even share, rounded up, and each gives every joint once."""
-    for seed in range(20):
-        borrowed = lenders(g, nv, np.random.default_rng(seed))
-        assert borrowed.shape == (g, nv)
-        assert max(np.bincount(row).max() for row in borrowed) == -(-nv // g)
-        np.testing.assert_array_equal(np.sort(borrowed, axis=0), np.tile(np.arange(g)[:, None], nv))

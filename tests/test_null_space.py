@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from generated_motions import arm_features, guided_motions, oblique, paper_motions
 
-from manip_learn.learning.estimators.conditional_pca import conditional_pca
+from manip_learn.learning.estimators.model_search import conditional_pca
 from manip_learn.learning.estimators.null_space import (
-    energy_share,
     estimate_null_space,
     fit_null_space,
     held_out_share,
@@ -61,19 +60,20 @@ def test_the_held_out_share_is_that_of_trajectories_that_were_not_seen(n):
                 A = Lambda @ Phi
                 broken += float(u @ np.linalg.pinv(A) @ A @ u)
                 energy += float(u @ u)
-    assert held_out_share(samples, 2) == pytest.approx(broken / energy, rel=1e-9)
+    assert held_out_share(samples, 2, trajectory_moments(samples)) == pytest.approx(broken / energy, rel=1e-9)
 
 
 def test_one_trajectory_has_nothing_held_out():
     """NaN, not zero: there is no other trajectory to learn from."""
-    assert math.isnan(held_out_share(held(1, 40), 2))
+    samples = held(1, 40)
+    assert math.isnan(held_out_share(samples, 2, trajectory_moments(samples)))
 
 
 def test_no_motion_breaks_nothing():
     """Where nothing moves the share of the energy is zero, not a division by zero."""
     samples = held(3)
     still = dataclasses.replace(samples, u=0.0 * samples.u)
-    assert energy_share(fit_null_space(still, np.eye(3)[:2], max_iterations=0)) == 0.0
+    assert fit_null_space(still, np.eye(3)[:2], max_iterations=0).unexplained == 0.0
 
 
 def test_levels_are_relative_to_a_motion_of_all_joints():

@@ -14,15 +14,20 @@ from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments.paper_setup import Setup, demonstrate, noise_deviations, planar_features
 from manip_learn.experiments.ways import fit_told_noise
 from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.estimators.estimate import Estimate, GapTable, check_uncertainty
+from manip_learn.learning.estimators.estimate import Estimate, GapTable
 from manip_learn.learning.estimators.joint_estimator import estimate_joint
 from manip_learn.learning.estimators.noise_covariance import noise_in_time, shape_in_time, whitened, whitening_factor
 from manip_learn.learning.estimators.policy_equations import OrthonormalRegressors, Projections, Solver, curvature
 from manip_learn.learning.estimators.policy_model import HarmonicModel, PolynomialModel, TrajectoryOffsetModel
-from manip_learn.learning.estimators.projected_equations import fit_projected, held_out_by_fold
 from manip_learn.learning.estimators.row_count import explain
-from manip_learn.learning.estimators.variable_projection import fit_joint, held_out_costs
+from manip_learn.learning.estimators.variable_projection import (
+    fit_joint,
+    fit_projected,
+    held_out_by_fold,
+    held_out_costs,
+)
 from manip_learn.learning.samples import Samples
+from manip_learn.learning.uncertainty import check_uncertainty
 from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -91,15 +96,18 @@ def test_noisy_motion_is_fitted_and_judged_alike_by_both_routes(monkeypatch):
     samples, model = Samples.collect(truth.features, demos), PolynomialModel(1, 3)
     start = truth.selection @ np.linalg.pinv(samples.whitening)
     assert fit_projected(samples, start, model, 30, 1e-13, 1e-9) is not None
+
     equations = fit_joint(samples, start, model)
     costs = held_out_costs(samples, equations.whitened_selection, model, 5)
     module = "manip_learn.learning.estimators.variable_projection."
     monkeypatch.setattr(module + "fit_projected", lambda *_: None)
     monkeypatch.setattr(module + "held_out_by_fold", lambda *_: None)
     rows = fit_joint(samples, start, model)
-    assert row_space_angle(rows.whitened_selection, equations.whitened_selection) < 1e-8
-    assert equations.cost == pytest.approx(rows.cost, rel=1e-9)
-    np.testing.assert_allclose(equations.theta, rows.theta, atol=1e-6 * np.abs(rows.theta).max())
+    # rounding moves the cost by 1e-9 of itself, which at an optimum leaves Lambda open to 3e-7 (on one processor; 1e-9
+    # on another) and Theta to 3e-5 along what hardly shows
+    assert row_space_angle(rows.whitened_selection, equations.whitened_selection) < 1e-6
+    assert equations.cost == pytest.approx(rows.cost, rel=1e-8)
+    np.testing.assert_allclose(equations.theta, rows.theta, atol=1e-4 * np.abs(rows.theta).max())
     np.testing.assert_allclose(costs, held_out_costs(samples, equations.whitened_selection, model, 5), rtol=1e-7)
 
 

@@ -8,8 +8,7 @@ from generated_motions import arm_features, guided_motions, oblique, planar_feat
 
 from manip_learn.constraint.features import CustomFeatures, FeatureMap, FrameJacobian
 from manip_learn.errors import RecordingError
-from manip_learn.learning.evidence.recombination import recombination_test
-from manip_learn.learning.evidence.row_evidence import RowEvidence
+from manip_learn.learning.recombination import RowEvidence, recombination_test
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import tracemalloc
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,27 +14,14 @@ from scale_motions import Stream, motions
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import ConstraintLearner, learner
-from manip_learn.learning.bootstrap import TrajectoryBlocks
-from manip_learn.learning.estimators.null_space import _moments
+from manip_learn.learning.estimators.null_space import fit_null_space
 from manip_learn.learning.estimators.policy_model import PolynomialModel
-from manip_learn.learning.estimators.variable_projection import _normal_equations, fit_joint
-from manip_learn.learning.samples import Samples
-from manip_learn.learning.streaming.accumulator import SumAccumulator, accumulate, chunks, merge_tree
-from manip_learn.learning.streaming.normal_equations import (
-    JointAccumulator,
-    NullSpaceAccumulator,
-    Regressors,
-    row_spaces,
-)
-from manip_learn.learning.streaming.summary_pass import SummaryAccumulator
-from manip_learn.learning.streaming.trajectory_buffer import TrajectoryBuffer
-from manip_learn.linalg import (
-    batch_row_spaces,
-    complement_rows,
-    orthonormal_rows,
-    row_space_angle,
-    row_space_angles,
-)
+from manip_learn.learning.estimators.variable_projection import _ByRows, fit_joint
+from manip_learn.learning.samples import Samples, TrajectoryBlocks
+from manip_learn.learning.streaming.passes import Accumulator, accumulate, merge_parts, merge_tree
+from manip_learn.learning.streaming.refinement import Iterate, PassSummary, Policy, SummaryAccumulator
+from manip_learn.learning.streaming.sample_stream import TrajectoryBuffer, chunks
+from manip_learn.linalg import orthonormal_rows, row_space_angle, row_space_angles
 from manip_learn.recordings import RecordingSource, load_demonstrations, trajectory_source
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -69,46 +57,16 @@ def from_few(monkeypatch, few: int) -> None:
 # ---- one pass --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("s", [1, 2, 3, 5])
-def test_row_spaces(s, rng):
-    """A = L E with orthonormal rows E and a lower triangle L; the projector is that of Householder's reflections, even
-    for rows that nearly depend on each other.
-    """
-    A = rng.standard_normal((50, s, 7))
-    A[:10, -1] = A[:10, 0] + (1e-7 * A[:10, -1] if s > 1 else 0.0)
-    spaces = row_spaces(np.ascontiguousarray(A.transpose(1, 2, 0)))
-    E, L = spaces.E.transpose(2, 0, 1), spaces.L.transpose(2, 0, 1)
-    np.testing.assert_allclose(E @ E.transpose(0, 2, 1), np.broadcast_to(np.eye(s), (50, s, s)), atol=1e-14)
-    np.testing.assert_allclose(L @ E, A, atol=1e-14 * 10)
-    assert np.all(np.triu(L, 1) == 0.0)
-    Q, _ = batch_row_spaces(A)
-    P = Q[:, :, :s] @ Q[:, :, :s].transpose(0, 2, 1)
-    np.testing.assert_allclose(E.transpose(0, 2, 1) @ E, P, atol=1e-7)
-    np.testing.assert_allclose((E.transpose(0, 2, 1) @ E)[10:], P[10:], atol=1e-12)
-
-
-def test_row_spaces_without_rank():
-    """A sample whose rows are linearly dependent, or zero, does not affect the multipliers."""
-    A = np.zeros((2, 3, 3))
-    A[:, 0, 0] = A[:, 0, 1] = 1.0  # the same row twice; all zero; fine
-    A[0, 0, 2] = A[1, 1, 2] = 1.0
-    A[:, 0, 1] = 0.0
-    spaces = row_spaces(A)
-    assert spaces.usable.tolist() == [False, False, True]
-    assert np.all(spaces.dual(np.ones((2, 3)))[:, :2] == 0.0)
-    assert np.all(spaces.inverse_gram()[:, :, :2] == 0.0)
-
-
 def test_null_space_pass(features, held):
     """Cost, gradients and Hessians of each trajectory are those of the estimator in memory."""
     samples = Samples.collect(features, held)
     Lambda = orthonormal_rows(np.random.default_rng(0).standard_normal((2, 3)))
-    mixing = np.concatenate([Lambda, complement_rows(Lambda)]) @ samples.whitening
-    accumulator = NullSpaceAccumulator(features, mixing, 2, TrajectoryBlocks(len(held), 512))
-    cost, energy, gradients, hessians = accumulate(accumulator, chunks(held))
-    direct = _moments(samples, Lambda, None)
+    here = Iterate(features, samples.whitening, TrajectoryBlocks(len(held), 512), Lambda, None)
+    (cost, energy, parts), _ = accumulate(here, chunks(held), [])
+    direct = fit_null_space(samples, Lambda, max_iterations=0)
     assert cost / len(samples) == pytest.approx(direct.cost, rel=1e-12)
     assert energy / len(samples) == pytest.approx(direct.energy, rel=1e-12)
+    gradients, hessians = (np.array([parts[i][j] for i in range(len(held))]) for j in (0, 1))
     np.testing.assert_allclose(gradients, direct.scores.reshape(len(held), -1), rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(hessians, direct.curvatures, rtol=1e-8, atol=1e-8)
 
@@ -117,19 +75,17 @@ def test_null_space_pass(features, held):
 def test_joint_pass(features, moved, s):
     """Normal equations for Theta and Lambda, Theta eliminated, are those of the accumulated QR."""
     samples = Samples.collect(features, moved)
-    model = PolynomialModel(1, 7)
-    fit = fit_joint(samples, np.random.default_rng(0).standard_normal((s, 3)), model, max_iterations=1)
-    mixing = np.concatenate([fit.whitened_selection, complement_rows(fit.whitened_selection)]) @ samples.whitening
-    regressors = Regressors(model, samples.centre, samples.spread, np.eye(model.n_terms))
-    accumulator = JointAccumulator(features, mixing, s, regressors, fit.theta, TrajectoryBlocks(len(moved), 7))
-    cost, energy, parts = accumulate(accumulator, chunks(moved))
+    fit = fit_joint(samples, np.random.default_rng(0).standard_normal((s, 3)), PolynomialModel(1, 7), max_iterations=1)
+    blocks = TrajectoryBlocks(len(moved), 7)
+    here = Iterate(features, samples.whitening, blocks, fit.whitened_selection, Policy.of(fit, samples))
+    (cost, energy, parts), _ = accumulate(here, chunks(moved), [])
     assert cost / len(samples) == pytest.approx(fit.cost, rel=1e-10)
     assert energy / len(samples) == pytest.approx(fit.energy, rel=1e-10)
     assert sorted(parts) == list(range(7))
     g, H = (sum(part[i] for part in parts.values()) for i in (0, 1))
     m = s * (3 - s)
     K, C = H[:-m, :-m], H[:-m, -m:]
-    expected_H, expected_g = _normal_equations(samples, fit.whitened_selection, fit.theta, model)
+    expected_H, expected_g = _ByRows.at(samples, fit.whitened_selection, fit.model).equations()
     np.testing.assert_allclose(H[-m:, -m:] - C.T @ np.linalg.lstsq(K, C, rcond=1e-12)[0], expected_H, rtol=1e-7)
     reduced = g[-m:] - C.T @ np.linalg.lstsq(K, g[:-m], rcond=1e-12)[0]
     np.testing.assert_allclose(reduced, expected_g, rtol=1e-6, atol=1e-7 * np.abs(H).max() ** 0.5)
@@ -146,11 +102,14 @@ def test_angles_of_many_row_spaces(s, p, size, rng):
 # ---- the order of sums, the choice of few ----------------------------------------------------------------------------
 
 
-class Brackets(SumAccumulator):
-    """Says in which order it was called."""
+class Sums(Accumulator):
+    """Adds numbers."""
 
     def of(self, chunk):
-        return (str(chunk),)
+        return chunk
+
+    def merge(self, before, after):
+        return before + after
 
 
 def level_by_level(parts: list[str]) -> str:
@@ -163,20 +122,15 @@ def level_by_level(parts: list[str]) -> str:
 @pytest.mark.parametrize("n", range(1, 23))
 def test_sums_are_taken_in_one_order(n):
     """A tree over the parts, the same one as a cluster builds level by level, with only a few totals waiting."""
-
-    class Text(str):
-        def __add__(self, other):
-            return Text(f"({str(self)}{str(other)})")
-
-    parts = [Text(chr(97 + i)) for i in range(n)]
-    (total,) = merge_tree(Brackets(), ((part,) for part in parts))
-    assert str(total) == level_by_level([str(p) for p in parts])
+    parts = [chr(97 + i) for i in range(n)]
+    assert merge_tree(lambda before, after: f"({before}{after})", parts) == level_by_level(parts)
 
 
 def test_parts_without_samples_add_nothing():
-    """A file without demonstrations does not change the sum."""
-    assert merge_tree(Brackets(), [None, (1,), None, (2,), None]) == (3,)
-    assert merge_tree(Brackets(), [None, None]) is None
+    """A file without demonstrations does not change the sum; notes of the readers are kept in order."""
+    parts = [None, (1, ("a",)), None, (2, ("b",)), None]
+    assert merge_tree(partial(merge_parts, Sums()), parts) == (3, ("a", "b"))
+    assert merge_tree(partial(merge_parts, Sums()), [None, None]) is None
 
 
 def test_chunks_keep_every_sample(features):
@@ -193,13 +147,19 @@ def test_chunks_keep_every_sample(features):
     np.testing.assert_array_equal(np.concatenate([c.trajectory for c in cut]), np.repeat(np.arange(7), lengths))
 
 
+def summary_of(accumulator: SummaryAccumulator, *parts) -> PassSummary:
+    """The first pass over some parts."""
+    totals = [accumulate(accumulator, chunks(part, i), []) for i, part in enumerate(parts)]
+    return merge_tree(partial(merge_parts, accumulator), totals)[0]
+
+
 def test_few_are_spread_evenly(features):
     """The chosen samples cover time and trajectories evenly, are the same at every run, and all are taken if few."""
     names = features.robot.joint_names
     count = np.arange(256)[:, None] * np.ones(7)
     trajectories = [Trajectory(np.arange(256), count + 1000 * i, count + 1, names) for i in range(90)]
     source = ListedTrajectories(trajectories)
-    summary = merge_tree(SummaryAccumulator(1000), [accumulate(SummaryAccumulator(1000), chunks(source.part(0)))])
+    summary = summary_of(SummaryAccumulator(1000), source.part(0))
     assert summary.data.n_samples == 90 * 256 and summary.data.n_trajectories == 90
     assert len(summary.data.q) == 1000 == len(np.unique(summary.data.q[:, 0]))
     # no rhythm of the recording is met: each eighth of the trajectories' time holds an eighth of the choice
@@ -209,20 +169,17 @@ def test_few_are_spread_evenly(features):
     assert per_trajectory.min() >= 8 and per_trajectory.max() <= 14
     assert summary.data.low[0] == 0 and summary.data.high[0] == 89_255
     assert summary.data.fastest_at == (255, 0)
-    everything = accumulate(SummaryAccumulator(10**6), chunks(trajectories))
+    everything = summary_of(SummaryAccumulator(10**6), trajectories)
     np.testing.assert_array_equal(everything.data.q, np.concatenate([t.q for t in trajectories]))
 
 
 def test_summary_counts_trajectories_on_over_parts(features, held, monkeypatch):
     """Cut into parts, the summary names the same trajectories."""
-    whole = accumulate(SummaryAccumulator(10**6), chunks(held))
+    whole = summary_of(SummaryAccumulator(10**6), held)
     monkeypatch.setattr(trajectory_source, "PART", 700)
     source = ListedTrajectories(held)
     assert source.n_parts > 5
-    total = merge_tree(
-        SummaryAccumulator(10**6),
-        (accumulate(SummaryAccumulator(10**6), chunks(source.part(i), i)) for i in range(source.n_parts)),
-    )
+    total = summary_of(SummaryAccumulator(10**6), *(source.part(i) for i in range(source.n_parts)))
     np.testing.assert_array_equal(total.data.trajectory, whole.data.trajectory)
     assert total.data.n_trajectories == len(held) and total.data.fastest_at == whole.data.fastest_at
     assert list(total.first_trajectories.values())[:2] == [0, 7]
@@ -282,19 +239,46 @@ def test_a_stream_is_learnt_from(features, monkeypatch):
     from_few(monkeypatch, 1000)
     stream = Stream(features, TWO, 60, 10, held=True)
     learnt = ConstraintLearner(features, **HELD).fit(stream)
-    # the joints of the first trajectory (twice), some recordings that say what holds, all samples once: these are kept
-    assert stream.passes == 4
-    monkeypatch.setattr("manip_learn.learning.streaming.executor.KEPT_BYTES", 100_000)
+    # the joints of the first trajectory, some recordings that say what holds, all samples once: these are kept
+    assert stream.passes == 3
+    monkeypatch.setattr("manip_learn.learning.streaming.passes.KEPT_BYTES", 100_000)
     again = ConstraintLearner(features, **HELD).fit(stream)
-    assert stream.passes >= 4 + 6  # too many to be kept: read in each pass
+    assert stream.passes >= 3 + 5  # too many to be kept: read in each pass
     listed = ConstraintLearner(features, **HELD).fit(list(stream))
     for other in (again, listed):
         np.testing.assert_array_equal(learnt.constraint_.selection, other.constraint_.selection)
 
 
+@pytest.mark.parametrize("arriving", [False, True])
+def test_a_recording_that_repeats_another_counts_once(features, held, monkeypatch, arriving):
+    """Among the recordings that stand for all it is named, and passed over in every pass."""
+    copy = Trajectory(held[0].time, held[0].q, held[0].u, held[0].joint_names, "the copy")
+    from_few(monkeypatch, 1000)
+
+    def learnt(*recordings):
+        stream, learning = Yielded(recordings), ConstraintLearner(features, **HELD)
+        return learning.partial_fit(stream) if arriving else learning.fit(stream)
+
+    once, twice = learnt(*held[:11]), learnt(*held[:11], copy)
+    assert any("the copy repeats motion 0" in warning for warning in twice.report_.warnings)
+    assert twice.report_.n_trajectories == 11
+    np.testing.assert_array_equal(twice.constraint_.selection, once.constraint_.selection)
+    assert twice.report_.uncertainty_deg == once.report_.uncertainty_deg
+
+
+class Yielded:
+    """An object that yields trajectories anew each time."""
+
+    def __init__(self, trajectories):
+        self.trajectories = trajectories
+
+    def __iter__(self):
+        return iter(self.trajectories)
+
+
 def test_memory_does_not_grow(features, held, monkeypatch):
     """Five times as many samples need no more memory."""
-    monkeypatch.setattr("manip_learn.learning.streaming.executor.KEPT_BYTES", 100_000)
+    monkeypatch.setattr("manip_learn.learning.streaming.passes.KEPT_BYTES", 100_000)
     from_few(monkeypatch, 2000)
 
     class Repeated:
@@ -331,21 +315,13 @@ def test_iterators_are_read_into_a_list(features, held):
 
 def test_streams_are_checked(features, held):
     """Joints of another robot, missing velocities and emptiness are refused in streams, too."""
-
-    class Other:
-        def __init__(self, trajectories):
-            self.trajectories = trajectories
-
-        def __iter__(self):
-            return iter(self.trajectories)
-
     t = held[0]
     renamed = Trajectory(t.time, t.q, t.u, tuple(f"other_{n}" for n in t.joint_names))
     with pytest.raises(RecordingError, match="sorts by name"):
-        ConstraintLearner(features).fit(Other([*held, renamed]))
+        ConstraintLearner(features).fit(Yielded([*held, renamed]))
     with pytest.raises(RecordingError, match="no demonstrations"):
-        ConstraintLearner(features).fit(Other([]))
-    positions = Other([Trajectory(t.time, t.q, None, t.joint_names) for t in held])
+        ConstraintLearner(features).fit(Yielded([]))
+    positions = Yielded([Trajectory(t.time, t.q, None, t.joint_names) for t in held])
     report = ConstraintLearner(features, **HELD).fit(positions).report_
     assert report.notes == ("velocities were derived from the positions",)
 

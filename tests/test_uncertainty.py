@@ -10,9 +10,8 @@ from generated_motions import PLANAR_ROWS, angle_deg, arm_features, guided_motio
 
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.estimators.null_space import estimate_null_space
-from manip_learn.learning.evidence.joint_offsets import JointOffsets
 from manip_learn.learning.samples import Samples
-from manip_learn.learning.uncertainty import JOINT_ZEROS, NOISE, PARTS, POLICY, in_words, uncertainty_of
+from manip_learn.learning.uncertainty import JOINT_ZEROS, NOISE, PARTS, POLICY, JointOffsets, in_words, uncertainty_of
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 

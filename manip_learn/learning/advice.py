@@ -9,17 +9,13 @@ import numpy as np
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, advice, counted, listed, named, number_if_known
+from manip_learn.learning.deciding import FEWEST_TRAJECTORIES, REST_SPEED, STILL_ENERGY
 from manip_learn.learning.explanation.findings import Findings, held_throughout
 from manip_learn.learning.explanation.stretch import Stretch
 from manip_learn.learning.overview import lone_contacts
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 
-# share of the motion's energy below which a joint counts as still
-STILL = 1e-6
-# speed of the fastest joint below which encoder noise of 1e-4 rad at 100 Hz hides the motion [rad/s]
-SLOW = 0.02
-FEWEST = 3
 ADVICES_SAID = 2  # in the sentence, the likeliest ones; more would hide them
 ADVISED = ("weak-gap", "no-evidence", "no-freedom")
 
@@ -75,9 +71,10 @@ def _advised(refusal: NotIdentifiableError, causes: Sequence[str], facts: Sequen
 
 def _too_few(recordings: IndependentRecordings) -> list[str]:
     n = len(recordings.demonstrations)
-    if n >= FEWEST:
+    if n >= FEWEST_TRAJECTORIES:
         return []
-    return [f"record at least {FEWEST}, better 5, that differ in way and posture, not {counted(n, 'recording')}"]
+    wanted = f"record at least {FEWEST_TRAJECTORIES}, better 5, that differ in way and posture"
+    return [f"{wanted}, not {counted(n, 'recording')}"]
 
 
 def _several_phases(findings: Findings, demonstrations: Demonstrations, phases: str) -> list[str]:
@@ -145,7 +142,9 @@ def _still_joints(demonstrations: Demonstrations) -> list[str]:
     total = float(np.sum(energy))
     if total <= 0.0:
         return []
-    still = [n for n, e in zip(demonstrations.joint_names, np.atleast_1d(energy), strict=True) if e < STILL * total]
+    still = [
+        n for n, e in zip(demonstrations.joint_names, np.atleast_1d(energy), strict=True) if e < STILL_ENERGY * total
+    ]
     if not still:
         return []
     python, flags = f"load_robot(..., locked={still})", " ".join(f"--lock {name}" for name in still)
@@ -154,4 +153,6 @@ def _still_joints(demonstrations: Demonstrations) -> list[str]:
 
 def _too_slow(demonstrations: Demonstrations) -> list[str]:
     speed = max((float(np.max(np.abs(t.u))) for t in demonstrations if t.u is not None), default=0.0)
-    return [f"move faster, noise hides a motion in which no joint exceeds {speed:.2g} rad/s"] if speed < SLOW else []
+    return (
+        [f"move faster, noise hides a motion in which no joint exceeds {speed:.2g} rad/s"] if speed < REST_SPEED else []
+    )

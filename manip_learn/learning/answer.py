@@ -16,11 +16,10 @@ from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.place_rows import PlaceRows
 from manip_learn.errors import NotIdentifiableError, counted, number_if_known
 from manip_learn.learning.candidate import Candidate, LearnerSettings
-from manip_learn.learning.data_summary import DataSummary
-from manip_learn.learning.evidence.recombination import recombination_test
-from manip_learn.learning.evidence.row_evidence import RowEvidence
 from manip_learn.learning.explanation.findings import Findings, Part
 from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_mechanism
+from manip_learn.learning.recombination import RowEvidence, recombination_test
+from manip_learn.learning.samples import DataSummary
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.preprocessing import evenly
 
@@ -86,7 +85,9 @@ def find_answers(
             refused.append((part, refusal))
     if not answers:
         raise refused[0][1]
-    if settings.estimator == "auto" and not answers[0].candidate.is_held:
+    best = answers[0]
+    confirmed = best.evidence is not None and best.evidence.verdict == "clear"
+    if settings.estimator == "auto" and not confirmed and not best.candidate.is_held:
         imposed = _imposed(everything, settings, fit)
         if imposed is not None:
             return [imposed], dataclasses.replace(findings, parts=(everything,), free=(), odd=(), unlearnt=())
@@ -116,7 +117,8 @@ def _explained(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
     mechanism = _mechanism(part, settings)
     features, n = part.feature_maps[0], part.n_constraints
     rows = mechanism_rows(mechanism, part.asked, part.demonstrations) if asked is None else None
-    if rows is not None and _evidence(rows, part, settings).n_rows == rows.n_rows:
+    evidence = None if rows is None else _evidence(rows, part, settings)
+    if rows is not None and evidence is not None and evidence.n_rows == rows.n_rows:
         features, n = rows, rows.n_rows
     elif asked is None and isinstance(features, PlaceRows):
         features, n = _straight(mechanism, part) or (features, n)
@@ -125,8 +127,8 @@ def _explained(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
     if isinstance(features, PlaceRows) and candidate.estimate.table.verdict(candidate.n_constraints) == "none":
         # so few rows of so many are not determined by a contact that gives way: plainer ones are
         candidate, data = fit(dataclasses.replace(part, feature_maps=part.asked), held)
-    features = candidate.samples.features
-    evidence = _evidence(features, part, settings)
+    if evidence is None or candidate.samples.features is not rows:
+        evidence = _evidence(candidate.samples.features, part, settings)
     return Answer(part, candidate, data, evidence, mechanism, _doubts(evidence, candidate.n_constraints, asked))
 
 
@@ -137,7 +139,7 @@ def _straight(found: MechanismFit | None, part: Part) -> tuple[FeatureMap, int] 
     maps = [f for f in part.asked if isinstance(f, FrameJacobian) and f.reference == "world"]
     if not maps or found.selection is None:
         return None
-    held = {name: row for name, row in zip(found.features.row_names, found.selection.T, strict=True)}
+    held = dict(zip(found.features.row_names, found.selection.T, strict=True))
     columns = [held.get(name, np.zeros(len(found.selection))) for name in maps[0].row_names]
     return maps[0], int(np.linalg.matrix_rank(np.stack(columns), 1e-6))
 
@@ -221,9 +223,9 @@ def mechanism_rows(
     if units == {"m/s"}:
         names = POSITION_ROWS.get(found.mechanism.type, ())
     if names:
-        movable = _movable(_only(features, names), demonstrations)
+        movable = _movable(features.with_rows(names, features.radius), demonstrations)
         names = tuple(n for n, moves in zip(names, movable, strict=True) if moves)
-    return _only(features, names) if names else None
+    return features.with_rows(names, features.radius) if names else None
 
 
 def _turning(features: FeatureMap, found: MechanismFit) -> MechanismRows | None:
@@ -234,13 +236,6 @@ def _turning(features: FeatureMap, found: MechanismFit) -> MechanismRows | None:
     if not isinstance(features, FrameJacobian):
         return None
     return MechanismRows(features.robot, features.frame.name, ("turn-1", "turn-2"), axis=mechanism.axis)
-
-
-def _only(features: MechanismRows, names: tuple[str, ...]) -> MechanismRows:
-    place = features.geometry
-    return MechanismRows(
-        features.robot, features.frame.name, names, axis=place.axis, point=place.point, pitch=place.pitch
-    )
 
 
 def _movable(features: MechanismRows, demonstrations: Demonstrations) -> Bool[np.ndarray, " p"]:

@@ -10,27 +10,15 @@ import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError, advice, counted
-from manip_learn.learning.data_summary import DataSummary
-from manip_learn.learning.estimators.estimate import CLEAR_GAP, Estimate
+from manip_learn.learning.deciding import CLEAR_GAP, EQUALLY_GOOD, EXPLAINED, RESIDUAL_RATIO, SOFT_ENERGY
+from manip_learn.learning.estimators.estimate import Estimate
 from manip_learn.learning.estimators.null_space import estimate_null_space, null_space_gap
 from manip_learn.learning.excitation import check_fastest, check_samples
-from manip_learn.learning.samples import Samples
+from manip_learn.learning.samples import DataSummary, Samples
 from manip_learn.linalg import one_thread
 
 EstimatorName = Literal["auto", "joint", "null-space", "separate"]
 
-# share of the motion's energy that breaks A u = 0, above which the constraint is called soft: a tenth of the velocity
-SOFT_ENERGY = 1e-2
-# and below which the rows are held beyond doubt, so that no other explanation is tried: a hundredth of the velocity
-HELD_ENERGY = 1e-4
-# a policy model explains the motion if it leaves no more than this share of the energy of left-out trajectories; the
-# mean alone, a model without any posture in it, leaves all of it
-EXPLAINED = 0.3
-# how far above the noise that the joint estimator sees a held direction may lie (root mean square): the ratio of the
-# energies, 1.69, is three standard deviations sqrt(2 / n) of a variance that is estimated from n = 38 samples
-NOISE_MARGIN = 1.3
-# how much larger the gap of a later feature map must be: of equally good ones, the first is taken
-CHANCE = 1.1
 # one of so many of the chosen samples is enough for a joint estimate that all samples refine afterwards
 START_SHARE = 4
 
@@ -75,17 +63,17 @@ class Candidate:
     @property
     def n_constraints(self) -> int:
         """Number of rows s."""
-        return int(self.estimate.whitened_selection.shape[0])
+        return len(self.estimate.whitened_selection)
 
     @property
     def gap(self) -> float:
         """Gap that supports the number of rows."""
-        return float(self.estimate.table.gap(self.n_constraints))
+        return self.estimate.table.gap(self.n_constraints)
 
     @property
     def is_held(self) -> bool:
         """Whether the motion obeys A u = 0 beyond doubt."""
-        return _is_held(self.estimate)
+        return self.estimate.is_held
 
 
 def learn_best(
@@ -105,7 +93,7 @@ def learn_best(
         except NotIdentifiableError as error:
             refusals.append(error)
             continue
-        if best is None or (candidate is not None and candidate.gap > CHANCE * best.gap):
+        if best is None or (candidate is not None and candidate.gap > EQUALLY_GOOD * best.gap):
             best = candidate
     if best is None:
         raise refusals[0]
@@ -135,26 +123,28 @@ def learn_candidate(
         RecordingError: Outliers.
     """
     samples = Samples.of(features, data)
-    check_fastest(samples.u, data, joint_names)
+    check_fastest(data, joint_names)
     warnings = check_samples(samples, joint_names, settings.n_constraints)
     rival_is_held = rival is not None and rival.is_held
     if rival is not None and (rival_is_held and settings.estimator == "auto" or settings.estimator == "null-space"):
-        if null_space_gap(samples, settings.n_constraints) <= CHANCE * rival.gap:
+        if null_space_gap(samples, settings.n_constraints) <= EQUALLY_GOOD * rival.gap:
             return None
     rng = np.random.default_rng(settings.seed)
     # what all samples refine afterwards need not be as good as these can make it
     share = START_SHARE if len(samples) < data.n_samples else 1
     start = samples.subset(np.arange(len(samples)) % share == 0) if share > 1 else samples
     estimate = _estimate(samples, start, settings, rng, rival_is_held)
-    warnings += [*estimate.warnings, *_check_number_of_rows(estimate, samples.nv, settings.n_constraints)]
-    return Candidate(samples, estimate, (*warnings, *_check_fit(estimate)), rng)
+    warnings += [*estimate.warnings, *_doubts(estimate, samples.nv, settings.n_constraints)]
+    return Candidate(samples, estimate, tuple(warnings), rng)
 
 
 def _estimate(
     samples: Samples, start: Samples, settings: LearnerSettings, rng: np.random.Generator, rival_is_held: bool
 ) -> Estimate:
-    if settings.estimator == "null-space":
-        return estimate_null_space(samples, settings.n_constraints)
+    """By the estimator asked for, or the one that the data select.
+
+    That is the null-space one if the world holds the rows (b = 0), the joint one if the demonstrator moves them.
+    """
     if settings.estimator == "joint":
         return _joint(samples, start, settings, rng)
     if settings.estimator == "separate":
@@ -162,24 +152,16 @@ def _estimate(
 
         with one_thread():
             return estimate_separate(samples, settings.n_constraints, rng)
-    return _select_estimator(samples, start, settings, rng, rival_is_held)
-
-
-def _select_estimator(
-    samples: Samples, start: Samples, settings: LearnerSettings, rng: np.random.Generator, rival_is_held: bool
-) -> Estimate:
-    """The null-space estimate if the world holds the rows (b = 0), the joint one if the demonstrator moves them."""
-    null_space = estimate_null_space(samples, settings.n_constraints)
-    if _is_held(null_space) or rival_is_held or samples.n_trajectories < 2:
-        return null_space
-    s = null_space.whitened_selection.shape[0]
+    held = estimate_null_space(samples, settings.n_constraints)
+    if settings.estimator == "null-space" or held.is_held or rival_is_held or samples.n_trajectories < 2:
+        return held
     try:
         joint = _joint(samples, start, settings, rng, EXPLAINED)
     except NotIdentifiableError:
-        return null_space  # no policy model predicts this motion: the evidence is how little some directions are used
+        return held  # no policy model predicts this motion: the evidence is how little some directions are used
     # both explain the motion: it is held if the held directions show no more than the noise
-    is_noise = null_space.unexplained * samples.energy / s <= NOISE_MARGIN**2 * joint.noise
-    return null_space if is_noise else joint
+    is_noise = held.unexplained * samples.energy / len(held.whitened_selection) <= RESIDUAL_RATIO**2 * joint.noise
+    return held if is_noise else joint
 
 
 def _joint(
@@ -207,19 +189,14 @@ def _joint(
         ) from error
 
 
-def _is_held(estimate: Estimate) -> bool:
-    gap = estimate.table.gap(estimate.whitened_selection.shape[0])
-    return estimate.name == "null-space" and gap >= CLEAR_GAP and estimate.unexplained < HELD_ENERGY
-
-
-def _check_number_of_rows(estimate: Estimate, nv: int, n_constraints: int | None) -> list[str]:
-    """Warnings about the number of rows.
+def _doubts(estimate: Estimate, nv: int, n_constraints: int | None) -> list[str]:
+    """Warnings about the number of rows, and about what the estimate leaves unexplained.
 
     Raises:
         NotIdentifiableError: It was to be found and the data support none, or no joint motion is left free.
     """
     warnings = []
-    s, table = estimate.whitened_selection.shape[0], estimate.table
+    s, table = len(estimate.whitened_selection), estimate.table
     verdict, gap = table.verdict(s), table.gap(s)
     if verdict == "none" and n_constraints is None:
         raise NotIdentifiableError(
@@ -240,20 +217,15 @@ def _check_number_of_rows(estimate: Estimate, nv: int, n_constraints: int | None
             f"{counted(s, 'row')} learnt as asked, but the gap supports {table.best}: "
             f"{table.gap(table.best):.3g} against {gap:.3g}"
         )
-    return warnings
-
-
-def _check_fit(estimate: Estimate) -> list[str]:
-    """Warnings about what the estimate leaves unexplained."""
     if estimate.name == "null-space" and estimate.unexplained > SOFT_ENERGY:
-        return [
+        warnings.append(
             f"{100 * estimate.unexplained:.2g} % of the motion's energy breaks the constraint: it is soft, or the "
             "demonstrator moves the constrained directions on purpose"
             + advice(" (then use {})", "estimator='joint'", "--estimator joint")
-        ]
+        )
     if estimate.name == "joint" and estimate.held_out > EXPLAINED:
-        return [
+        warnings.append(
             f"the policy model predicts only {100 * (1 - estimate.held_out):.0f} % of left-out trajectories: the "
             "null-space motion is not a function of the posture"
-        ]
-    return []
+        )
+    return warnings

@@ -8,32 +8,19 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, listed, named
-from manip_learn.learning.data_summary import DataSummary
-from manip_learn.learning.samples import Samples
+from manip_learn.learning.deciding import (
+    FEW_JOINTS_AT_ONCE,
+    OUTLIER_FACTOR,
+    STILL_ENERGY,
+    VELOCITY_CORRELATION,
+    VELOCITY_SLOPE,
+)
+from manip_learn.learning.samples import DataSummary, Samples
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.velocity_checks import FEWEST, compare_velocities
 
-# how many times the median speed a sample may have
-OUTLIER_FACTOR = 1e4
-# a joint with less of the energy, a thousandth of the velocity, has hardly moved
-STILL_SHARE = 1e-6
-# fewer joints than this moving at a time, in the mean, is how a hand-guided arm with stiction moves
-FEW_JOINTS = 1.6
-# how much farther out than nearly all others a posture may lie, in their own distances from the middle
-FAR_OUT = 1e4
 # postures closer together than this share of their size are one and the same
 SAME = 1e-9
-# how far a joint's recorded velocity may be off its positions, as a factor: at one joint 1.05 turns a drawer's rows by
-# 0.7 degrees (median; 3.2 at worst), 1.2 by 2.6 (12); 8 sets of 4 arms, seeds 20000 to 20007
-SLOPE = 1.05
-# correlation c of displacements with integrated velocities above which a joint is judged: in the 20 windows of a
-# recording noise moves a slope by sqrt(1 / c^2 - 1) / sqrt(20), 5 % at 0.98
-FOLLOWS = 0.98
-
-
-def excitation(samples: Samples) -> Float[np.ndarray, " nv"]:
-    """Share of the motion's energy in each joint; sums to 1."""
-    return energy_shares(np.mean(samples.u**2, axis=0))
 
 
 def energy_shares(energy: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
@@ -41,18 +28,17 @@ def energy_shares(energy: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
     return energy / max(float(energy.sum()), np.finfo(np.float64).tiny)
 
 
-def check_fastest(u: Float[np.ndarray, "n nv"], data: DataSummary, joint_names: Sequence[str]) -> None:
+def check_fastest(data: DataSummary, joint_names: Sequence[str]) -> None:
     """Refuse a velocity that is far out of line with all others.
 
     Args:
-        u: Velocities of all samples or an even choice, for what is usual [rad/s].
-        data: Of all of them.
+        data: Of all samples; those to learn from say what is usual.
         joint_names: For the message.
 
     Raises:
         RecordingError: There is one.
     """
-    speed = np.linalg.norm(u, axis=1)
+    speed = np.linalg.norm(data.u, axis=1)
     fastest, (sample, trajectory) = data.fastest, data.fastest_at
     if not np.any(speed > 0.0):
         return
@@ -82,12 +68,9 @@ def check_samples(samples: Samples, joint_names: Sequence[str], n_constraints: i
     s = n_constraints or 1
     needed = max(r + 2, s * (r - s) + 2, 5)
     moving = np.concatenate([samples.q, samples.u], axis=1)[speed > 1e-9 * median]
-    different = len(
-        np.unique(moving[:: max(1, len(moving) // (10 * needed))], axis=0)
-    )  # an even choice is soon counted
-    if different < needed:
-        different = len(np.unique(moving, axis=0))
-    if different < needed:
+    # an even choice is soon counted
+    few = moving[:: max(1, len(moving) // (10 * needed))]
+    if len(np.unique(few, axis=0)) < needed and (different := len(np.unique(moving, axis=0))) < needed:
         raise NotIdentifiableError(
             f"record more: {counted(different, 'different moving sample')} cannot determine a constraint on "
             f"{counted(r, 'row')}, {needed} can and many more are better",
@@ -98,18 +81,18 @@ def check_samples(samples: Samples, joint_names: Sequence[str], n_constraints: i
 
 def _warn(samples: Samples, joint_names: Sequence[str]) -> list[str]:
     warnings = []
-    share = excitation(samples)
-    still = [name for name, part in zip(joint_names, share, strict=True) if part < STILL_SHARE]
+    squares = samples.u**2
+    shares = energy_shares(squares.mean(axis=0))
+    still = [name for name, part in zip(joint_names, shares, strict=True) if part < STILL_ENERGY]
     if still and len(still) < samples.nv:
         warnings.append(
             f"{named('joint', still)} hardly moved: what the arm did not try cannot be told from what it could not do"
         )
-    squares = samples.u**2
     norm = squares.sum(axis=1)
     moving = norm > 1e-4 * np.mean(norm)
     # participation number: 1 if a single joint moves, nv if all move equally
     together = float(np.mean(norm[moving] ** 2 / np.sum(squares[moving] ** 2, axis=1)))
-    if samples.nv > 3 and together < FEW_JOINTS:
+    if samples.nv > 3 and together < FEW_JOINTS_AT_ONCE:
         warnings.append(
             f"only {together:.1f} joints move at a time on average: friction of a hand-guided arm looks like a "
             "constraint; move all joints together"
@@ -140,7 +123,7 @@ def check_postures(samples: Samples) -> None:
         )
     # standing still at the median posture for long is no reason to call all motion far out
     usual = float(np.quantile(distance, 0.9)) or float(np.mean(np.delete(distance, farthest)))
-    if 0.0 < usual * FAR_OUT < distance[farthest]:
+    if 0.0 < usual * OUTLIER_FACTOR < distance[farthest]:
         raise RecordingError(
             f"the posture of sample {farthest} (trajectory {samples.trajectory[farthest]}) is "
             f"{distance[farthest] / usual:.1e} times farther out than nearly all others: remove the outlier",
@@ -170,14 +153,14 @@ def doubt_velocities(trajectories: Sequence[Trajectory], joint_names: Sequence[s
         return []
     correlation, slope = np.array([np.diag(m.correlation) for m in matches]), np.array([m.slope for m in matches])
     moved = np.array([m.moved for m in matches])
-    follows = moved & (correlation > FOLLOWS)
+    follows = moved & (correlation > VELOCITY_CORRELATION)
     shares: dict[int, float] = {}
     off: list[int] = []
     for j in np.flatnonzero(2 * follows.sum(axis=0) > moved.sum(axis=0)).tolist():
         r, c = slope[follows[:, j], j], correlation[follows[:, j], j]
         shares[j] = 1.0 / float(np.median(r))
-        off += [j] if max(np.median(r * c), np.median(c / r)) > SLOPE else []
-    if not off or (len(shares) > 1 and max(shares.values()) < SLOPE * min(shares.values())):
+        off += [j] if max(np.median(r * c), np.median(c / r)) > VELOCITY_SLOPE else []
+    if not off or (len(shares) > 1 and max(shares.values()) < VELOCITY_SLOPE * min(shares.values())):
         return []
     factors = listed(f"{shares[j]:.3g}" for j in off)
     return [

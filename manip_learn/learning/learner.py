@@ -14,14 +14,14 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import FeatureError, NotFittedError, NotIdentifiableError, NumberOfConstraintsError, an
 from manip_learn.learning.advice import advise, advise_in_general
 from manip_learn.learning.answer import Answer, find_answers
-from manip_learn.learning.before_smoothing import BeforeSmoothing
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
-from manip_learn.learning.data_summary import IN_MEMORY_SAMPLES, DataSummary, in_memory
 from manip_learn.learning.excitation import check_fastest, doubt_velocities
 from manip_learn.learning.explanation.findings import Findings, Part, find, unexplained
+from manip_learn.learning.explanation.stretch import BeforeSmoothing
 from manip_learn.learning.overview import RecordingOverview
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, build_report
+from manip_learn.learning.samples import IN_MEMORY_SAMPLES, DataSummary, in_memory
 from manip_learn.learning.uncertainty import uncertainty_of
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -30,7 +30,7 @@ from manip_learn.recordings.trajectory_source import Progress, TrajectorySource,
 from manip_learn.recordings.velocities import VelocityMethod, with_velocities
 
 if TYPE_CHECKING:
-    from manip_learn.learning.streaming.trajectory_buffer import TrajectoryBuffer
+    from manip_learn.learning.streaming.sample_stream import SampleStream, TrajectoryBuffer
 
 ESTIMATORS = ("auto", "joint", "null-space", "separate")
 Switch = Literal["auto", "off"]
@@ -175,7 +175,7 @@ class ConstraintLearner:
             NotIdentifiableError: Not enough yet; the demonstrations are kept all the same.
             RecordingError: They cannot be used; nothing of them is kept.
         """
-        from manip_learn.learning.streaming.trajectory_buffer import TrajectoryBuffer
+        from manip_learn.learning.streaming.sample_stream import TrajectoryBuffer
 
         self._forget()
         buffer = self._buffer or TrajectoryBuffer()
@@ -187,38 +187,52 @@ class ConstraintLearner:
         return self
 
     def _fit_demonstrations(self, given: Demonstrations, client: Any, progress: Progress | None) -> None:
-        """What repeats counts once -> parts of it -> a constraint, evidence and mechanism for each -> report."""
+        """What repeats counts once -> what explains it -> a constraint for each part."""
+        with one_thread():
+            started = time.perf_counter()
+            recordings = IndependentRecordings.of(given)
+            demonstrations = self._with_velocities(recordings.demonstrations)
+            check_fastest(DataSummary.of(demonstrations), demonstrations.joint_names)
+            self._fit_parts(recordings, demonstrations, self._find(demonstrations), client, progress, started)
+
+    def _fit_parts(
+        self,
+        recordings: IndependentRecordings,
+        demonstrations: Demonstrations,
+        findings: Findings,
+        client: Any,
+        progress: Progress | None,
+        started: float,
+    ) -> None:
+        """A constraint, evidence and mechanism for each part of demonstrations with velocities -> report."""
 
         def fit(part: Part, settings: LearnerSettings) -> tuple[Candidate, DataSummary]:
             if client is None and part.demonstrations.n_samples <= IN_MEMORY_SAMPLES:
                 data = DataSummary.of(part.demonstrations)
                 return learn_best(part.feature_maps, data, demonstrations.joint_names, settings), data
-            source = source_of(part.demonstrations)
-            return self._refined(source, part.feature_maps, settings, client, progress)[:2]
+            from manip_learn.learning.streaming.sample_stream import open_stream
 
-        with one_thread():
-            started = time.perf_counter()
-            recordings = IndependentRecordings.of(given)
-            recorded = recordings.demonstrations
-            demonstrations = self._with_velocities(recorded)
-            everything = DataSummary.of(demonstrations)
-            check_fastest(everything.u, everything, demonstrations.joint_names)
-            findings, source = self._find(demonstrations), BeforeSmoothing(demonstrations, recorded)
-            parts = tuple(dataclasses.replace(part, source=source) for part in findings.parts)
-            doubts = doubt_velocities(recorded.trajectories, demonstrations.joint_names)
-            warnings = (*recordings.warnings, *doubts, *findings.warnings)
-            (everyone,) = unexplained(demonstrations, self._feature_maps).parts
-            findings = dataclasses.replace(findings, parts=parts, warnings=warnings)
-            try:
-                answers, findings = find_answers(findings, everyone, self._settings, fit)
-            except NotIdentifiableError as refusal:
-                why = advise(
-                    refusal, demonstrations, self._feature_maps, findings, recordings=recordings, phases=self.phases
-                )
-                raise why from refusal
-            if progress is not None and client is None:
-                progress("learning", 1.0)
-            self._conclude(answers, findings, recordings, demonstrations.joint_names, started)
+            stream = open_stream(source_of(part.demonstrations), part.feature_maps, self.velocities)
+            return self._refined(stream, part, settings, client, progress)
+
+        recorded = recordings.demonstrations
+        source = BeforeSmoothing(demonstrations, recorded)
+        parts = tuple(dataclasses.replace(part, source=source) for part in findings.parts)
+        doubts = doubt_velocities(recorded.trajectories, demonstrations.joint_names)
+        warnings = (*recordings.warnings, *doubts, *findings.warnings)
+        (everyone,) = unexplained(demonstrations, self._feature_maps).parts
+        findings = dataclasses.replace(findings, parts=parts, warnings=warnings)
+        try:
+            answers, findings = find_answers(findings, everyone, self._settings, fit)
+        except NotIdentifiableError as refusal:
+            why = advise(
+                refusal, demonstrations, self._feature_maps, findings, recordings=recordings, phases=self.phases
+            )
+            raise why from refusal
+        if progress is not None and client is None:
+            progress("learning", 1.0)
+        overview = RecordingOverview.of(answers, findings, recordings)
+        self._conclude(answers, overview, demonstrations.joint_names, started)
 
     def _find(self, demonstrations: Demonstrations) -> Findings:
         if self.estimator in ("joint", "separate"):
@@ -230,64 +244,57 @@ class ConstraintLearner:
     def _fit_stream(self, source: TrajectorySource, client: Any, progress: Progress | None) -> None:
         """From recordings that are not held in memory together: some of them say what holds, all of them how exactly.
 
-        Of recordings of several tasks, or with approach and retreat, only those that say it are learnt from.
+        Of recordings of several tasks, or with approach and retreat, only those that say it are learnt from. Those of
+        them that repeat others count once.
         """
         from manip_learn.learning.streaming.sample_stream import open_stream, representative
 
-        few, is_all = representative(open_stream(source, self._feature_maps, self.velocities), IN_MEMORY_SAMPLES)
-        findings = self._find(few)
-        if is_all or findings.divided:
+        started = time.perf_counter()
+        stream = open_stream(source, self._feature_maps, self.velocities)
+        few, places, is_all = representative(stream, IN_MEMORY_SAMPLES)
+        if is_all:
             self._fit_demonstrations(few, client, progress)
             return
 
         def fit(part: Part, settings: LearnerSettings) -> tuple[Candidate, DataSummary]:
-            return self._refined(source, part.feature_maps, settings, client, progress)[:2]
+            return self._refined(stream, part, settings, client, progress)
 
         with one_thread():
-            started = time.perf_counter()
+            recordings = IndependentRecordings.of(few)
+            demonstrations = recordings.demonstrations
+            findings = self._find(demonstrations)
+            if findings.divided:
+                check_fastest(DataSummary.of(demonstrations), demonstrations.joint_names)
+                self._fit_parts(recordings, demonstrations, findings, client, progress, started)
+                return
+            kept = {number for origin in recordings.origins for number, _ in origin}
+            copies = frozenset(place for i, place in enumerate(places) if i not in kept)
+            stream = dataclasses.replace(stream, left_out=copies)
             try:
-                (everyone,) = unexplained(few, self._feature_maps).parts
-                answers, _ = find_answers(findings, everyone, self._settings, fit)
+                (everyone,) = unexplained(demonstrations, self._feature_maps).parts
+                answers, findings = find_answers(findings, everyone, self._settings, fit)
             except NotIdentifiableError as refusal:
                 raise advise_in_general(refusal) from refusal
-            best = answers[0].candidate
-            uncertainty = uncertainty_of(best.samples, best.estimate, best.rng)
-            seconds = time.perf_counter() - started
-            constraint, report = build_report(best, answers[0].data, few.joint_names, uncertainty, seconds, answers[0])
-            self._set((constraint,), (report,))
+            doubts = doubt_velocities(demonstrations.trajectories, few.joint_names)
+            overview = RecordingOverview(warnings=(*recordings.copies, *doubts, *findings.warnings))
+            self._conclude(answers[:1], overview, few.joint_names, started)
 
     def _refined(
-        self,
-        source: TrajectorySource,
-        feature_maps: Sequence[FeatureMap],
-        settings: LearnerSettings,
-        client: Any,
-        progress: Progress | None,
-    ) -> tuple[Candidate, DataSummary, tuple[str, ...]]:
+        self, stream: SampleStream, part: Part, settings: LearnerSettings, client: Any, progress: Progress | None
+    ) -> tuple[Candidate, DataSummary]:
         """The best candidate from a choice of the samples, refined on all of them."""
-        from manip_learn.learning.streaming.executor import open_executor
-        from manip_learn.learning.streaming.refinement import refine
-        from manip_learn.learning.streaming.sample_stream import open_stream
-        from manip_learn.learning.streaming.summary_pass import SummaryAccumulator
+        from manip_learn.learning.streaming.refinement import learn_from_all
 
-        stream = open_stream(source, feature_maps, self.velocities)
-        with one_thread(), open_executor(client, stream, progress) as executor:
-            summary = executor.total(SummaryAccumulator(IN_MEMORY_SAMPLES), {}, "all samples, first pass")
-            summary = summary.checked(source.n_parts)
-            chosen = learn_best(feature_maps, summary.data, stream.joint_names, settings)
-            best, data = refine(chosen, summary, executor)
-        return best, data, stream.joint_names
+        def learn(data: DataSummary) -> Candidate:
+            return learn_best(part.feature_maps, data, stream.joint_names, settings)
+
+        with one_thread():
+            return learn_from_all(stream, learn, IN_MEMORY_SAMPLES, client, progress)
 
     def _conclude(
-        self,
-        answers: Sequence[Answer],
-        findings: Findings,
-        recordings: IndependentRecordings,
-        joint_names: tuple[str, ...],
-        started: float,
+        self, answers: Sequence[Answer], overview: RecordingOverview, joint_names: tuple[str, ...], started: float
     ) -> None:
         """Uncertainty -> report, for each answer."""
-        overview = RecordingOverview.of(answers, findings, recordings)
         constraints, reports = [], []
         for answer in answers:
             best = answer.candidate
@@ -296,10 +303,7 @@ class ConstraintLearner:
             constraint, report = build_report(best, answer.data, joint_names, uncertainty, seconds, answer, overview)
             constraints.append(constraint)
             reports.append(report)
-        self._set(tuple(constraints), tuple(reports))
-
-    def _set(self, constraints: tuple[Constraint, ...], reports: tuple[LearningReport, ...]) -> None:
-        self.constraints_, self.reports_ = constraints, reports
+        self.constraints_, self.reports_ = tuple(constraints), tuple(reports)
         self.constraint_, self.report_ = constraints[0], reports[0]
 
     @property

@@ -16,11 +16,13 @@ from manip_learn.constraint.selection_in_words import describe, free_directions,
 from manip_learn.errors import counted, listed
 from manip_learn.learning.answer import Answer
 from manip_learn.learning.candidate import Candidate
-from manip_learn.learning.data_summary import DataSummary
-from manip_learn.learning.estimators.estimate import CLEAR_GAP
+from manip_learn.learning.deciding import CLEAR_GAP
+from manip_learn.learning.effort_witness import EffortWitness, effort_witness
 from manip_learn.learning.excitation import energy_shares
 from manip_learn.learning.overview import OddTrajectory, Phase, RecordingOverview
+from manip_learn.learning.samples import DataSummary
 from manip_learn.learning.uncertainty import PARTS, Uncertainty, in_words, total_deg
+from manip_learn.recordings.demonstrations import distinct_names
 from manip_learn.recordings.preprocessing import evenly
 from manip_learn.robot import html_card
 
@@ -109,6 +111,8 @@ class LearningReport:
             `"joint zeros"`, what the residual says of constant errors of the joints' zeros (null-space estimator);
             `"policy"`, what is not known of the policy (joint estimator, where its parameters are integrated out). None
             where a part does not apply.
+        effort: What recorded efforts say of the held rows, a witness that the motion knows nothing of; None where none
+            were recorded, or nothing can be told from them (see `effort_witness`).
     """
 
     sentence: str
@@ -138,6 +142,7 @@ class LearningReport:
     odd_trajectories: tuple[OddTrajectory, ...] = ()
     mechanism: Mechanism | None = None
     uncertainty: Uncertainty = field(default_factory=lambda: dict.fromkeys(PARTS))
+    effort: EffortWitness | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists, for JSON; None where there is no number."""
@@ -145,6 +150,7 @@ class LearningReport:
         for name in ("phases", "odd_trajectories", "row_evidence"):
             content[name] = [entry._asdict() for entry in content[name]]
         content["uncertainty"] = dict(self.uncertainty)
+        content["effort"] = None if self.effort is None else dataclasses.asdict(self.effort)
         content["mechanism"] = None if self.mechanism is None else self.mechanism.to_dict()
         return _plain(content)
 
@@ -186,6 +192,7 @@ class LearningReport:
             ("gap", f"{self.gap:.3g} (a ratio; {CLEAR_GAP:g} is clear)"),
             ("unexplained", unexplained if math.isfinite(residual) else None),
             ("uncertainty", self.known_to() or None),
+            ("effort", None if self.effort is None else self.effort.sentence()),
             ("mechanism", self.mechanism_in_words() or None),
             (
                 "learnt from",
@@ -286,6 +293,7 @@ def build_report(
         odd_trajectories=overview.odd_trajectories,
         mechanism=mechanism,
         uncertainty=uncertainty,
+        effort=_effort(answer, overview, selection) if kind == "motion-constrained" else None,
     )
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
     provenance["postures"] = np.round(data.q[evenly(len(data.q), KEPT_POSTURES)], 5).tolist()
@@ -297,6 +305,20 @@ def _doubts(answer: Answer | None) -> tuple[str, ...]:
     if answer is None:
         return ()
     return (*answer.warnings, *(answer.mechanism.warnings if answer.mechanism else ()))
+
+
+def _effort(answer: Answer | None, overview: RecordingOverview, selection: np.ndarray) -> EffortWitness | None:
+    """Of the contact from which was learnt, beside the free stretches of the same recordings."""
+    if answer is None or answer.part.source is None:
+        return None
+    derived = answer.part.source.derived
+    named = dict(zip(distinct_names(derived), derived, strict=True))
+    free = [
+        named[p.trajectory][p.start : p.end]
+        for p in overview.phases
+        if p.constraint is None and not p.reason and p.trajectory in named
+    ]
+    return effort_witness(answer.candidate.samples.features, selection, answer.part.demonstrations, free)
 
 
 def _row_support(answer: Answer | None) -> tuple[RowSupport, ...]:

@@ -1,24 +1,173 @@
-"""What the estimators see: postures, velocities and whitened features, block by block."""
+"""What is learnt from: the samples of the demonstrations, what they have in common, and their whitened features."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import final
+from typing import cast, final
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError, RecordingError
-from manip_learn.learning.data_summary import DataSummary
-from manip_learn.learning.whitening import whitening
+from manip_learn.linalg import whitener
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.given_motions import Motion, demonstrations_of
+from manip_learn.recordings.trajectory_source import TrajectorySource
+from manip_learn.robot.robot import Robot
 
+# up to this many samples are learnt from directly; of more, this many are chosen, and all of them refine the answer.
+# Phi of so many samples of 6 rows and 7 joints takes 5.5 MB, four blocks
+IN_MEMORY_SAMPLES = 16_384
 BLOCK = 4096
 # Phi of more samples than this is computed anew at each pass instead of kept [numbers]
 KEEP_LIMIT = 3e7
 KEEP_WHITENED_LIMIT = 3e6  # numbers of whitened Phi that are kept from one pass to the next
+# rows of Phi below this share of the largest (after scaling each to its own size) are linear copies or identically
+# zero: rounding leaves 1e-15 of a row, a real arm moves the least of its independent rows by 1e-3 or more
+PRUNE_RATIO = 1e-6
+
+
+def runs(numbers: Int[np.ndarray, " n"]) -> list[tuple[int, slice]]:
+    """Each number of a sequence that never decreases, and where it stands."""
+    starts = np.flatnonzero(np.diff(numbers, prepend=-1)).tolist()
+    return [(int(numbers[a]), slice(a, b)) for a, b in zip(starts, [*starts[1:], len(numbers)], strict=True)]
+
+
+def rows_beside(selection: Float[np.ndarray, "s p"], Phi: Float[np.ndarray, "n p nv"]) -> Float[np.ndarray, "s nv n"]:
+    """Lambda Phi, the samples side by side in the last axis, for arithmetic on all of them at once."""
+    n, p, nv = Phi.shape
+    return (selection @ Phi.transpose(1, 2, 0).reshape(p, nv * n)).reshape(-1, nv, n)
+
+
+def stacked(pieces: Sequence[tuple[np.ndarray, np.ndarray, int]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Postures, velocities and trajectory of each sample, from those of pieces of trajectories and their numbers.
+
+    Raises:
+        RecordingError: Postures of different sizes.
+    """
+    widths = sorted({q.shape[1] for q, _, _ in pieces})
+    if len(widths) > 1:
+        raise RecordingError(f"postures must all have the same number of values, got {widths}", code="shape")
+    trajectory = np.repeat([number for _, _, number in pieces], [len(q) for q, _, _ in pieces])
+    return np.concatenate([q for q, _, _ in pieces]), np.concatenate([u for _, u, _ in pieces]), trajectory
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class DataSummary:
+    """Numbers of all samples, and the samples to learn from: all of them in memory, an even choice of more.
+
+    Attributes:
+        n_samples: Number of all samples.
+        n_trajectories: Number of all trajectories.
+        low, high: Smallest and largest posture of all samples, entry by entry, shape (m,) [rad or m].
+        squares: sum u^2 of each joint over all samples, shape (nv,) [(rad/s)^2].
+        fastest: The velocity with the largest norm, shape (nv,) [rad/s].
+        fastest_at: Its sample and trajectory, counted from 0.
+        q, u: The samples to learn from, in order, shapes (k, m) [rad or m] and (k, nv) [rad/s].
+        trajectory: Trajectory of each of these, counted from 0, never decreasing, shape (k,).
+        notes: What was done to the recordings.
+    """
+
+    n_samples: int
+    n_trajectories: int
+    low: Float[np.ndarray, " m"]
+    high: Float[np.ndarray, " m"]
+    squares: Float[np.ndarray, " nv"]
+    fastest: Float[np.ndarray, " nv"]
+    fastest_at: tuple[int, int]
+    q: Float[np.ndarray, "k m"]
+    u: Float[np.ndarray, "k nv"]
+    trajectory: Int[np.ndarray, " k"]
+    notes: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(demonstrations: Demonstrations) -> DataSummary:
+        """Summary of demonstrations in memory; every sample is learnt from.
+
+        Raises:
+            RecordingError: A trajectory lacks velocities, or has postures of another size.
+        """
+        pieces = list[tuple[np.ndarray, np.ndarray, int]]()
+        for number, t in enumerate(demonstrations):
+            if t.u is None:
+                raise RecordingError(f"{t.name} has no velocities: derive them first", code="no-velocities")
+            pieces.append((t.q, t.u, number))
+        return DataSummary.of_samples(*stacked(pieces), 0, demonstrations.notes)
+
+    @staticmethod
+    def of_samples(
+        q: Float[np.ndarray, "n m"],
+        u: Float[np.ndarray, "n nv"],
+        trajectory: Int[np.ndarray, " n"],
+        first: int,
+        notes: tuple[str, ...] = (),
+    ) -> DataSummary:
+        """Summary of consecutive samples, all to learn from; `first` is the number of those before them."""
+        fastest = int(np.argmax(np.einsum("nv,nv->n", u, u)))
+        return DataSummary(
+            *(len(u), int(trajectory[-1]) + 1, q.min(axis=0), q.max(axis=0), np.einsum("nv,nv->v", u, u)),
+            *(u[fastest], (first + fastest, int(trajectory[fastest])), q, u, trajectory, notes),
+        )
+
+
+def check_joints(joint_names: tuple[str, ...], robot: Robot | None) -> None:
+    """Refuse demonstrations of another robot than that of the features.
+
+    Raises:
+        RecordingError: The joint names differ, or their order does.
+    """
+    if robot is not None and tuple(joint_names) != tuple(robot.joint_names):
+        raise RecordingError(
+            f"the demonstrations have the joints {', '.join(joint_names)}; robot {robot.name!r} has "
+            f"{', '.join(robot.joint_names)}: load them with load_demonstrations(files, robot), which sorts by name",
+            code="joint-names",
+        )
+
+
+def in_memory(
+    demonstrations: TrajectorySource | Motion | Iterable[Motion], feature_maps: Sequence[FeatureMap]
+) -> Demonstrations | TrajectorySource | Iterable[Motion]:
+    """Demonstrations in memory with the joints of the features; a stream as it is.
+
+    Raises:
+        RecordingError: The joints are those of another robot.
+    """
+    robot = getattr(feature_maps[0], "robot", None)
+    demos = None if isinstance(demonstrations, TrajectorySource) else demonstrations_of(demonstrations, robot)
+    if demos is None:
+        return cast("TrajectorySource | Iterable[Motion]", demonstrations)
+    if not demos.joint_names:
+        names = tuple(f"q{i}" for i in range(feature_maps[0].nv)) if robot is None else robot.joint_names
+        demos = demos.with_joint_names(names)
+    for features in feature_maps:
+        check_joints(demos.joint_names, getattr(features, "robot", None))
+    return demos
+
+
+@final
+@dataclass(frozen=True)
+class TrajectoryBlocks:
+    """Blocks of neighbouring trajectories; each its own if there are no more than `most`.
+
+    Attributes:
+        n_trajectories: Number of trajectories.
+        most: Largest number of blocks.
+    """
+
+    n_trajectories: int
+    most: int
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of blocks."""
+        return min(self.n_trajectories, self.most)
+
+    def runs(self, trajectory: Int[np.ndarray, " n"]) -> list[tuple[int, slice]]:
+        """Blocks of some samples whose trajectories never decrease, and which samples belong to each."""
+        return runs(trajectory if self.n_trajectories <= self.most else trajectory * self.most // self.n_trajectories)
 
 
 @final
@@ -37,11 +186,6 @@ class Block:
     u: Float[np.ndarray, "n nv"]
     x: Float[np.ndarray, "n m"]
     trajectory: Int[np.ndarray, " n"]
-
-    def rows_of(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s nv n"]:
-        """Lambda Phi, the samples side by side in the last axis, for arithmetic on all of them at once."""
-        n, p, nv = self.Phi.shape
-        return (selection @ self.Phi.transpose(1, 2, 0).reshape(p, nv * n)).reshape(-1, nv, n)
 
     def add_to(self, sums: Float[np.ndarray, "g ..."], values: Float[np.ndarray, "... n"]) -> None:
         """Add values of each sample, side by side, to the sum of its trajectory."""
@@ -135,6 +279,16 @@ class Samples:
         """Number of trajectories."""
         return int(self.trajectory[-1]) + 1 if len(self) else 0
 
+    @property
+    def x(self) -> Float[np.ndarray, "n nq"]:
+        """Postures shifted and scaled to about [-1, 1]: the regressors of policy models."""
+        return (self.q - self.centre) / self.spread
+
+    @property
+    def energy(self) -> float:
+        """Mean of |u|^2."""
+        return float(np.mean(np.einsum("ni,ni->n", self.u, self.u)))
+
     def blocks(self) -> Iterator[Block]:
         """The samples in order, at most BLOCK at a time."""
         size = len(self) * self.features.n_rows * self.nv
@@ -150,8 +304,7 @@ class Samples:
             yield Block(Phi, self.u[part], x, self.trajectory[part])
 
     def _whiten(self, raw: Float[np.ndarray, "n p nv"]) -> Float[np.ndarray, "n r nv"]:
-        n, p, nv = raw.shape
-        columns = (self.whitening @ raw.transpose(1, 2, 0).reshape(p, nv * n)).reshape(-1, nv, n)
+        columns = rows_beside(self.whitening, raw)
         if self.mixing is not None:
             columns = np.einsum("rvn,vw->rwn", columns, self.mixing, optimize=True)
         return columns.transpose(2, 0, 1)
@@ -162,12 +315,24 @@ class Samples:
         scale = (self.whitening, self.centre, self.spread, self.mixing)
         return Samples(self.features, self.q[keep], self.u[keep], trajectory, *scale)
 
+    def thinned(self, most: int) -> Samples:
+        """Every k-th sample of all trajectories, with the least k that leaves no more than `most`; itself if k is 1."""
+        every = -(-len(self) // most)
+        return self.subset(np.arange(len(self)) % every == 0) if every > 1 else self
+
     def selection(self, whitened_selection: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "s p"]:
         """Lambda in the basis of the features' own rows, orthonormal, from Lambda W^+ in whitened coordinates."""
         _, _, Vt = np.linalg.svd(whitened_selection @ self.whitening, full_matrices=False)
         return Vt
 
-    @property
-    def energy(self) -> float:
-        """Mean of |u|^2."""
-        return float(np.mean(np.einsum("ni,ni->n", self.u, self.u)))
+
+def whitening(S: Float[np.ndarray, "p p"], units: Sequence[str]) -> Float[np.ndarray, "r p"]:
+    """W with W S W^T = I, without the combinations of rows that are zero throughout; no rows if all are.
+
+    Args:
+        S: Mean of Phi Phi^T.
+        units: Of each row; rows of one unit are compared with each other before they are scaled.
+    """
+    size, of_unit = np.sqrt(np.diag(S)), np.array(units)
+    moves = np.array([size[i] > PRUNE_RATIO * np.max(size[of_unit == unit]) for i, unit in enumerate(units)])
+    return whitener(S * np.outer(moves, moves), PRUNE_RATIO**2)

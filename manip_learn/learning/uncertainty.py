@@ -1,19 +1,54 @@
-"""What the stated angle of a row space is made of."""
+"""What the stated angle of a row space is made of: noise, by the bootstrap; the joints' zeros; the policy's model.
+
+Joint offsets: a constant error of each joint's zero does something to a Lambda learnt from A(q) u = 0. Recorded
+q + delta in place of q leaves a pattern in the residual e_n = Q_n^T u_n, A^T = Q R:
+
+    e = J B + K delta + noise,    K_n,k = R_n^{-T} Lambda (dPhi/dq_k) N_n u_n,    N = I - Q Q^T
+
+to first order, of which B takes up what it can: an error -(J^T J)^-1 J^T K delta of Lambda. What is left of the
+pattern tells how large the offsets are. With delta ~ N(0, tau^2 I), S = K^T (I - J J^+) K = V diag(lambda) V^T and h =
+V^T K^T e the likelihood of tau is
+
+    h_i ~ N(0, lambda_i sigma^2 + lambda_i^2 tau^2)       (restricted maximum likelihood: B is eliminated)
+
+No offsets at all are NONE_TO_SOME times as likely beforehand as offsets of OFFSET_RANGE_RAD together; the data decide.
+
+The regressor is made of N u and not of u. Both are N u on the constraint, but the rest of u is the residual itself:
+with it K v of a combination v that no motion shows is made of the noise of e alone (errors in variables; W. A. Fuller,
+Measurement Error Models, 1987, section 1.1), and K^T e grows with the data however large the offsets are. The noise of
+N u is independent of that of Q^T u where that of u is alike in all joints. A turn v of the base gives Lambda dPhi[v] =
+Lambda [w] Phi, so that K v lies in the span of J exactly, at any noise: no residual shows it, whatever the recordings.
+A combination that shows nowhere is taken to be as large as the others are found to be.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass
+from typing import final
 
-from manip_learn.errors import error_in_words, listed
-from manip_learn.learning.bootstrap import angle_within_deg, bootstrap_angle_deg
-from manip_learn.learning.estimators.estimate import Estimate, check_uncertainty
-from manip_learn.learning.evidence.joint_offsets import JointOffsets
-from manip_learn.learning.samples import Samples
+import numpy as np
+from jaxtyping import Float, Int
+
+from manip_learn.errors import NotIdentifiableError, error_in_words, listed
+from manip_learn.learning.deciding import MOST_UNCERTAIN_DEG, NONE_TO_SOME, OFFSET_RANGE_RAD, STATED_SHARE
+from manip_learn.learning.estimators.estimate import Estimate, PolicyPrior
+from manip_learn.learning.samples import Samples, rows_beside, runs
+from manip_learn.linalg import complement_rows, inverse_triangles_beside, row_bases, row_space_angles, whitener
 
 NOISE, JOINT_ZEROS, POLICY = PARTS = ("noise", "joint zeros", "policy")
+Uncertainty = dict[str, float | None]
+
 # draws of an error whose quantile is stated: uncertain by 5 %
 DRAWS = 1000
-Uncertainty = dict[str, float | None]
+# least share of the residual that is left where a trajectory alone determines a direction, so that its influence on
+# that direction is bounded
+LEVERAGE_FLOOR = 1e-3
+# steps of Lanczos' method after which all eigenvectors cost no more, and what is rounding in them
+MOST_STEPS, SPENT = 64, 1e-14
+TAU_STEPS = 60
+MOST_SAMPLES = 5000  # enough to see offsets
+LEAST_VARIANCE = 1e-200  # of a residual: none at all is a limit, not a division by zero
+UNSEEN = 1e-12  # share of the largest curvature below which a combination of offsets shows nowhere
 
 
 def uncertainty_of(samples: Samples, estimate: Estimate, rng: np.random.Generator) -> Uncertainty:
@@ -48,6 +83,24 @@ def total_deg(parts: Uncertainty) -> float | None:
     return float(np.linalg.norm(known)) if known else None
 
 
+def check_uncertainty(estimate: Estimate, uncertainty_deg: float | None) -> None:
+    """Refuse a joint estimate that says next to nothing; one of held rows has gap and recombination to stand on.
+
+    Args:
+        estimate: What was learnt.
+        uncertainty_deg: Of its row space [deg].
+
+    Raises:
+        NotIdentifiableError: It is known to more than `MOST_UNCERTAIN_DEG` only.
+    """
+    if estimate.name == "joint" and uncertainty_deg is not None and uncertainty_deg > MOST_UNCERTAIN_DEG:
+        raise NotIdentifiableError(
+            f"record more trajectories, from other starts to other targets: these tell the rows to "
+            f"{uncertainty_deg:.0f} degrees only, and beyond {MOST_UNCERTAIN_DEG:g} that is no answer",
+            code="uncertain",
+        )
+
+
 def in_words(parts: Uncertainty, reference: str | None) -> str:
     """What a stated angle is made of, and what no recording shows of it: `"noise 0.002 degrees; not included: ..."`.
 
@@ -60,3 +113,208 @@ def in_words(parts: Uncertainty, reference: str | None) -> str:
     missing += [] if reference == "local" else ["a base that stands turned, which no recording can show"]
     said = ", ".join(known) or "scatter of the samples"
     return f"{said}; not included: {listed(missing)}" if missing else said
+
+
+def bootstrap_angle_deg(
+    samples: Samples,
+    whitened_selection: Float[np.ndarray, "s r"],
+    gradients: Float[np.ndarray, "g d"],
+    hessians: Float[np.ndarray, "g d d"],
+    rng: np.random.Generator,
+    repetitions: int = 200,
+    quantile: float = STATED_SHARE,
+    prior: PolicyPrior | None = None,
+) -> float | None:
+    """Angle [deg] within which a share of the repetitions keeps the row space of Lambda.
+
+    Each repetition draws trajectories with replacement, because samples of one trajectory are not independent, and
+    moves Lambda by the sum of their influences. The influence of a trajectory is its share of the Gauss-Newton step,
+    corrected for its leverage: its residual in the fit to all data is too small, the more so the fewer trajectories
+    there are and the more freedom the policy model has.
+
+    Args:
+        samples: What was recorded.
+        whitened_selection: Lambda at the optimum, in whitened coordinates.
+        gradients: Of each trajectory (or block of them) at the optimum; the last s (p'-s) unknowns are those of Lambda,
+            others before them are eliminated.
+        hessians: Gauss-Newton Hessians, likewise.
+        rng: For the draws.
+        repetitions: How many.
+        quantile: Share of the repetitions.
+        prior: Of the policy's parameters, which the Hessians leave out.
+
+    Returns:
+        The angle; None with fewer than two trajectories or no freedom.
+    """
+    s, r = whitened_selection.shape
+    n, m = gradients.shape[0], s * (r - s)
+    if n < 2 or m == 0:
+        return None
+    influence = influences(gradients, hessians, prior)[:, -m:]
+    weights = rng.multinomial(n, np.full(n, 1.0 / n), size=repetitions) - 1.0
+    # where few trajectories carry most of the influence their spread is itself uncertain: Student's distribution
+    energy = np.sum((influence @ whitener(influence.T @ influence).T) ** 2, axis=1)
+    freedom = max(float(energy.sum() ** 2 / np.sum(energy**2)), 2.0)
+    spread = np.sqrt(rng.chisquare(freedom, size=repetitions) / freedom)
+    steps = (-weights @ influence) / spread[:, None]
+    return angle_within_deg(samples, whitened_selection, steps, quantile)
+
+
+def angle_within_deg(
+    samples: Samples,
+    whitened_selection: Float[np.ndarray, "s r"],
+    steps: Float[np.ndarray, "k m"],
+    quantile: float = STATED_SHARE,
+) -> float:
+    """Angle [deg] within which a share of the errors B of Lambda + B Lambda_perp leaves its row space."""
+    s, r = whitened_selection.shape
+    turns = steps.reshape(len(steps), s, r - s) @ complement_rows(whitened_selection)
+    angles = row_space_angles((whitened_selection + turns) @ samples.whitening, samples.selection(whitened_selection))
+    return float(np.degrees(np.quantile(angles, quantile)))
+
+
+def influences(
+    gradients: Float[np.ndarray, "g d"], hessians: Float[np.ndarray, "g d d"], prior: PolicyPrior | None = None
+) -> Float[np.ndarray, "g d"]:
+    """Contribution of each trajectory to the error, centred, its residual corrected for the leverage on the fit.
+
+    In coordinates where the sum of the Hessians is I, the gradient of a trajectory at the optimum has the covariance
+    sigma^2 H_i (I - H_i), since the fit follows its own data; (I - H_i)^(-1/2) restores sigma^2 H_i (bias-reduced
+    linearisation, Bell and McCaffrey, 2002; HC2 where a trajectory has one sample). A prior adds to the sum.
+    """
+    n, d = gradients.shape
+    total = hessians.sum(axis=0) if prior is None else hessians.sum(axis=0) + np.diag(prior.precision)
+    back = whitener(total).T
+    steps = np.empty((n, d))
+    for i in range(n):
+        steps[i] = back @ _without_leverage(hessians[i], back, back.T @ gradients[i])
+    return np.sqrt(n / (n - 1.0)) * (steps - steps.mean(axis=0))
+
+
+def _without_leverage(
+    hessian: Float[np.ndarray, "d d"], back: Float[np.ndarray, "d k"], gradient: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, " k"]:
+    """(I - back^T H back)^(-1/2) times a vector, by Lanczos' method where a few of its steps suffice.
+
+    One trajectory determines few directions of many, so that its share of the Hessian has few eigenvalues that count;
+    the Krylov space of the gradient holds what these do to it (Golub and Van Loan, 2013, section 10.1).
+    """
+    k, size = len(gradient), float(np.linalg.norm(gradient))
+    most = min(MOST_STEPS, k // 4)
+    if size == 0.0 or most < 2:
+        return _by_eigenvectors(back.T @ hessian @ back, gradient)
+    basis, T = np.empty((most, k)), np.zeros((most, most))
+    basis[0] = gradient / size
+    before = np.zeros(most)
+    for j in range(most):
+        next_one = back.T @ (hessian @ (back @ basis[j]))
+        T[j, j] = basis[j] @ next_one
+        for _ in range(2):  # once more, against the loss of orthogonality
+            next_one -= (basis[: j + 1] @ next_one) @ basis[: j + 1]
+        length = float(np.linalg.norm(next_one))
+        if length <= SPENT or j % 4 == 3:
+            now = np.zeros(most)
+            now[: j + 1] = _by_eigenvectors(T[: j + 1, : j + 1], np.eye(j + 1)[0])
+            if length <= SPENT or np.linalg.norm(now - before) <= SPENT * np.linalg.norm(now):
+                return size * (now[: j + 1] @ basis[: j + 1])
+            before = now
+        if j + 1 < most:
+            basis[j + 1] = next_one / length
+            T[j, j + 1] = T[j + 1, j] = length
+    return _by_eigenvectors(back.T @ hessian @ back, gradient)
+
+
+def _by_eigenvectors(share: Float[np.ndarray, "k k"], vector: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """(I - S)^(-1/2) times a vector, eigenvalues of I - S no smaller than LEVERAGE_FLOOR."""
+    values, axes = np.linalg.eigh(share)
+    return axes @ ((axes.T @ vector) / np.sqrt(np.maximum(1.0 - values, LEVERAGE_FLOOR)))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class JointOffsets:
+    """What the residual says about the joints' offsets.
+
+    Attributes:
+        response: -(J^T J)^-1 J^T K, the error of B that offsets make, shape (m, nv) [1/rad].
+        directions: V, shape (nv, nv).
+        curvatures: lambda, shape (nv,).
+        pattern: h, shape (nv,).
+        variance: sigma^2 by which the patterns' shares scatter, see `_variance` [(rad/s)^2].
+    """
+
+    response: Float[np.ndarray, "m nv"]
+    directions: Float[np.ndarray, "nv nv"]
+    curvatures: Float[np.ndarray, " nv"]
+    pattern: Float[np.ndarray, " nv"]
+    variance: float
+
+    @staticmethod
+    def of(samples: Samples, whitened_selection: Float[np.ndarray, "s r"]) -> JointOffsets | None:
+        """From the residual of A u = 0 at the optimum; None where Lambda has no freedom or nothing is left over."""
+        s, r = whitened_selection.shape
+        if s == r or samples.q.shape[1] != samples.nv:
+            return None
+        few = samples.thinned(MOST_SAMPLES)
+        e, J, K = _linearised(few, whitened_selection)
+        if len(e) <= J.shape[1] + K.shape[1] or float(e @ e) <= 1e-20 * len(few) * samples.energy:
+            return None
+        response = -np.linalg.lstsq(J, np.concatenate([K, e[:, None]], axis=1), rcond=1e-12)[0]
+        rest = K + J @ response[:, :-1]
+        e = e + J @ response[:, -1]
+        curvatures, V = np.linalg.eigh(rest.T @ rest)
+        curvatures = np.where(curvatures > UNSEEN * max(float(curvatures[-1]), 0.0), curvatures, 0.0)
+        pattern = np.where(curvatures > 0.0, V.T @ (rest.T @ e), 0.0)
+        seen = curvatures > 0.0
+        # neither curvature nor pattern is scaled up to all samples: chance in the pattern would look like offsets
+        patterns = rest @ (V[:, seen] / np.sqrt(curvatures[seen]))
+        unknowns = np.concatenate([J, patterns], axis=1)
+        variance = _variance(e - patterns @ (patterns.T @ e), unknowns, np.repeat(few.trajectory, s))
+        return JointOffsets(response[:, :-1], V, curvatures, pattern, variance)
+
+    def errors(self, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n m"]:
+        """Draws of the error of B that the offsets make, given the data."""
+        taus = np.concatenate([[0.0], np.geomspace(*OFFSET_RANGE_RAD, TAU_STEPS)])
+        tau2 = taus[:, None] ** 2
+        lam, sigma2 = self.curvatures, max(self.variance, LEAST_VARIANCE)
+        seen = lam > 0.0
+        spread = lam[seen] * sigma2 + lam[seen] ** 2 * tau2
+        log_weight = -0.5 * np.sum(np.log(spread) + self.pattern[seen] ** 2 / spread, axis=1)
+        log_weight[1:] -= np.log(NONE_TO_SOME * TAU_STEPS)
+        weight = np.exp(log_weight - log_weight.max())
+        drawn = tau2[rng.choice(len(taus), n, p=weight / weight.sum())]
+        shrink = drawn / (sigma2 + lam * drawn)  # posterior variance over sigma^2
+        delta = shrink * self.pattern + np.sqrt(shrink * sigma2) * rng.standard_normal((n, len(lam)))
+        return delta @ self.directions.T @ self.response.T
+
+
+def _variance(e: Float[np.ndarray, " k"], M: Float[np.ndarray, "k d"], trajectory: Int[np.ndarray, " k"]) -> float:
+    """sigma^2 for which the unknowns of M, fitted to e, have the covariance sigma^2 (M^T M)^-1 in the mean.
+
+    By how their shares scatter over the trajectories, as in the bootstrap: neighbours share their noise where
+    velocities are derived from positions, by how much depends on the window, and a pattern over the postures is a sum
+    of many of them. Of one trajectory the residual has to do.
+    """
+    parts, white = [part for _, part in runs(trajectory)], float(e @ e) / (len(e) - M.shape[1])
+    if len(parts) < 2:
+        return white
+    gradients = np.array([M[part].T @ e[part] for part in parts])
+    hessians = np.array([M[part].T @ M[part] for part in parts])
+    moves = influences(gradients, hessians)
+    return max(white, float(np.einsum("gi,ij,gj->", moves, hessians.sum(axis=0), moves)) / M.shape[1])
+
+
+def _linearised(samples: Samples, Lambda: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """e, J and K of all samples, row by row."""
+    n, s = len(samples), len(Lambda)
+    both, u = np.concatenate([Lambda, complement_rows(Lambda)]), np.ascontiguousarray(samples.u.T)
+    rows = np.concatenate([rows_beside(both, block.Phi) for block in samples.blocks()], axis=2)
+    Q, R = row_bases(rows[:s].transpose(1, 0, 2))
+    along = np.einsum("vsn,vn->sn", Q, u)
+    null = u - np.einsum("vsn,sn->vn", Q, along)
+    _, dPhi = samples.features.batch_with_derivative(samples.q)
+    dA_null = np.einsum("sp,npvk,vn->nsk", Lambda @ samples.whitening, dPhi, null, optimize=True)
+    back = inverse_triangles_beside(R)  # R^{-1}
+    J = np.einsum("sin,kn->nisk", back, np.einsum("kvn,vn->kn", rows[s:], null))
+    K = np.einsum("sin,nsk->nik", back, dA_null, optimize=True)
+    return along.T.reshape(-1), J.reshape(n * s, -1), K.reshape(n * s, -1)

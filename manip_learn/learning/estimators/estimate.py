@@ -1,25 +1,22 @@
-"""What an estimator returns: Lambda, and the evidence for the number of its rows."""
+"""What the estimators of Lambda share: their answer, the evidence for the number of its rows, and the descent to it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, final
+from typing import Literal, Protocol, TypeVar, final
 
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning.bootstrap import PolicyPrior
-from manip_learn.learning.estimators.joint_fit import JointFit
+from manip_learn.learning.deciding import CLEAR_GAP, HELD_ENERGY, RESIDUAL_RATIO, WEAK_GAP
+from manip_learn.learning.estimators.policy_model import PolicyModel
+from manip_learn.linalg import turned
 
-# ratios of singular values, noise directions against free ones
-CLEAR_GAP = 10.0
-WEAK_GAP = 3.0
-# the joint estimator compares residuals of whole fits: noise enters both, so that less of a ratio says as much
-WEAK_RESIDUAL_GAP = 1.3
-
-# 68 % within this angle [deg] is no answer: of all directions in space 13 % are as close to any
-MOST_UNCERTAIN_DEG = 30.0
+# a step this short changes nothing but rounding (of rows of length 1), and so does one damped by this much
+SHORTEST, MOST_DAMPED = 1e-12, 1e6
+FIRST_DAMPING = 1e-3  # of the mean curvature, after the first step that gained nothing
+CUTOFF = 1e-14  # curvatures below this share of the largest are none
 
 Verdict = Literal["clear", "weak", "none"]
 
@@ -49,6 +46,85 @@ class GapTable:
         """How sure a number of rows is."""
         gap = self.gap(count)
         return "clear" if gap >= CLEAR_GAP else "weak" if gap >= self.weak_from else "none"
+
+
+def gaps_of_levels(levels: Float[np.ndarray, " r"], nv: int) -> GapTable:
+    """Gaps between the levels of a motion with b = 0, least level first.
+
+    s = p (nothing of Phi moves) has no free direction to be compared with; there the level of a motion that is equally
+    strong in all joints, 1, takes its place.
+    """
+    r = len(levels)
+    # levels are roots of eigenvalues: below this they are rounding, and a gap among them says nothing
+    floor = 3e-8 * max(float(levels[-1]), 1.0)
+    padded = np.maximum(np.append(levels, 1.0), floor)
+    counts = [s for s in range(1, r + 1) if s < nv]
+    gaps = tuple(float(padded[s] / padded[s - 1]) for s in counts)
+    return GapTable(tuple(counts), gaps, WEAK_GAP, counts[int(np.argmax(gaps))])
+
+
+def gaps_of_residuals(residuals: dict[int, float], floor: float, n_samples: int) -> GapTable:
+    """Gaps between the held-out residuals [root mean square per degree of freedom] of fits with s - 1 and with s rows.
+
+    With too few rows the task's own motion is left over; with enough rows only noise is, and more rows change nothing.
+    So the last row that still helps is the answer, not the one that helps most: a task that moves much more along one
+    of its rows than along the other has its largest gap too early. What counts as help grows with the largest gap,
+    for imperfect policy models leave small differences, and with the chance of few samples.
+    """
+    counts = [s for s in sorted(residuals) if s > 0]
+    gaps = tuple(max(residuals[s - 1], floor) / max(residuals[s], floor) for s in counts)
+    weak_from = max(RESIDUAL_RATIO, float(np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / n_samples))))
+    needed = max(weak_from, max(gaps) ** 0.25)
+    helping = [s for s, gap in zip(counts, gaps, strict=True) if gap >= needed]
+    return GapTable(tuple(counts), gaps, weak_from, helping[-1] if helping else counts[int(np.argmax(gaps))])
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """Lambda and the null-space policy, as the joint estimator found them.
+
+    Attributes:
+        whitened_selection: Lambda in whitened coordinates, orthonormal rows, shape (s, p').
+        theta: Parameters of the policy model, shape (k, nv).
+        cost: Mean of |Z^T (u - pi)|^2.
+        energy: Mean of |Z^T u|^2.
+        iterations: Gauss-Newton steps.
+        model: The policy model.
+    """
+
+    whitened_selection: Float[np.ndarray, "s r"]
+    theta: Float[np.ndarray, "k nv"]
+    cost: float
+    energy: float
+    iterations: int
+    model: PolicyModel
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PolicyPrior:
+    """Gaussian prior of the policy's parameters, independent of each other.
+
+    Attributes:
+        precision: Noise variance over the variance of each unknown, 0 for those of Lambda, shape (d,).
+        noise: Noise variance [(rad/s)^2].
+    """
+
+    precision: Float[np.ndarray, " d"]
+    noise: float
+
+    def errors(
+        self, hessians: Float[np.ndarray, "g d d"], m: int, repetitions: int, rng: np.random.Generator
+    ) -> Float[np.ndarray, "k m"]:
+        """Errors of the last m unknowns since the parameters are drawn towards zero, as often as asked for.
+
+        With M = sum H_i + P the estimate is off by M^-1 P times the parameters, whose covariance is sigma^2 P^-1.
+        """
+        total = hessians.sum(axis=0) + np.diag(self.precision)
+        own = np.linalg.solve(total, np.eye(len(total))[:, len(total) - m :])
+        factor = own * np.sqrt(self.precision * self.noise)[:, None]
+        return rng.standard_normal((repetitions, len(factor))) @ factor
 
 
 @final
@@ -87,51 +163,75 @@ class Estimate:
     prior: PolicyPrior | None = None
     levels: Float[np.ndarray, " r"] = field(default_factory=lambda: np.zeros(0))
 
+    @property
+    def is_held(self) -> bool:
+        """Whether the motion obeys A u = 0 beyond doubt."""
+        gap = self.table.gap(len(self.whitened_selection))
+        return self.name == "null-space" and gap >= CLEAR_GAP and self.unexplained < HELD_ENERGY
 
-def check_uncertainty(estimate: Estimate, uncertainty_deg: float | None) -> None:
-    """Refuse a joint estimate that says next to nothing; one of held rows has gap and recombination to stand on.
+
+class Iterate(Protocol):
+    """Lambda, in whitened coordinates with orthonormal rows, and what a step from it needs."""
+
+    @property
+    def whitened_selection(self) -> Float[np.ndarray, "s r"]:
+        """The rows."""
+        ...
+
+    @property
+    def cost(self) -> float:
+        """What is made small."""
+        ...
+
+    def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
+        """Gauss-Newton Hessian and gradient for dLambda = B Lambda_perp, m = s (r - s)."""
+        ...
+
+
+State = TypeVar("State", bound=Iterate)
+
+
+def descend(
+    here: State,
+    at: Callable[[Float[np.ndarray, "s r"]], State],
+    max_iterations: int,
+    tolerance: float,
+    gain: float,
+    *,
+    rise: float = 0.0,
+    usable: Callable[[State], bool] | None = None,
+    enough: Callable[[State], bool] | None = None,
+) -> tuple[State, int]:
+    """Levenberg-Marquardt on the Grassmann manifold: each step solves for B, steps without gain are shortened.
 
     Args:
-        estimate: What was learnt.
-        uncertainty_deg: Of its row space [deg].
+        here: The start.
+        at: The state of given rows.
+        max_iterations: Largest number of steps; 0 judges the start as it is.
+        tolerance: Step length at which to stop.
+        gain: Relative decrease of the cost below which to stop.
+        rise: Relative rise of the cost that is rounding.
+        usable: Whether the equations at a state may be solved; all are by default.
+        enough: Whether to stop at a state that a step has led to.
 
-    Raises:
-        NotIdentifiableError: It is known to more than `MOST_UNCERTAIN_DEG` only.
+    Returns:
+        The best state, and the number of steps tried.
     """
-    if estimate.name == "joint" and uncertainty_deg is not None and uncertainty_deg > MOST_UNCERTAIN_DEG:
-        raise NotIdentifiableError(
-            f"record more trajectories, from other starts to other targets: these tell the rows to "
-            f"{uncertainty_deg:.0f} degrees only, and beyond {MOST_UNCERTAIN_DEG:g} that is no answer",
-            code="uncertain",
-        )
-
-
-def gaps_of_levels(levels: Float[np.ndarray, " r"], nv: int) -> GapTable:
-    """Gaps between the levels of a motion with b = 0, least level first.
-
-    s = p (nothing of Phi moves) has no free direction to be compared with; there the level of a motion that is equally
-    strong in all joints, 1, takes its place.
-    """
-    r = len(levels)
-    # levels are roots of eigenvalues: below this they are rounding, and a gap among them says nothing
-    floor = 3e-8 * max(float(levels[-1]), 1.0)
-    padded = np.maximum(np.append(levels, 1.0), floor)
-    counts = [s for s in range(1, r + 1) if s < nv]
-    gaps = tuple(float(padded[s] / padded[s - 1]) for s in counts)
-    return GapTable(tuple(counts), gaps, WEAK_GAP, counts[int(np.argmax(gaps))])
-
-
-def gaps_of_residuals(residuals: dict[int, float], floor: float, n_samples: int) -> GapTable:
-    """Gaps between the held-out residuals [root mean square per degree of freedom] of fits with s - 1 and with s rows.
-
-    With too few rows the task's own motion is left over; with enough rows only noise is, and more rows change nothing.
-    So the last row that still helps is the answer, not the one that helps most: a task that moves much more along one
-    of its rows than along the other has its largest gap too early. What counts as help grows with the largest gap,
-    for imperfect policy models leave small differences, and with the chance of few samples.
-    """
-    counts = [s for s in sorted(residuals) if s > 0]
-    gaps = tuple(max(residuals[s - 1], floor) / max(residuals[s], floor) for s in counts)
-    weak_from = max(WEAK_RESIDUAL_GAP, float(np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / n_samples))))
-    needed = max(weak_from, max(gaps) ** 0.25)
-    helping = [s for s, gap in zip(counts, gaps, strict=True) if gap >= needed]
-    return GapTable(tuple(counts), gaps, weak_from, helping[-1] if helping else counts[int(np.argmax(gaps))])
+    s, r = here.whitened_selection.shape
+    damping, iterations = 0.0, 0
+    while iterations < max_iterations and 0 < s < r and (usable is None or usable(here)):
+        iterations += 1
+        H, gradient = here.equations()
+        scale = max(float(np.trace(H)) / len(H), np.finfo(np.float64).tiny)
+        B = -np.linalg.lstsq(H + damping * scale * np.eye(len(H)), gradient, rcond=CUTOFF)[0]
+        trial, length = at(turned(here.whitened_selection, B)), float(np.linalg.norm(B))
+        if trial.cost <= here.cost * (1.0 + rise):
+            done = length < tolerance or trial.cost >= here.cost * (1.0 - gain)
+            here, damping = trial, damping * 0.1 if damping > 1e-9 else 0.0
+            if done or (enough is not None and enough(here)):
+                break
+        elif length < SHORTEST or damping > MOST_DAMPED:
+            break  # rounding is all that is left
+        else:
+            damping = max(FIRST_DAMPING, damping * 10.0)
+    return here, iterations

@@ -2,48 +2,62 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning.estimators.estimate import Estimate
-from manip_learn.learning.estimators.joint_fit import JointFit
+from manip_learn.learning.deciding import (
+    ABOVE_NOISE,
+    BEYOND_DOUBT_GAP,
+    EXPLAINED,
+    POORLY_EXPLAINED,
+    PREDICTED,
+    RADIAL_CENTRES,
+    SAME_PATH,
+    UNEQUAL_NOISE,
+)
+from manip_learn.learning.estimators.estimate import Estimate, GapTable, JointFit, gaps_of_residuals
 from manip_learn.learning.estimators.model_search import (
     COMPARE,
-    POOR,
+    N_FOLDS,
     ROUNDING,
     CrossValidatedFit,
+    best_of_starts,
+    conditional_pca,
     null_energy,
     search_model,
 )
-from manip_learn.learning.estimators.noise_covariance import (
-    UNEQUAL,
-    noise_in_time,
-    shape_in_time,
-    whitened,
-    whitening_factor,
+from manip_learn.learning.estimators.noise_covariance import noise_in_time, shape_in_time, whitened, whitening_factor
+from manip_learn.learning.estimators.policy_model import (
+    HarmonicModel,
+    PolicyModel,
+    PolynomialModel,
+    RadialModel,
+    TrajectoryOffsetModel,
 )
-from manip_learn.learning.estimators.per_trajectory_offsets import estimate_with_offsets, offsets_if_clear
-from manip_learn.learning.estimators.policy_model import HarmonicModel, PolicyModel, PolynomialModel, RadialModel
 from manip_learn.learning.estimators.policy_prior import ScoredFit, fit_marginal
-from manip_learn.learning.estimators.row_count import ABOVE_NOISE, RowCount, count_rows
-from manip_learn.learning.estimators.variable_projection import fit_joint, scores
-from manip_learn.learning.samples import Samples
+from manip_learn.learning.estimators.row_count import RowCount, count_rows
+from manip_learn.learning.estimators.variable_projection import fit_joint, held_out_costs, scores
+from manip_learn.learning.samples import Samples, runs
 
 # share of the motion that is rounding
 EXACT = 1e-16
-N_CENTRES = 32
 RANDOM_STARTS = 2
 # models are compared on at most this many samples, and fitted with at most this many columns unless asked for
 COMPARE_LIMIT = 1_500
 MAX_COLUMNS = 260
-# root mean square distance from a path over its extent within which a motion repeats it: replays with 3 % of another
-# motion in them have 0.05 to 0.14, generated reaches in threes and more 0.32 and above (12, 192 sets, seeds from 30000)
-SAME_PATH = 0.15
 MOST_POSTURES = 2_000  # between the samples of a path, against noise that makes it long
 # share of the energy above which a residual is noise that hides a part of the policy
 NOISY = 1e-10
+# a rest posture for each trajectory makes the cost bumpy: the search begins from many starts on a few trajectories and
+# samples, until so many rounds of starts have found nothing better, and goes on with the best of each round
+FEW, FEW_SAMPLES = 16, 600
+STARTS, IDLE_ROUNDS, REFINED = 20, 2, 8
+LOOK: dict[str, Any] = {"max_iterations": 5, "gain": 1e-3}
 
 
 def estimate_joint(
@@ -75,7 +89,7 @@ def estimate_joint(
     _check_trajectories(samples)
     if policy_model == "affine-offset":
         return estimate_with_offsets(samples, n_constraints, rng)
-    few = _subsample(samples)
+    few = samples.thinned(COMPARE_LIMIT)
     models = _list_models(few, rng, policy_model)
     counted = _count(few, models, n_constraints, rng)
     weighted = samples
@@ -84,30 +98,39 @@ def estimate_joint(
         weighted, few = whitened(samples, L), whitened(few, L)
         counted = _count(few, models, n_constraints, rng)
     s = n_constraints or counted.table.best
-    _check_task(s)
+    if s == 0:
+        raise NotIdentifiableError(
+            "a policy of the posture alone explains the motion: nothing in it is steered on purpose, or too few "
+            "trajectories show what is; record more, from other starts to other targets",
+            code="no-task",
+        )
     first = counted.fits[s]
     chosen, residuals = search_model(few, s, models, first)
     if policy_model == "auto":
-        own = _with_own_postures(weighted, n_constraints, first, chosen, rng)
+        own = _offsets_if_clear(weighted, n_constraints, first, chosen, rng)
         if own is not None:
             return own
     if chosen.held_out > unexplained * null_energy(weighted, chosen.fit):
         raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
     samples = samples if isotropic else weighted
     samples, fit, scored = _fit_all(samples, chosen, rng, is_start=isotropic, is_free=policy_model == "auto")
+    noise_seen = chosen.held_out / (samples.nv - s)
+    warnings = () if n_constraints is not None else counted.warnings
+    estimate = _estimate(samples, fit, scored, counted.table, chosen.held_out / null_energy(weighted, chosen.fit))
+    return dataclasses.replace(estimate, policy_residuals=residuals, noise=noise_seen, warnings=warnings, joint=fit)
+
+
+def _estimate(samples: Samples, fit: JointFit, scored: ScoredFit, table: GapTable, held_out: float) -> Estimate:
+    """The answer of a fit; `held_out` is the share of the energy that it leaves of left-out trajectories."""
     return Estimate(
         "joint",
         scored.whitened_selection,
-        counted.table,
+        table,
         fit.cost / null_energy(samples, fit),
-        chosen.held_out / null_energy(weighted, chosen.fit),
+        held_out,
         scored.gradients,
         scored.hessians,
         fit.model.name,
-        residuals,
-        noise=chosen.held_out / (samples.nv - s),
-        warnings=() if n_constraints is not None else counted.warnings,
-        joint=fit,
         prior=scored.prior,
     )
 
@@ -134,8 +157,7 @@ def _check_trajectories(samples: Samples) -> None:
 
 def _repeat_one_motion(samples: Samples) -> bool:
     """Whether all trajectories lie on the path of the longest one, whatever their time, direction and rate."""
-    starts = np.flatnonzero(np.diff(samples.trajectory, prepend=-1)).tolist()
-    paths = [samples.q[a:b] for a, b in zip(starts, [*starts[1:], len(samples)], strict=True)]
+    paths = [samples.q[part] for _, part in runs(samples.trajectory)]
     extents = [float(np.sum(np.var(path, axis=0))) ** 0.5 for path in paths]
     most = SAME_PATH * max(extents)
     tree = cKDTree(_densely(paths[int(np.argmax(extents))], most))
@@ -168,20 +190,6 @@ def _count(
     return counted
 
 
-def _check_task(s: int) -> None:
-    """Refuse motion without rows.
-
-    Raises:
-        NotIdentifiableError: A policy explains all of it.
-    """
-    if s == 0:
-        raise NotIdentifiableError(
-            "a policy of the posture alone explains the motion: nothing in it is steered on purpose, or too few "
-            "trajectories show what is; record more, from other starts to other targets",
-            code="no-task",
-        )
-
-
 def _unequal_noise(samples: Samples, few: Samples, fit: JointFit) -> Float[np.ndarray, "nv nv"] | None:
     """Factor of the covariance of noise that is stronger in some joints than in others; None where it is not.
 
@@ -190,7 +198,7 @@ def _unequal_noise(samples: Samples, few: Samples, fit: JointFit) -> Float[np.nd
     believed where weights by it leave as much noise as is seen.
     """
     S = shape_in_time(samples)
-    if S is None or np.linalg.cond(S) < UNEQUAL or fit.cost <= NOISY * fit.energy:
+    if S is None or np.linalg.cond(S) < UNEQUAL_NOISE or fit.cost <= NOISY * fit.energy:
         return None
     L = np.linalg.cholesky(S)
     weighted = whitened(few, L)
@@ -201,10 +209,10 @@ def _unequal_noise(samples: Samples, few: Samples, fit: JointFit) -> Float[np.nd
 
 def _without_policy(samples: Samples, fit: JointFit) -> Float[np.ndarray, "n nv"]:
     """u - pi."""
-    return samples.u - np.concatenate([fit.model(b.x, b.trajectory) for b in samples.blocks()]) @ fit.theta
+    return samples.u - fit.model(samples.x, samples.trajectory) @ fit.theta
 
 
-def _with_own_postures(
+def _offsets_if_clear(
     samples: Samples,
     n_constraints: int | None,
     first: CrossValidatedFit,
@@ -212,6 +220,8 @@ def _with_own_postures(
     rng: np.random.Generator,
 ) -> Estimate | None:
     """The estimate with a rest posture for each trajectory, where a shared policy explains the motion poorly.
+
+    None where it is not worth a try, or its answer not beyond doubt.
 
     Args:
         samples: What was recorded.
@@ -222,13 +232,88 @@ def _with_own_postures(
     """
     if _is_exact(first.fit):
         return None
-    is_poor = chosen.held_out > POOR * null_energy(samples, chosen.fit)
+    is_poor = chosen.held_out > POORLY_EXPLAINED * null_energy(samples, chosen.fit)
     # rich models come close to separate rest postures, which alone are exact then
-    is_close = first.held_out > POOR * null_energy(samples, first.fit) and not _is_exact(chosen.fit)
-    if not (is_poor or is_close):
+    is_close = first.held_out > POORLY_EXPLAINED * null_energy(samples, first.fit) and not _is_exact(chosen.fit)
+    few = _few_trajectories(samples)
+    if not (is_poor or is_close) or len(few) < _fewest_for_offsets(few):
         return None
-    own = offsets_if_clear(samples, n_constraints, rng, chosen.fit.whitened_selection)
-    return own if own is not None and (is_poor or own.unexplained < EXACT) else None
+    shared, Lambda = PolynomialModel(1, samples.q.shape[1]), chosen.fit.whitened_selection
+    without, offsets = (_held_out_samples(few, Lambda, model) for model in (shared, _offset_model(few)))
+    if offsets > EXPLAINED * without:
+        return None
+    own = estimate_with_offsets(samples, n_constraints, rng)
+    is_clear = own.table.gap(len(own.whitened_selection)) >= BEYOND_DOUBT_GAP and own.held_out < PREDICTED
+    return own if is_clear and (is_poor or own.unexplained < EXACT) else None
+
+
+def estimate_with_offsets(samples: Samples, n_constraints: int | None, rng: np.random.Generator) -> Estimate:
+    """Lambda where each demonstrator rests in a posture of their own: pi(q) = Theta^T (q, 1) + c_trajectory.
+
+    Args:
+        samples: What was recorded.
+        n_constraints: Number of rows; by leaving out samples (not trajectories: their constants would be unknown).
+        rng: For the starts.
+
+    Raises:
+        NotIdentifiableError: Too few samples per trajectory.
+    """
+    few = _few_trajectories(samples)
+    if len(few) < _fewest_for_offsets(few):
+        raise NotIdentifiableError(
+            f"{len(samples)} samples of {samples.n_trajectories} trajectories are too few for a policy with an "
+            f"offset for each trajectory: about {2 * samples.nv * (1 + samples.nv)} samples per trajectory are needed",
+            code="too-few-samples",
+        )
+    fits = {s: _search_from_starts(few, s, rng) for s in range(min(samples.n_rows, samples.nv - 1) + 1)}
+    held_out = {s: _held_out_samples(few, fit.whitened_selection, fit.model) for s, fit in fits.items()}
+    residuals = {s: float(np.sqrt(c / (samples.nv - s))) for s, c in held_out.items()}
+    table = gaps_of_residuals(residuals, 1e-15 * float(np.sqrt(samples.energy)), len(few))
+    s = n_constraints or table.best
+    fit = fit_joint(samples, fits[s].whitened_selection, _offset_model(samples))
+    share = held_out[s] / fits[s].energy
+    estimate = _estimate(samples, fit, ScoredFit(fit.whitened_selection, *scores(samples, fit)), table, share)
+    noise = held_out[s] / (samples.nv - s)
+    return dataclasses.replace(estimate, policy_residuals={fit.model.name: share}, noise=noise)
+
+
+def _few_trajectories(samples: Samples) -> Samples:
+    return samples.subset(samples.trajectory < FEW).thinned(FEW_SAMPLES)
+
+
+def _offset_model(samples: Samples) -> TrajectoryOffsetModel:
+    return TrajectoryOffsetModel(PolynomialModel(1, samples.q.shape[1]), samples.n_trajectories)
+
+
+def _fewest_for_offsets(few: Samples) -> int:
+    """Two samples for each parameter."""
+    return 2 * few.nv * _offset_model(few).n_terms
+
+
+def _held_out_samples(samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel) -> float:
+    """Mean of |Z^T (u - pi)|^2 on samples that pi was not fitted to."""
+    return float(held_out_costs(samples, Lambda, model, N_FOLDS, by_sample=True).sum())
+
+
+def _search_from_starts(samples: Samples, s: int, rng: np.random.Generator) -> JointFit:
+    """The best fit from a closed-form start and many random ones, in rounds of which the best go on."""
+    model, r = _offset_model(samples), samples.n_rows
+    starts = [conditional_pca(samples, PolynomialModel(1, samples.q.shape[1]))[1][:s]]
+    if s in (0, r):
+        return fit_joint(samples, starts[0], model)
+    best, idle = None, 0
+    while best is None or (idle < IDLE_ROUNDS and not _is_rounding(best)):
+        starts += [rng.standard_normal((s, r)) for _ in range(STARTS - len(starts))]
+        looks = sorted((fit_joint(samples, start, model, **LOOK) for start in starts), key=lambda fit: fit.cost)
+        trial = best_of_starts(samples, model, [look.whitened_selection for look in looks[:REFINED]], _is_rounding)
+        idle = 0 if best is None or trial.cost < 0.9 * best.cost else idle + 1
+        best, starts = trial if best is None or trial.cost < best.cost else best, []
+    return best
+
+
+def _is_rounding(fit: JointFit) -> bool:
+    """Whether a fit by QR leaves no more than its own rounding."""
+    return fit.cost <= ROUNDING * fit.energy
 
 
 def _is_exact(fit: JointFit) -> bool:
@@ -250,7 +335,7 @@ def _fit_all(
     """
     fit = _fit_from_random_starts(samples, chosen.fit, rng)
     # the residual is noise, and has its covariance, only where the policy model explains the motion
-    if not is_start and chosen.held_out <= POOR * null_energy(samples, chosen.fit):
+    if not is_start and chosen.held_out <= POORLY_EXPLAINED * null_energy(samples, chosen.fit):
         samples, fit = _fit_whitened(samples, fit)
         if is_free and _is_noisy(fit):
             return samples, fit, fit_marginal(samples, fit, MAX_COLUMNS)
@@ -260,14 +345,6 @@ def _fit_all(
 def _is_noisy(fit: JointFit) -> bool:
     """Whether normal equations resolve what is left of the motion."""
     return 0 < len(fit.whitened_selection) < fit.whitened_selection.shape[1] and fit.cost > NOISY * fit.energy
-
-
-def _subsample(samples: Samples) -> Samples:
-    """Every k-th sample of all trajectories, for the comparisons."""
-    if len(samples) <= COMPARE_LIMIT:
-        return samples
-    step = -(-len(samples) // COMPARE_LIMIT)
-    return samples.subset(np.arange(len(samples)) % step == 0)
 
 
 def _list_models(samples: Samples, rng: np.random.Generator, name: str) -> list[PolicyModel]:
@@ -290,12 +367,12 @@ def _list_models(samples: Samples, rng: np.random.Generator, name: str) -> list[
 
 
 def _make_radial(samples: Samples, rng: np.random.Generator) -> RadialModel:
-    return RadialModel(np.concatenate([b.x for b in samples.blocks()]), N_CENTRES, rng)
+    return RadialModel(samples.x, RADIAL_CENTRES, rng)
 
 
 def _fit_whitened(samples: Samples, fit: JointFit) -> tuple[Samples, JointFit]:
     """The fit by generalised least squares where the noise is not the same in all joints, and its samples."""
-    if fit.cost <= ROUNDING * fit.energy:
+    if _is_rounding(fit):
         return samples, fit
     for _ in range(2):
         L = whitening_factor(samples, fit.whitened_selection, _without_policy(samples, fit))
@@ -310,9 +387,9 @@ def _fit_from_random_starts(samples: Samples, chosen: JointFit, rng: np.random.G
     """The chosen fit on all samples, and a look from random starts whether there is a better one."""
     best = fit_joint(samples, chosen.whitened_selection, chosen.model)
     s, r = best.whitened_selection.shape
-    if s == r or best.cost <= ROUNDING * best.energy:
+    if s == r or _is_rounding(best):
         return best
-    few = _subsample(samples)
+    few = samples.thinned(COMPARE_LIMIT)
     reference = best.cost
     if few is not samples:
         reference = fit_joint(few, best.whitened_selection, chosen.model, **COMPARE).cost

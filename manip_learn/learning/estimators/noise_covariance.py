@@ -9,23 +9,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from statistics import NormalDist
 
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.learning.deciding import BEYOND_CHANCE, CUBIC, NOISE_RANGE, RESIDUALS_PER_ENTRY, UNEQUAL_NOISE
 from manip_learn.learning.estimators.policy_equations import Projections
 from manip_learn.learning.samples import Samples
 
-# standard deviations of the likelihood ratio's chi-square beyond which the noise is anisotropic
-BEYOND_CHANCE = 5.0
 # weight of the isotropic covariance in samples per sample, for entries that the null spaces hardly show
 PRIOR = 1e-3
-LEAST, MOST = 1e-2, 1e2  # variances beside their mean
-# largest variance over the least below which equal weights cost a few per cent at most
-UNEQUAL = 2.0
-ENOUGH = 20  # residuals for each entry of the covariance
-DIFFERENCES = 3  # of neighbouring samples: motion that is a parabola over four samples leaves nothing
-MEDIAN = 0.6745  # of the absolute value of a standard normal variable
+DIFFERENCES = CUBIC - 1  # of neighbouring samples: motion that is a parabola over four samples leaves nothing
+MEDIAN = NormalDist().inv_cdf(0.75)  # of the absolute value of a standard normal variable
 TYLER_STEPS = 10
 
 
@@ -42,11 +38,11 @@ def whitening_factor(
     N, nv = Projections.of(samples, whitened_selection).N, samples.nv
     z, entries = nv - len(whitened_selection), nv * (nv + 1) // 2
     e = np.einsum("nij,nj->ni", N, y, optimize=True)
-    if len(y) * z < ENOUGH * entries or float(np.sum(e**2)) <= 0.0:
+    if len(y) * z < RESIDUALS_PER_ENTRY * entries or float(np.sum(e**2)) <= 0.0:
         return None
     sigma2 = float(np.sum(e**2)) / (len(y) * z)
     Sigma = _covariance(N, e / np.sqrt(sigma2))
-    if np.linalg.cond(Sigma) < UNEQUAL:
+    if np.linalg.cond(Sigma) < UNEQUAL_NOISE:
         return None
     gain = _log_likelihood_ratio(N, e / np.sqrt(sigma2), Sigma, z)
     if gain < entries + BEYOND_CHANCE * np.sqrt(2.0 * entries):
@@ -63,7 +59,7 @@ def shape_in_time(samples: Samples) -> Float[np.ndarray, "nv nv"] | None:
     """
     e, nv = _differences(samples), samples.nv
     e = e[np.any(e != 0.0, axis=1)]
-    if len(e) < ENOUGH * nv:
+    if len(e) < RESIDUALS_PER_ENTRY * nv:
         return None
     S = np.eye(nv)
     for _ in range(TYLER_STEPS):
@@ -99,7 +95,7 @@ def _covariance(N: np.ndarray, e: np.ndarray) -> Float[np.ndarray, "nv nv"]:
     right = (e.T @ e / n).reshape(-1) - M @ np.eye(nv).reshape(-1)
     deviation = np.linalg.solve(M + PRIOR * np.eye(nv * nv), right).reshape(nv, nv)
     values, vectors = np.linalg.eigh(np.eye(nv) + 0.5 * (deviation + deviation.T))
-    return (vectors * np.clip(values, LEAST, MOST)) @ vectors.T
+    return (vectors * np.clip(values, *NOISE_RANGE)) @ vectors.T
 
 
 def _log_likelihood_ratio(N: np.ndarray, e: np.ndarray, Sigma: np.ndarray, z: int) -> float:

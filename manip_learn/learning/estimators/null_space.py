@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.learning.estimators.descent import descend
-from manip_learn.learning.estimators.estimate import Estimate, gaps_of_levels
-from manip_learn.learning.samples import Block, Samples
+from manip_learn.learning.estimators.estimate import Estimate, descend, gaps_of_levels
+from manip_learn.learning.samples import Block, Samples, rows_beside
 from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases
 
 MAX_ITERATIONS = 50
@@ -43,29 +42,58 @@ class NullSpaceFit:
     curvatures: Float[np.ndarray, "g m m"]
 
     @property
-    def Lambda(self) -> Float[np.ndarray, "s r"]:
-        """The same rows, as `descend` names them."""
-        return self.whitened_selection
+    def unexplained(self) -> float:
+        """Share of the energy that breaks A u = 0."""
+        return self.cost / self.energy if self.energy > 0.0 else 0.0
 
     def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
         """Gauss-Newton Hessian and gradient of all trajectories."""
         return self.curvatures.sum(axis=0), self.scores.sum(axis=0).reshape(-1)
 
 
-def levels(samples: Samples) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r r"]]:
+class Terms(NamedTuple):
+    """What each of n samples adds to equation (10) and to its derivatives for dLambda = B Lambda_perp.
+
+    Attributes:
+        cost, energy: w^T A^+ A w and |w|^2, summed over the samples.
+        scores: Gradient, shape (s, p'-s, n).
+        curvatures: Gauss-Newton Hessian, B row by row, shape (m, m, n).
+    """
+
+    cost: float
+    energy: float
+    scores: Float[np.ndarray, "s k n"]
+    curvatures: Float[np.ndarray, "m m n"]
+
+    @staticmethod
+    def of(rows: Float[np.ndarray, "r nv n"], s: int, w: Float[np.ndarray, "nv n"]) -> Terms:
+        """From Lambda Phi, s rows, above Lambda_perp Phi, with the samples side by side in the last axis."""
+        m, n = s * (len(rows) - s), w.shape[1]
+        Q, R = row_bases(rows[:s].transpose(1, 0, 2))
+        along = np.einsum("vsn,vn->sn", Q, w)
+        null = w - np.einsum("vsn,sn->vn", Q, along)
+        R_inverse = inverse_triangles_beside(R)
+        a = np.einsum("ijn,jn->in", R_inverse, along)  # A^{+T} w
+        g = np.einsum("kvn,vn->kn", rows[s:], null)
+        inverse_gram = np.einsum("iln,jln->ijn", R_inverse, R_inverse)  # (A A^T)^-1
+        H = inverse_gram[:, None, :, None] * (g[:, None] * g)[None, :, None]
+        return Terms(float(np.sum(along**2)), float(np.sum(w**2)), a[:, None] * g, H.reshape(m, m, n))
+
+
+def levels(
+    samples: Samples, moments: Float[np.ndarray, "g r r"] | None = None
+) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r r"]]:
     """How much the motion uses each whitened direction, least first, and the directions as rows.
 
     A level is the root mean square of the motion's velocity along a direction, relative to a motion that is equally
     strong in all joints: about 1 along a free direction, about the noise along a constrained one. In whitened
     coordinates this is the generalised eigenproblem sum Phi w w^T Phi^T x = e sum Phi Phi^T x.
+
+    Args:
+        samples: What was recorded.
+        moments: Its `trajectory_moments`, where they are known.
     """
-    return _levels(samples, trajectory_moments(samples).sum(axis=0))
-
-
-def _levels(
-    samples: Samples, moment: Float[np.ndarray, "r r"]
-) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r r"]]:
-    """The same from the sum of `trajectory_moments`."""
+    moment = (trajectory_moments(samples) if moments is None else moments).sum(axis=0)
     eigenvalues, vectors = np.linalg.eigh(moment / len(samples))
     scale = samples.nv / max(samples.energy, np.finfo(np.float64).tiny)
     return np.sqrt(np.maximum(eigenvalues, 0.0) * scale), vectors.T
@@ -99,37 +127,27 @@ def fit_null_space(
         max_iterations: Largest number of steps; 0 judges the start as it is.
     """
     here, iterations = descend(
-        _moments(samples, orthonormal_rows(start), velocity),
-        lambda Lambda: _moments(samples, Lambda, velocity),
+        _fit_at(samples, orthonormal_rows(start), velocity),
+        lambda Lambda: _fit_at(samples, Lambda, velocity),
         *(max_iterations, tolerance, 1e-12),
         rise=SAME_COST,
     )
     return replace(here, iterations=iterations)
 
 
-def _moments(samples: Samples, Lambda: np.ndarray, velocity: Velocity | None) -> NullSpaceFit:
-    """What a Gauss-Newton step needs; the samples lie side by side in the last axis."""
-    s, r = Lambda.shape
-    perp, k = complement_rows(Lambda), r - s
+def _fit_at(samples: Samples, Lambda: np.ndarray, velocity: Velocity | None) -> NullSpaceFit:
+    """Lambda as it is, with what a Gauss-Newton step needs."""
+    s, k = len(Lambda), samples.n_rows - len(Lambda)
+    both = np.concatenate([Lambda, complement_rows(Lambda)])
     scores = np.zeros((samples.n_trajectories, s, k))
     curvatures = np.zeros((samples.n_trajectories, s * k, s * k))
     cost = energy = 0.0
     for block in samples.blocks():
         w = np.ascontiguousarray((block.u if velocity is None else velocity(block)).T)
-        Q, R = row_bases(block.rows_of(Lambda).transpose(1, 0, 2))
-        along = np.einsum("vsn,vn->sn", Q, w)
-        null = w - np.einsum("vsn,sn->vn", Q, along)
-        cost += float(np.sum(along**2))
-        energy += float(np.sum(w**2))
-        if k == 0:
-            continue
-        R_inverse = inverse_triangles_beside(R)
-        a = np.einsum("ijn,jn->in", R_inverse, along)  # A^{+T} w
-        g = np.einsum("kvn,vn->kn", block.rows_of(perp), null)
-        block.add_to(scores, a[:, None] * g)
-        inverse_gram = np.einsum("iln,jln->ijn", R_inverse, R_inverse)  # (A A^T)^-1
-        H = inverse_gram[:, None, :, None] * (g[:, None] * g)[None, :, None]
-        block.add_to(curvatures, H.reshape(s * k, s * k, -1))
+        terms = Terms.of(rows_beside(both, block.Phi), s, w)
+        cost, energy = cost + terms.cost, energy + terms.energy
+        block.add_to(scores, terms.scores)
+        block.add_to(curvatures, terms.curvatures)
     n = len(samples)
     return NullSpaceFit(Lambda, cost / n, energy / n, 0, scores, curvatures)
 
@@ -142,18 +160,17 @@ def estimate_null_space(samples: Samples, n_constraints: int | None = None) -> E
         n_constraints: Number of rows; found from the data by default.
     """
     moments = trajectory_moments(samples)
-    sizes, directions = _levels(samples, moments.sum(axis=0))
+    sizes, directions = levels(samples, moments)
     table = gaps_of_levels(sizes, samples.nv)
     s = n_constraints or table.best
     fit = fit_null_space(samples, directions[:s])
-    m = s * (samples.n_rows - s)
     return Estimate(
         "null-space",
         fit.whitened_selection,
         table,
-        energy_share(fit),
-        _held_out_share(samples, s, moments),
-        fit.scores.reshape(samples.n_trajectories, m),
+        fit.unexplained,
+        held_out_share(samples, s, moments),
+        fit.scores.reshape(samples.n_trajectories, s * (samples.n_rows - s)),
         fit.curvatures,
         levels=sizes,
     )
@@ -165,31 +182,24 @@ def null_space_gap(samples: Samples, n_constraints: int | None = None) -> float:
     return table.gap(n_constraints or table.best)
 
 
-def energy_share(fit: NullSpaceFit) -> float:
-    """Share of the energy that breaks A u = 0."""
-    return fit.cost / fit.energy if fit.energy > 0.0 else 0.0
+def held_out_share(samples: Samples, s: int, moments: Float[np.ndarray, "g r r"]) -> float:
+    """Share of the energy that breaks a constraint learnt, in closed form, from the other trajectories.
 
-
-def held_out_share(samples: Samples, s: int) -> float:
-    """Share of the energy that breaks a constraint learnt, in closed form, from the other trajectories."""
-    return _held_out_share(samples, s, trajectory_moments(samples))
-
-
-def _held_out_share(samples: Samples, s: int, moments: Float[np.ndarray, "g r r"]) -> float:
-    """The same from `trajectory_moments`."""
+    Args:
+        samples: What was recorded.
+        s: Number of rows.
+        moments: Its `trajectory_moments`.
+    """
     n_folds = min(MAX_FOLDS, samples.n_trajectories)
     if n_folds < 2:
         return float("nan")
     fold_of_trajectory = np.arange(samples.n_trajectories) % n_folds
     total = moments.sum(axis=0)
-    selections = []
-    for fold in range(n_folds):
-        _, vectors = np.linalg.eigh(total - moments[fold_of_trajectory == fold].sum(axis=0))
-        selections.append(vectors[:, :s].T)
+    others = np.stack([total - moments[fold_of_trajectory == fold].sum(axis=0) for fold in range(n_folds)])
+    selections = np.linalg.eigh(others)[1][:, :, :s].transpose(2, 1, 0)
     broken = energy = 0.0
-    stacked = np.stack(selections, axis=2)
     for block in samples.blocks():
-        Lambda = stacked[:, :, fold_of_trajectory[block.trajectory]]
+        Lambda = selections[:, :, fold_of_trajectory[block.trajectory]]
         Q, _ = row_bases(np.einsum("srn,rvn->vsn", Lambda, block.Phi.transpose(1, 2, 0)))
         broken += float(np.sum(np.einsum("vsn,vn->sn", Q, np.ascontiguousarray(block.u.T)) ** 2))
         energy += float(np.sum(block.u**2))

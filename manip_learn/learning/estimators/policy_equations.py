@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import final
 
@@ -18,8 +19,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtri
 
 from manip_learn.learning.estimators.policy_model import PolicyModel
-from manip_learn.learning.samples import Samples
-from manip_learn.linalg import complement_rows, inverse_triangles, row_bases
+from manip_learn.learning.samples import Samples, rows_beside
+from manip_learn.linalg import complement_rows, inverse_triangles_beside, row_bases
 
 # regressors that vary less than this beside the others are left out
 FLAT = 1e-10
@@ -47,7 +48,7 @@ class OrthonormalRegressors:
     @staticmethod
     def of(samples: Samples, model: PolicyModel) -> OrthonormalRegressors:
         """Those of a model over all samples; combinations that hardly vary are left out."""
-        beta = np.concatenate([model(block.x, block.trajectory) for block in samples.blocks()])
+        beta = model(samples.x, samples.trajectory)
         R = np.linalg.qr(beta / np.sqrt(len(beta)), mode="r")
         _, sigma, Vt = np.linalg.svd(R)
         kept = sigma > FLAT * sigma[0]
@@ -73,17 +74,19 @@ class Projections:
     @staticmethod
     def of(samples: Samples, Lambda: Float[np.ndarray, "s r"]) -> Projections:
         """For a Lambda in whitened coordinates."""
-        s, perp = len(Lambda), complement_rows(Lambda)
-        parts = []
-        for block in samples.blocks():
-            both = block.rows_of(np.concatenate([Lambda, perp]))  # one product for both selections
-            Q, R = row_bases(both[:s].transpose(1, 0, 2))
-            N = np.eye(samples.nv)[None] - (Q.transpose(2, 0, 1) @ Q.transpose(2, 1, 0))
-            rows = Q.transpose(2, 1, 0)
-            duals = inverse_triangles(R.transpose(2, 0, 1)) @ rows if s else rows
-            parts.append((N, duals, N @ both[s:].transpose(2, 1, 0)))
-        N, duals, free = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
-        return Projections(N, duals, free)
+        both = np.concatenate([Lambda, complement_rows(Lambda)])
+        parts = [Projections.of_rows(rows_beside(both, block.Phi), len(Lambda)) for block in samples.blocks()]
+        if len(parts) == 1:
+            return parts[0]
+        return Projections(*(np.concatenate(p) for p in zip(*((p.N, p.duals, p.free) for p in parts), strict=True)))
+
+    @staticmethod
+    def of_rows(rows: Float[np.ndarray, "r nv n"], s: int) -> Projections:
+        """From Lambda Phi, s rows, above Lambda_perp Phi, with the samples side by side in the last axis."""
+        Q, R = row_bases(rows[:s].transpose(1, 0, 2))
+        N = np.eye(rows.shape[1])[None] - (Q.transpose(2, 0, 1) @ Q.transpose(2, 1, 0))
+        back = np.ascontiguousarray(inverse_triangles_beside(R).transpose(2, 0, 1))
+        return Projections(N, back @ Q.transpose(2, 1, 0), N @ rows[s:].transpose(2, 1, 0))
 
     def energy(self, y: Float[np.ndarray, "n nv"]) -> float:
         """sum |N y|^2."""
@@ -106,6 +109,20 @@ class Projections:
         KJ = pull(beta, J)
         rows = J.reshape(-1, J.shape[2])
         return rows.T @ rows - KJ.T @ solver(KJ), rows.T @ y.reshape(-1)
+
+    def blockwise(
+        self, beta: Float[np.ndarray, "n j"], y: Float[np.ndarray, "n nv"], runs: list[tuple[int, slice]]
+    ) -> Iterator[tuple[int, Float[np.ndarray, " d"], Float[np.ndarray, "d d"]]]:
+        """Gradient and Gauss-Newton Hessian for (Theta, B) of the samples of each run, for y = u - pi.
+
+        With e = N y and dLambda = B Lambda_perp: d e / d Theta_kv = -beta_k N_v, d e / d B as in `slopes`.
+        """
+        J, e = self.slopes(y), self.project(y)
+        for block, part in runs:
+            flat, crossed = J[part].reshape(-1, J.shape[2]), -pull(beta[part], J[part])
+            gradient = [-pull(beta[part], e[part][:, :, None])[:, 0], flat.T @ e[part].reshape(-1)]
+            H = np.block([[curvature(beta[part], self.N[part]), crossed], [crossed.T, flat.T @ flat]])
+            yield block, np.concatenate(gradient), H
 
 
 def curvature(beta: Float[np.ndarray, "n j"], N: Float[np.ndarray, "n nv nv"]) -> Float[np.ndarray, "c c"]:
@@ -222,3 +239,32 @@ def solve_policy(
         theta = theta + solver(pull(beta, e[:, :, None])).reshape(theta.shape)
         y = u - beta @ theta
     return theta, y
+
+
+def left_out(
+    beta: Float[np.ndarray, "n j"],
+    projections: Projections,
+    u: Float[np.ndarray, "n nv"],
+    folds: Int[np.ndarray, " n"],
+    least_pivot: float = 0.0,
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "c c"], float]:
+    """|N (u - pi)|^2 of each sample, pi fitted to the other folds; the curvature of all folds; the least pivot.
+
+    Args:
+        beta: Orthonormal regressors.
+        projections: What Lambda leaves of the samples.
+        u: Velocities.
+        folds: Fold of each sample.
+        least_pivot: No fold is judged after one whose equations are worse conditioned, see `Solver.least_pivot`.
+    """
+    entries, held_out = packed(projections.N), [folds == fold for fold in np.unique(folds)]
+    parts = [packed_curvature(beta[held], entries[held]) for held in held_out]
+    total, squares, least = np.sum(parts, axis=0), np.zeros(len(u)), math.inf
+    for held, own in zip(held_out, parts, strict=True):
+        solver = Solver(total - own)
+        least = min(least, solver.least_pivot)
+        if least < least_pivot:
+            break
+        _, y = solve_policy(beta, projections, u, solver, held)
+        squares[held] = np.sum(projections.project(y)[held] ** 2, axis=1)
+    return squares, total, least

@@ -9,6 +9,9 @@ from typing import final
 import numpy as np
 from jaxtyping import Float, Int
 
+Postures = Float[np.ndarray, "n m"]
+Trajectories = Int[np.ndarray, " n"] | None
+
 
 class PolicyModel(ABC):
     """Regressors beta(x) of shifted and scaled postures x.
@@ -22,9 +25,7 @@ class PolicyModel(ABC):
     n_terms: int
 
     @abstractmethod
-    def __call__(
-        self, x: Float[np.ndarray, "n m"], trajectory: Int[np.ndarray, " n"] | None = None
-    ) -> Float[np.ndarray, "n k"]:
+    def __call__(self, x: Postures, trajectory: Trajectories = None) -> Float[np.ndarray, "n k"]:
         """beta(x), one row per posture; `trajectory` is the one that each belongs to."""
 
 
@@ -45,9 +46,7 @@ class PolynomialModel(PolicyModel):
         self.terms = [c for d in range(1, degree + 1) for c in combinations_with_replacement(range(m), d)]
         self.n_terms = 1 + len(self.terms)
 
-    def __call__(
-        self, x: Float[np.ndarray, "n m"], trajectory: Int[np.ndarray, " n"] | None = None
-    ) -> Float[np.ndarray, "n k"]:
+    def __call__(self, x: Postures, trajectory: Trajectories = None) -> Float[np.ndarray, "n k"]:
         """1, x_i, x_i x_j, ..."""
         out = np.empty((x.shape[0], self.n_terms))
         out[:, 0] = 1.0
@@ -79,9 +78,7 @@ class RadialModel(PolicyModel):
         self.width = width * max(nearest, 1e-6)
         self.n_terms = int(self.centres.shape[0])
 
-    def __call__(
-        self, x: Float[np.ndarray, "n m"], trajectory: Int[np.ndarray, " n"] | None = None
-    ) -> Float[np.ndarray, "n k"]:
+    def __call__(self, x: Postures, trajectory: Trajectories = None) -> Float[np.ndarray, "n k"]:
         """Shares of the centres, each row summing to 1."""
         d2 = np.sum((x[:, None, :] - self.centres[None]) ** 2, axis=2) / (2.0 * self.width**2)
         d2 -= d2.min(axis=1, keepdims=True)  # the nearest centre always counts: no 0 / 0 far away
@@ -104,9 +101,7 @@ class HarmonicModel(PolicyModel):
         self.name = f"harmonic{n_harmonics}"
         self.n_terms = 1 + len(self.spread) * (1 + 2 * n_harmonics)
 
-    def __call__(
-        self, x: Float[np.ndarray, "n m"], trajectory: Int[np.ndarray, " n"] | None = None
-    ) -> Float[np.ndarray, "n k"]:
+    def __call__(self, x: Postures, trajectory: Trajectories = None) -> Float[np.ndarray, "n k"]:
         """1, x, sin(q - centre), cos(q - centre), sin 2 (q - centre), ..."""
         angle = x * self.spread
         waves = [f(k * angle) for k in range(1, self.n_harmonics + 1) for f in (np.sin, np.cos)]
@@ -128,9 +123,7 @@ class TrajectoryOffsetModel(PolicyModel):
         self.name = f"{shared.name}-offset"
         self.n_terms = shared.n_terms + n_trajectories
 
-    def __call__(
-        self, x: Float[np.ndarray, "n m"], trajectory: Int[np.ndarray, " n"] | None = None
-    ) -> Float[np.ndarray, "n k"]:
+    def __call__(self, x: Postures, trajectory: Trajectories = None) -> Float[np.ndarray, "n k"]:
         """The shared regressors, then one indicator per trajectory; without `trajectory` the offsets are left out.
 
         The shared constant and the indicators are dependent; least squares by rank-revealing QR takes care of that.

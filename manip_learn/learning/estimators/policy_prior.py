@@ -22,13 +22,12 @@ from typing import final
 import numpy as np
 from jaxtyping import Float, Int
 
-from manip_learn.learning.bootstrap import PolicyPrior, TrajectoryBlocks
-from manip_learn.learning.estimators.joint_fit import JointFit
+from manip_learn.learning.deciding import MOST_LIKELY_DEGREE
+from manip_learn.learning.estimators.estimate import JointFit, PolicyPrior
 from manip_learn.learning.estimators.policy_equations import (
     CHUNK,
     Projections,
     Solver,
-    curvature,
     packed,
     products,
     pull,
@@ -37,11 +36,9 @@ from manip_learn.learning.estimators.policy_equations import (
 )
 from manip_learn.learning.estimators.policy_model import PolicyModel, PolynomialModel
 from manip_learn.learning.estimators.variable_projection import MAX_BLOCKS
-from manip_learn.learning.samples import Samples
-from manip_learn.linalg import complement_rows, orthonormal_rows
+from manip_learn.learning.samples import Samples, TrajectoryBlocks
+from manip_learn.linalg import turned
 
-# degree up to which every policy is thought possible
-MOST_LIKELY_DEGREE = 3
 MAX_ITERATIONS = 40
 # squared length of the last step in standard errors
 SETTLED = 1e-6
@@ -90,9 +87,8 @@ class GradedRegressors:
             model: The policy model that was selected.
             most_columns: Number of parameters for which no higher degree is added.
         """
-        x, trajectory = (np.concatenate(p) for p in zip(*((b.x, b.trajectory) for b in samples.blocks()), strict=True))
-        m = x.shape[1]
-        own = np.zeros((len(x), 0)) if isinstance(model, PolynomialModel) else model(x, trajectory)
+        x, m = samples.x, samples.q.shape[1]
+        own = np.zeros((len(x), 0)) if isinstance(model, PolynomialModel) else model(x, samples.trajectory)
         least = model.degree if isinstance(model, PolynomialModel) else 1
         polynomials = [PolynomialModel(degree, m) for degree in range(max(least, MOST_LIKELY_DEGREE) + 1)]
         fitting = [
@@ -177,10 +173,7 @@ def _moved(here: _Posterior, step: Float[np.ndarray, " m"]) -> _Posterior | None
     """After a step, or as much of it as does not lower the likelihood; None if nothing is left of it."""
     share, before = 1.0, here.deviance()
     while share > SHORTEST:
-        B = share * step.reshape(len(here.Lambda), -1)
-        trial = _Posterior(
-            here.samples, here.regressors, orthonormal_rows(here.Lambda + B @ complement_rows(here.Lambda))
-        )
+        trial = _Posterior(here.samples, here.regressors, turned(here.Lambda, share * step))
         trial.settle(here.variances, 0)
         if trial.deviance() <= before:
             return trial
@@ -203,7 +196,7 @@ class _Posterior:
         self._projections = Projections.of(samples, Lambda)
         entries = packed(self._projections.N)
         self._curvature = unpacked_curvature(np.sum([p @ entries[part] for part, p in regressors.products()], axis=0))
-        null_part = self._project(samples.u)
+        null_part = self._projections.project(samples.u)
         self._pulled = pull(regressors.values, null_part[:, :, None])[:, 0]
         self._energy = float(np.sum(null_part**2))
         self._grades = np.repeat(regressors.grades, samples.nv)
@@ -228,25 +221,36 @@ class _Posterior:
         return H / noise, gradient / noise + self._spread_slopes(np.ones(len(self.samples)))[0]
 
     def scores(self) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
-        """Gradient and Gauss-Newton Hessian of sigma^2 l of each block of trajectories, for (Theta, B)."""
-        beta, J = self.regressors.values, self._projections.slopes(self._residual)
-        residual = self._project(self._residual)
+        """Gradient and Hessian of sigma^2 l of each block of trajectories, for (Theta, B), see `_without_noise`."""
         blocks = TrajectoryBlocks(self.samples.n_trajectories, MAX_BLOCKS)
-        c, m = len(self._theta), J.shape[2]
-        gradients, hessians = np.zeros((blocks.n_blocks, c + m)), np.zeros((blocks.n_blocks, c + m, c + m))
-        for i, part in blocks.runs(self.samples.trajectory):
-            gradients[i, :c] -= pull(beta[part], residual[part][:, :, None])[:, 0]
-            gradients[i, c:] += np.einsum("nvi,nv->i", J[part], residual[part], optimize=True)
-            hessians[i, :c, :c] += curvature(beta[part], self._projections.N[part])
-            cross = -pull(beta[part], J[part])
-            hessians[i, :c, c:] += cross
-            hessians[i, c:, :c] += cross.T
-            hessians[i, c:, c:] += np.einsum("nvi,nvj->ij", J[part], J[part], optimize=True)
-        membership = np.zeros((blocks.n_blocks, len(self.samples)))
-        for i, part in blocks.runs(self.samples.trajectory):
+        runs, membership = blocks.runs(self.samples.trajectory), np.zeros((blocks.n_blocks, len(self.samples)))
+        sums = self._projections.blockwise(self.regressors.values, self._residual, runs)
+        _, gradients, hessians = map(np.array, zip(*sums, strict=True))
+        for i, part in runs:
             membership[i, part] = 1.0
-        gradients[:, c:] += self.variances.noise * self._spread_slopes(membership)
-        return gradients, hessians
+        gradients[:, len(self._theta) :] += self.variances.noise * self._spread_slopes(membership)
+        return gradients, self._without_noise(hessians, membership)
+
+    def _without_noise(
+        self, hessians: Float[np.ndarray, "g d d"], membership: Float[np.ndarray, "g n"]
+    ) -> Float[np.ndarray, "g d d"]:
+        """Gauss-Newton Hessians without what the noise of u adds to them in the mean.
+
+        A^{+T} (u - pi) carries noise of covariance sigma^2 A^{+T} A^+, independent of the residual's; the curvature of
+        l itself has no such part (errors in variables). Where noise is most of the Hessian in some direction, no more
+        is taken off than leaves it positive (Fuller, 1987, section 2.5: the least root less one over the samples).
+        """
+        duals, free = self._projections.duals, self._projections.free
+        C, F = duals @ duals.transpose(0, 2, 1), free.transpose(0, 2, 1) @ free
+        each = np.einsum("gn,nst,nkl->gsktl", membership, C, F, optimize=True)
+        c, m = len(self._theta), C.shape[1] * F.shape[1]
+        added = self.variances.noise * each.reshape(-1, m, m)
+        total = hessians.sum(axis=0) + np.diag(np.append(self.precision, np.zeros(m)))
+        own = total[c:, c:] - total[c:, :c] @ self._solver(total[:c, c:])
+        least = 1.0 / float(np.max(np.linalg.eigvals(np.linalg.solve(own, added.sum(axis=0))).real, initial=1e-300))
+        share = min(1.0, least * (1.0 - 1.0 / len(self.samples)))
+        hessians[:, c:, c:] -= share * added
+        return hessians
 
     def _solve(self, variances: Variances) -> None:
         self.variances = variances
@@ -263,7 +267,7 @@ class _Posterior:
         least = LEAST * float(np.mean(self.samples.u**2))
         parameters = np.maximum(np.bincount(self._grades, self._theta**2, n_grades) / counts, least)
         n_rows = len(self.samples) * (self.samples.nv - len(self.Lambda))
-        square = float(np.sum(self._project(self._residual) ** 2))
+        square = float(np.sum(self._projections.project(self._residual) ** 2))
         return Variances(max(square / max(n_rows - counts.sum(), 1.0), least), parameters)
 
     def _spread_slopes(self, weights: Float[np.ndarray, "*g n"]) -> Float[np.ndarray, "g m"]:
@@ -288,6 +292,3 @@ class _Posterior:
             spread = np.empty((len(entries), nv, nv))
             spread[:, v, w] = spread[:, w, v] = entries
             yield part, spread
-
-    def _project(self, values: Float[np.ndarray, "n nv"]) -> Float[np.ndarray, "n nv"]:
-        return self._projections.project(values)

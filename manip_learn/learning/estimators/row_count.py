@@ -25,31 +25,27 @@ from jaxtyping import Float
 from scipy.fft import dct
 
 from manip_learn.errors import counted
-from manip_learn.learning.estimators.conditional_pca import conditional_pca
-from manip_learn.learning.estimators.estimate import GapTable, gaps_of_residuals
-from manip_learn.learning.estimators.joint_fit import JointFit
-from manip_learn.learning.estimators.model_search import COMPARE, CrossValidatedFit, cross_validated, has_enough
+from manip_learn.learning.deciding import ABOVE_NOISE, NOT_THE_POLICYS, PREDICTS_NOISE, RESOLVED_SHARE
+from manip_learn.learning.estimators.estimate import GapTable, JointFit, gaps_of_residuals
+from manip_learn.learning.estimators.model_search import (
+    COMPARE,
+    CrossValidatedFit,
+    best_of_starts,
+    conditional_pca,
+    cross_validated,
+    has_enough,
+)
 from manip_learn.learning.estimators.noise_covariance import noise_in_time
 from manip_learn.learning.estimators.policy_model import PolicyModel, PolynomialModel
-from manip_learn.learning.estimators.variable_projection import fit_joint
-from manip_learn.learning.samples import Samples
+from manip_learn.learning.samples import Samples, rows_beside, runs
 from manip_learn.linalg import row_bases
 
-# share of the root mean square of u that is noise enough: what is resolved below it, in recordings without noise, is
-# how well a model approximates the policy, and with more rows every model comes closer
-RESOLVED = 1e-3
 # random starts where the closed-form one does not lead to the noise
 RANDOM_STARTS = 3
 # starts with a row less within the rows that were found
 SUBSPACES = 4
-# variance over that of the noise up to which a fit leaves noise alone: 22 % in amplitude
-ABOVE_NOISE = 1.5
-# share of the motion along a direction that a rich policy model must leave for the direction to be the task's
-NOT_THE_POLICYS = 0.5
 # share of the evidence that is lacking which a richer model must find for a still richer one to be tried
 PROGRESS = 0.1
-# left-out motion over that of no policy at all up to which a model predicts it: 1 where there is noise alone to predict
-PREDICTS = 1.2
 
 
 @final
@@ -136,7 +132,9 @@ def explain(samples: Samples, models: Sequence[PolicyModel], rng: np.random.Gene
                 is_answered = _left(samples, best.judged.fit) <= ABOVE_NOISE * noise
                 if is_answered and (s < commanded or _is_hopeless(same, best)):
                     continue
-                if best.predicts and _promise(samples, _most(same), model, noise) <= best.nats:
+                most = _most(same)  # were noise all that the richer model leaves:
+                left = min(noise, _left(samples, most.judged.fit))
+                if best.predicts and most.task_nats + _null_nats(samples, s, model, left) <= best.nats:
                     continue
             warm = [_most(same).judged.fit.whitened_selection] if same else []
             found.append(_explained(samples, _fit_from_starts(samples, s, model, warm, noise, rng)))
@@ -149,8 +147,8 @@ def _within(samples: Samples, best: Explanation, rng: np.random.Generator) -> li
     s = len(Lambda)
     if s < 2:
         return []
-    fits = [fit_joint(samples, (rng.standard_normal((s, s)) @ Lambda)[1:], model, **COMPARE) for _ in range(SUBSPACES)]
-    return [_explained(samples, min(fits, key=lambda fit: fit.cost))]
+    starts = ((rng.standard_normal((s, s)) @ Lambda)[1:] for _ in range(SUBSPACES))
+    return [_explained(samples, best_of_starts(samples, model, starts, **COMPARE))]
 
 
 def _most(found: Sequence[Explanation]) -> Explanation:
@@ -180,23 +178,18 @@ def _doubt(best: Explanation, rivals: Sequence[Explanation]) -> tuple[str, ...]:
 
 
 def _explained(samples: Samples, fit: JointFit) -> Explanation:
-    n, s = len(samples), len(fit.whitened_selection)
     task, n_octaves = _task_nats(samples, fit.whitened_selection)
-    parameters = fit.model.n_terms * samples.nv + s * (samples.n_rows - s) + n_octaves
-    null = _gaussian_nats(n * (samples.nv - s), _left(samples, fit), _resolved(samples))
     judged = cross_validated(samples, fit)
-    predicts = judged.held_out <= PREDICTS * max(fit.energy, _resolved(samples))
-    return Explanation(judged, float(null + task - 0.5 * parameters * np.log(n)), task, predicts)
+    predicts = judged.held_out <= PREDICTS_NOISE * max(fit.energy, _resolved(samples))
+    price = 0.5 * n_octaves * np.log(len(samples))
+    nats = task + _null_nats(samples, len(fit.whitened_selection), fit.model, _left(samples, fit)) - price
+    return Explanation(judged, float(nats), task, predicts)
 
 
-def _promise(samples: Samples, one: Explanation, model: PolicyModel, noise: float) -> float:
-    """Evidence for as many rows with another model, were noise all that it leaves."""
-    n, s = len(samples), one.n_rows
-    parameters = model.n_terms * samples.nv + s * (samples.n_rows - s)
-    left = min(noise, _left(samples, one.judged.fit))
-    return float(
-        _gaussian_nats(n * (samples.nv - s), left, _resolved(samples)) + one.task_nats - 0.5 * parameters * np.log(n)
-    )
+def _null_nats(samples: Samples, s: int, model: PolicyModel, left: float) -> float:
+    """Evidence for s rows with a model that leaves so much of each null direction, but for the task's motion."""
+    n, parameters = len(samples), model.n_terms * samples.nv + s * (samples.n_rows - s)
+    return _gaussian_nats(n * (samples.nv - s), left, _resolved(samples)) - 0.5 * parameters * float(np.log(n))
 
 
 def _gaussian_nats(
@@ -211,12 +204,11 @@ def _task_nats(samples: Samples, Lambda: Float[np.ndarray, "s r"]) -> tuple[floa
     """Log-likelihood of the task's own motion c, octave by octave, and the number of octaves."""
     if not len(Lambda):
         return 0.0, 0
-    c = np.concatenate([_along_rows(block.rows_of(Lambda), block.u) for block in samples.blocks()])
-    starts = np.flatnonzero(np.diff(samples.trajectory, prepend=-1)).tolist()
+    c = np.concatenate([_along_rows(rows_beside(Lambda, block.Phi), block.u) for block in samples.blocks()])
     squares, counts = np.zeros(64), np.zeros(64)
-    for a, b in zip(starts, [*starts[1:], len(c)], strict=True):
-        octave = np.frexp(np.arange(b - a))[1]  # 0, then 1, 2-3, 4-7, ...
-        squares += np.bincount(octave, np.sum(dct(c[a:b], axis=0, norm="ortho") ** 2, axis=1), 64)
+    for own in (c[part] for _, part in runs(samples.trajectory)):
+        octave = np.frexp(np.arange(len(own)))[1]  # 0, then 1, 2-3, 4-7, ...
+        squares += np.bincount(octave, np.sum(dct(own, axis=0, norm="ortho") ** 2, axis=1), 64)
         counts += np.bincount(octave, minlength=64) * c.shape[1]
     used = counts > 0
     return _gaussian_nats(counts[used], squares[used] / counts[used], _resolved(samples)), int(np.count_nonzero(used))
@@ -230,7 +222,7 @@ def _along_rows(A: Float[np.ndarray, "s nv n"], u: Float[np.ndarray, "n nv"]) ->
 
 def _resolved(samples: Samples) -> float:
     """Variance [(rad/s)^2] that is noise enough."""
-    return RESOLVED**2 * samples.energy / samples.nv
+    return RESOLVED_SHARE**2 * samples.energy / samples.nv
 
 
 def _left(samples: Samples, fit: JointFit) -> float:
@@ -266,11 +258,11 @@ def _fit_from_starts(
     rng: np.random.Generator,
 ) -> JointFit:
     """The fit of the least cost from closed-form starts, and from random ones where these do not lead to the noise."""
-    r = samples.n_rows
-    best = fit_joint(samples, conditional_pca(samples, model)[1][:s], model, **COMPARE)
-    random = (rng.standard_normal((s, r)) for _ in range(RANDOM_STARTS))
-    for start in itertools.chain(warm, random):
-        if s in (0, r) or _left(samples, best) <= ABOVE_NOISE * noise:
-            break
-        best = min(best, fit_joint(samples, start, model, **COMPARE), key=lambda fit: fit.cost)
-    return best
+    random = (rng.standard_normal((s, samples.n_rows)) for _ in range(RANDOM_STARTS))
+    return best_of_starts(
+        samples,
+        model,
+        itertools.chain([conditional_pca(samples, model)[1][:s]], warm, random),
+        lambda best: s in (0, samples.n_rows) or _left(samples, best) <= ABOVE_NOISE * noise,
+        **COMPARE,
+    )

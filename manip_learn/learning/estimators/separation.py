@@ -20,8 +20,9 @@ from jaxtyping import Float
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from manip_learn.errors import NotIdentifiableError, advice
-from manip_learn.learning.estimators.estimate import Estimate, gaps_of_levels
-from manip_learn.learning.estimators.null_space import energy_share, fit_null_space, held_out_share, levels
+from manip_learn.learning.deciding import FEWEST_CENTRES, MOST_CENTRES, RESIDUALS_PER_PARAMETER, STILL_ENERGY
+from manip_learn.learning.estimators.estimate import Estimate
+from manip_learn.learning.estimators.null_space import estimate_null_space
 from manip_learn.learning.estimators.policy_model import PolicyModel, RadialModel
 from manip_learn.learning.samples import Samples
 
@@ -32,13 +33,8 @@ STAGES = (1e-6, 1e-8, 1e-10)
 # relative decrease of the cost in a step below which to stop; the coarse stages only lead the way
 NO_GAIN = (1e-3, 1e-3, 1e-6)
 STALLED = 5  # so many steps of little gain in a row end a stage
-N_CENTRES = 96
-SAMPLES_PER_CENTRE = 10
-MIN_CENTRES = 4
 # the descent is dense in samples times parameters: 4,000 samples of 7 joints and 96 centres are 21 MB
 SEPARATION_LIMIT = 4_000
-# the consistency cost is worth nothing if w~ has all but vanished
-VANISHED = 1e-6
 
 
 @final
@@ -144,21 +140,12 @@ def estimate_separate(samples: Samples, n_constraints: int | None, rng: np.rando
         NotIdentifiableError: Too few samples, or no null-space motion to be found.
     """
     separation, null_motion = separate_null_motion(samples, rng)
-    sizes, directions = levels(null_motion)
-    table = gaps_of_levels(sizes, samples.nv)
-    s = n_constraints or table.best
-    fit = fit_null_space(null_motion, directions[:s])
-    return Estimate(
-        "separate",
-        fit.whitened_selection,
-        table,
-        energy_share(fit),
-        held_out_share(null_motion, s),
-        fit.scores.reshape(samples.n_trajectories, -1),
-        fit.curvatures,
-        separation.model.name,
-        {separation.model.name: separation.cost / samples.energy},
-        levels=sizes,
+    name = separation.model.name
+    return dataclasses.replace(
+        estimate_null_space(null_motion, n_constraints),
+        name="separate",
+        policy_model=name,
+        policy_residuals={name: separation.cost / samples.energy},
     )
 
 
@@ -172,18 +159,18 @@ def separate_null_motion(samples: Samples, rng: np.random.Generator) -> tuple[Se
     Raises:
         NotIdentifiableError: Too few samples for even the smallest model, or no null-space motion to be found.
     """
-    x = np.concatenate([block.x for block in samples.blocks()])
-    n_centres = min(N_CENTRES, len(samples) // SAMPLES_PER_CENTRE)
-    if n_centres < MIN_CENTRES:
+    x = samples.x
+    n_centres = min(MOST_CENTRES, len(samples) // RESIDUALS_PER_PARAMETER)
+    if n_centres < FEWEST_CENTRES:
         raise NotIdentifiableError(
             f"{len(samples)} samples are too few to separate task and null-space part: at least "
-            f"{MIN_CENTRES * SAMPLES_PER_CENTRE} are needed, and many more are better",
+            f"{FEWEST_CENTRES * RESIDUALS_PER_PARAMETER} are needed, and many more are better",
             code="too-few-samples",
         )
     every = -(-len(samples) // SEPARATION_LIMIT)
     separation = separate(x[::every], samples.u[::every], RadialModel(x, n_centres, rng))
     w = separation(x)
-    if float(np.mean(w**2)) * samples.nv < VANISHED * samples.energy:
+    if float(np.mean(w**2)) * samples.nv < STILL_ENERGY * samples.energy:
         raise NotIdentifiableError(
             "the separation finds no null-space motion: what is left of the motion after the task is nothing to learn "
             "from" + advice("; use {}", "estimator='joint'", "--estimator joint"),

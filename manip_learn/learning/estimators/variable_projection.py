@@ -4,36 +4,42 @@
 
 Neither a separation of u into task and null part nor knowledge of b is needed: Z^T removes the task part whatever it
 was. pi(q) = Theta^T beta(q) is linear in its parameters, so Theta is eliminated (Golub and Pereyra, 1973, with
-Kaufman's Jacobian, 1975).
+Kaufman's Jacobian, 1975), in two ways. Normal equations cost a tenth of a QR of all rows, and square the condition
+number: they are used where what is left of the motion is noise, far above their rounding, and where their Cholesky
+factor shows that they are well conditioned.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.linalg import qr, solve_triangular
 
-from manip_learn.learning.bootstrap import TrajectoryBlocks
-from manip_learn.learning.estimators.descent import descend
-from manip_learn.learning.estimators.joint_fit import JointFit
-from manip_learn.learning.estimators.policy_model import PolicyModel
-from manip_learn.learning.estimators.projected_equations import (
-    LEAST_PIVOT,
-    NEARLY_EXACT,
-    fit_projected,
-    held_out_by_fold,
+from manip_learn.learning.estimators.estimate import JointFit, descend
+from manip_learn.learning.estimators.policy_equations import (
+    OrthonormalRegressors,
+    Projections,
+    Solver,
+    curvature,
+    left_out,
+    solve_policy,
 )
-from manip_learn.learning.samples import Block, Samples
+from manip_learn.learning.estimators.policy_model import PolicyModel
+from manip_learn.learning.samples import Samples, TrajectoryBlocks
 from manip_learn.linalg import batch_row_spaces, complement_rows, inverse_triangles, orthonormal_rows
 
 MAX_ITERATIONS = 30
 RANK_TOLERANCE = 1e-13
 # directions of the policy that the data determine well enough to matter for the uncertainty
 BASIS_TOLERANCE = 1e-10
+# share of the energy below which what is left is no noise
+NEARLY_EXACT = 1e-6
+# square of the least pivot, the diagonal scaled to 1, below which normal equations are ill-conditioned
+LEAST_PIVOT = 1e-8
 # parameters of the policy beyond which normal equations take the place of a QR of all rows however they are conditioned
 MANY_COLUMNS = 64
 # trajectories beyond so many are taken in blocks: a Hessian of each, for Theta too, is kept
@@ -66,57 +72,121 @@ def fit_joint(
         # normal equations lose half the digits: QR answers where there are digits, and goes on where it is expensive
         start = fast.whitened_selection if many else start
     here, iterations = descend(
-        _State.at(samples, orthonormal_rows(start), model),
-        lambda Lambda: _State.at(samples, Lambda, model),
+        _ByRows.at(samples, orthonormal_rows(start), model),
+        lambda Lambda: _ByRows.at(samples, Lambda, model),
         *(max_iterations, tolerance, gain),
     )
-    return JointFit(here.Lambda, here.theta, here.cost, here.energy, iterations, model)
+    return JointFit(here.whitened_selection, here.theta, here.cost, here.energy, iterations, model)
+
+
+def fit_projected(
+    samples: Samples,
+    start: Float[np.ndarray, "s r"],
+    model: PolicyModel,
+    max_iterations: int,
+    tolerance: float,
+    gain: float,
+    least_pivot: float = LEAST_PIVOT,
+) -> JointFit | None:
+    """`fit_joint` by normal equations, see there; None where these are ill-conditioned by a positive least pivot."""
+    regressors = OrthonormalRegressors.of(samples, model)
+    if least_pivot > 0.0 and regressors.values.shape[1] < model.n_terms:
+        return None
+    here, iterations = descend(
+        _ByEquations.at(samples, orthonormal_rows(start), regressors),
+        lambda Lambda: _ByEquations.at(samples, Lambda, regressors),
+        *(max_iterations, tolerance, gain),
+        usable=lambda state: state.solver.least_pivot >= least_pivot,
+        enough=lambda state: least_pivot > 0.0 and state.cost <= NEARLY_EXACT * state.energy,
+    )
+    if here.solver.least_pivot < least_pivot:
+        return None
+    theta = regressors.mixing @ here.theta
+    return JointFit(here.whitened_selection, theta, here.cost, here.energy, iterations, model)
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class _State:
+class _ByEquations:
+    """The best policy for a Lambda, from normal equations."""
+
+    samples: Samples
+    whitened_selection: Float[np.ndarray, "s r"]
+    regressors: OrthonormalRegressors
+    projections: Projections
+    solver: Solver
+    theta: Float[np.ndarray, "j nv"]
+    y: Float[np.ndarray, "n nv"]
+    cost: float
+
+    @staticmethod
+    def at(samples: Samples, Lambda: Float[np.ndarray, "s r"], regressors: OrthonormalRegressors) -> _ByEquations:
+        projections = Projections.of(samples, Lambda)
+        solver = Solver(curvature(regressors.values, projections.N))
+        theta, y = solve_policy(regressors.values, projections, samples.u, solver)
+        cost = projections.energy(y) / len(samples)
+        return _ByEquations(samples, Lambda, regressors, projections, solver, theta, y, cost)
+
+    @property
+    def energy(self) -> float:
+        """Mean of |Z^T u|^2."""
+        return self.projections.energy(self.samples.u) / len(self.samples)
+
+    def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
+        """See `descend`."""
+        return self.projections.equations(self.regressors.values, self.y, self.solver)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _ByRows:
     """The best policy for a Lambda, from a QR of all rows."""
 
     samples: Samples
+    whitened_selection: Float[np.ndarray, "s r"]
     model: PolicyModel
-    Lambda: Float[np.ndarray, "s r"]
     theta: Float[np.ndarray, "j nv"]
     cost: float
     energy: float
 
     @staticmethod
-    def at(samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel) -> _State:
-        return _State(samples, model, Lambda, *_policy(samples, Lambda, model))
+    def at(samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel) -> _ByRows:
+        R = _triangle(_rows(samples, Lambda, model))
+        theta = _solve(R[:, :-1], R[:, -1:])
+        # the residual from the triangle, not from energy - explained: those two nearly cancel on clean data
+        cost = float(np.sum((R[:, -1:] - R[:, :-1] @ theta) ** 2))
+        n, energy = len(samples), float(np.sum(R[:, -1] ** 2))
+        return _ByRows(samples, Lambda, model, theta.reshape(-1, samples.nv), cost / n, energy / n)
 
     def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
-        """See `descend`."""
-        return _normal_equations(self.samples, self.Lambda, self.theta, self.model)
+        """See `descend`; Theta is projected off."""
+        R = _triangle(_rows(self.samples, self.whitened_selection, self.model, self.theta))
+        width = self.theta.size
+        K, J, residual = R[:, :width], R[:, width:-1], R[:, -1]
+        Jt = J - K @ _solve(K, J)
+        return Jt.T @ Jt, Jt.T @ residual
 
 
 def scores(samples: Samples, fit: JointFit) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
     """Gradient and Gauss-Newton Hessian of each block of trajectories at the optimum; d = k' + m, m = s (p'-s).
 
     The last m unknowns are those of Lambda, the first k' those of the policy, in an orthonormal basis of what the data
-    determine: whoever leaves a trajectory out must let the policy move too. Beyond MAX_BLOCKS trajectories several
-    consecutive ones make a block.
+    determine: whoever leaves a trajectory out must let the policy move too. By QR, for directions that normal equations
+    take for rounding widen the angle. Beyond MAX_BLOCKS trajectories several consecutive ones make a block.
     """
     s, r = fit.whitened_selection.shape
-    m, z = s * (r - s), samples.nv - s
-    R = _triangle(_joint_rows(samples, fit.whitened_selection, fit.theta, fit.model))
-    width = R.shape[1] - m - 1
-    projection = _solve(R[:, :width], R[:, width : width + m])
+    m, z, width = s * (r - s), samples.nv - s, fit.theta.size
+    R = _triangle(_rows(samples, fit.whitened_selection, fit.model, fit.theta))
+    projection = _solve(R[:, :width], R[:, width:-1])
     _, T, pivots = qr(R[:, :width], mode="economic", pivoting=True, check_finite=False)
     diagonal = np.abs(np.diag(T))
     k = int(np.count_nonzero(diagonal > BASIS_TOLERANCE * diagonal[0])) if diagonal.size else 0
     blocks = TrajectoryBlocks(samples.n_trajectories, MAX_BLOCKS)
     gradients = np.zeros((blocks.n_blocks, k + m))
     hessians = np.zeros((blocks.n_blocks, k + m, k + m))
-    for block, rows in zip(
-        samples.blocks(), _joint_rows(samples, fit.whitened_selection, fit.theta, fit.model), strict=True
-    ):
+    for block, rows in zip(samples.blocks(), _rows(samples, fit.whitened_selection, fit.model, fit.theta), strict=True):
         K = solve_triangular(T[:k, :k], rows[:, pivots[:k]].T, trans="T", check_finite=False).T
-        J = np.concatenate([K, rows[:, width : width + m] - rows[:, :width] @ projection], axis=1)
+        J = np.concatenate([K, rows[:, width:-1] - rows[:, :width] @ projection], axis=1)
         for i, part in blocks.runs(block.trajectory):
             own = slice(part.start * z, part.stop * z)
             gradients[i] += J[own].T @ rows[own, -1]
@@ -124,115 +194,96 @@ def scores(samples: Samples, fit: JointFit) -> tuple[Float[np.ndarray, "g d"], F
     return gradients, hessians
 
 
-def held_out_cost(
-    samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel, n_folds: int, *, by_sample: bool = False
-) -> float:
-    """Mean of |Z^T (u - pi)|^2 on trajectories that pi was not fitted to, Lambda kept: cross-validation of pi."""
-    return float(held_out_costs(samples, Lambda, model, n_folds, by_sample=by_sample).sum())
-
-
 def held_out_costs(
     samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel, n_folds: int, *, by_sample: bool = False
 ) -> Float[np.ndarray, " f"]:
-    """What each fold contributes to `held_out_cost`; a single infinity where there are fewer than two folds.
+    """What each fold contributes to the mean of |Z^T (u - pi)|^2 on trajectories that pi was not fitted to.
 
-    `by_sample` leaves out every n-th sample instead, for models with parameters of each trajectory. Each fold is boiled
-    down to a triangle once; leaving it out means solving with the others'.
+    Lambda is kept: this is cross-validation of pi. A single infinity where there are fewer than two folds. `by_sample`
+    leaves out every n-th sample instead, for models with parameters of each trajectory.
     """
-    fold = np.arange(len(samples)) if by_sample else samples.trajectory
-    sums = held_out_by_fold(samples, Lambda, model, fold % n_folds) if len(samples) >= n_folds > 1 else None
-    if sums is not None:
-        return sums / len(samples) if len(sums) > 1 else np.array([np.inf])
-    triangles: list[np.ndarray | None] = [None] * n_folds
-    for block in samples.blocks():
-        Z, _, _ = _bases(block, Lambda)
-        target = np.einsum("nvz,nv->nz", Z, block.u, optimize=True)
-        rows = np.concatenate([_policy_columns(Z, model(block.x, block.trajectory)), target.reshape(-1, 1)], axis=1)
-        folds = np.arange(len(block.u)) if by_sample else block.trajectory
-        fold_of_row = np.repeat(folds % n_folds, Z.shape[2])
-        for fold in np.unique(fold_of_row):
-            before = triangles[fold]
-            new = rows[fold_of_row == fold]
-            triangles[fold] = _triangle(iter([new] if before is None else [before, new]))
-    present = [R for R in triangles if R is not None]
-    if len(present) < 2:
+    folds = (np.arange(len(samples)) if by_sample else samples.trajectory) % n_folds
+    if len(np.unique(folds)) < 2:
         return np.array([np.inf])
-    total = np.zeros(len(present))
-    for i, held in enumerate(present):
-        rest = _triangle(iter([R for j, R in enumerate(present) if j != i]))
+    sums = held_out_by_fold(samples, Lambda, model, folds) if len(samples) >= n_folds else None
+    if sums is None:
+        sums = _held_out_by_rows(samples, Lambda, model, folds)
+    return sums / len(samples)
+
+
+def held_out_by_fold(
+    samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel, folds: Int[np.ndarray, " n"]
+) -> Float[np.ndarray, " f"] | None:
+    """Sum of |Z^T (u - pi)|^2 over each fold, pi fitted to the others.
+
+    Args:
+        samples: What was recorded.
+        Lambda: In whitened coordinates.
+        model: beta(q).
+        folds: Fold of each sample.
+
+    Returns:
+        One sum for each fold that has samples, in their order; None where the equations are ill-conditioned, or what
+        is left is no noise.
+    """
+    beta, projections = OrthonormalRegressors.of(samples, model).values, Projections.of(samples, Lambda)
+    if beta.shape[1] < model.n_terms:
+        return None
+    squares, _, least_pivot = left_out(beta, projections, samples.u, folds, LEAST_PIVOT)
+    if least_pivot < LEAST_PIVOT or squares.sum() <= NEARLY_EXACT * projections.energy(samples.u):
+        return None
+    return np.bincount(np.unique(folds, return_inverse=True)[1], squares)
+
+
+def _held_out_by_rows(
+    samples: Samples, Lambda: np.ndarray, model: PolicyModel, folds: np.ndarray
+) -> Float[np.ndarray, " f"]:
+    """The same by QR: each fold is boiled down to a triangle once, leaving it out means solving with the others'."""
+    triangles, before = dict[int, np.ndarray](), 0
+    for rows in _rows(samples, Lambda, model):
+        after = before + len(rows) // (samples.nv - len(Lambda))
+        fold_of_row = np.repeat(folds[before:after], samples.nv - len(Lambda))
+        for fold in np.unique(fold_of_row).tolist():
+            own = rows[fold_of_row == fold]
+            triangles[fold] = _triangle([triangles[fold], own] if fold in triangles else [own])
+        before = after
+    sums = np.zeros(len(triangles))
+    for i, (fold, held) in enumerate(sorted(triangles.items())):
+        rest = _triangle(R for other, R in sorted(triangles.items()) if other != fold)
         theta = _solve(rest[:, :-1], rest[:, -1:])
-        total[i] = float(np.sum((held[:, -1:] - held[:, :-1] @ theta) ** 2))
-    return total / len(samples)
+        sums[i] = float(np.sum((held[:, -1:] - held[:, :-1] @ theta) ** 2))
+    return sums
 
 
-def _bases(block: Block, Lambda: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    s = Lambda.shape[0]
-    A = np.einsum("sr,nrv->nsv", Lambda, block.Phi, optimize=True)
-    Q, R = batch_row_spaces(A)
-    return Q[:, :, s:], Q[:, :, :s], R
+def _rows(
+    samples: Samples, Lambda: np.ndarray, model: PolicyModel, theta: np.ndarray | None = None
+) -> Iterator[np.ndarray]:
+    """Rows [d residual / d Theta | d residual / d B | residual], block by block; the residual is Z^T (u - pi).
 
-
-def _policy(samples: Samples, Lambda: np.ndarray, model: PolicyModel) -> tuple[np.ndarray, float, float]:
-    """Best Theta for a Lambda by accumulated QR, with cost and energy."""
-    energy = 0.0
-
-    def rows() -> Iterator[np.ndarray]:
-        nonlocal energy
-        for block in samples.blocks():
-            Z, _, _ = _bases(block, Lambda)
-            target = np.einsum("nvz,nv->nz", Z, block.u, optimize=True)
-            energy += float(np.sum(target**2))
-            yield np.concatenate([_policy_columns(Z, model(block.x, block.trajectory)), target.reshape(-1, 1)], axis=1)
-
-    R = _triangle(rows())
-    nv = samples.nv
-    theta = _solve(R[:, :-1], R[:, -1:])
-    # the residual from the triangle, not from energy - explained: those two nearly cancel on clean data
-    cost = float(np.sum((R[:, -1:] - R[:, :-1] @ theta) ** 2))
-    n = len(samples)
-    return theta.reshape(-1, nv), cost / n, energy / n
-
-
-def _policy_columns(Z: np.ndarray, beta: np.ndarray) -> Float[np.ndarray, "rows c"]:
-    n, nv, z = Z.shape
-    columns = beta[:, None, :, None] * Z.transpose(0, 2, 1)[:, :, None, :]
-    return columns.reshape(n * z, beta.shape[1] * nv)
-
-
-def _joint_rows(samples: Samples, Lambda: np.ndarray, theta: np.ndarray, model: PolicyModel) -> Iterator[np.ndarray]:
-    """Rows [d residual / d Theta | d residual / d B | residual], block by block; the residual is Z^T (u - pi)."""
-    perp = complement_rows(Lambda)
+    Without theta, [Z^T d pi / d Theta | Z^T u]: the least squares problem for the best policy.
+    """
+    s, perp = len(Lambda), complement_rows(Lambda)
     for block in samples.blocks():
-        Z, Q1, R = _bases(block, Lambda)
+        Q, R = batch_row_spaces(np.einsum("sr,nrv->nsv", Lambda, block.Phi, optimize=True))
+        Q1, Z = Q[:, :, :s], Q[:, :, s:]
+        n, nv, z = Z.shape
         beta = model(block.x, block.trajectory)
-        y = block.u - beta @ theta
-        n, _, z = Z.shape
-        a = np.einsum("nij,nvj,nv->ni", inverse_triangles(R), Q1, y, optimize=True)  # A^{+T} y
-        F = np.einsum("nvz,kr,nrv->nzk", Z, perp, block.Phi, optimize=True)
-        J = -(a[:, None, :, None] * F[:, :, None, :]).reshape(n * z, -1)
+        columns = [(beta[:, None, :, None] * Z.transpose(0, 2, 1)[:, :, None, :]).reshape(n * z, beta.shape[1] * nv)]
+        y = block.u if theta is None else block.u - beta @ theta
+        if theta is not None:
+            a = np.einsum("nij,nvj,nv->ni", inverse_triangles(R), Q1, y, optimize=True)  # A^{+T} y
+            F = np.einsum("nvz,kr,nrv->nzk", Z, perp, block.Phi, optimize=True)
+            columns.append(-(a[:, None, :, None] * F[:, :, None, :]).reshape(n * z, -1))
         residual = np.einsum("nvz,nv->nz", Z, y, optimize=True).reshape(-1, 1)
-        yield np.concatenate([_policy_columns(Z, beta), J, residual], axis=1)
+        yield np.concatenate([*columns, residual], axis=1)
 
 
-def _normal_equations(
-    samples: Samples, Lambda: np.ndarray, theta: np.ndarray, model: PolicyModel
-) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
-    """Gauss-Newton Hessian and gradient for B, with Theta projected off."""
-    s, r = Lambda.shape
-    m = s * (r - s)
-    R = _triangle(_joint_rows(samples, Lambda, theta, model))
-    width = R.shape[1] - m - 1
-    K, J, residual = R[:, :width], R[:, width : width + m], R[:, -1]
-    Jt = J - K @ _solve(K, J)
-    return Jt.T @ Jt, Jt.T @ residual
-
-
-def _triangle(blocks: Iterator[np.ndarray]) -> Float[np.ndarray, "rows n"]:
+def _triangle(blocks: Iterable[np.ndarray]) -> Float[np.ndarray, "rows n"]:
     """Triangle of the QR of all rows, stacked block after block: memory does not grow with the samples."""
     R: np.ndarray | None = None
     for rows in blocks:
-        stacked = rows if R is None else np.concatenate([R, rows])
-        R = qr(stacked, mode="r", overwrite_a=True, check_finite=False)[0][: min(stacked.shape)]
+        together = rows if R is None else np.concatenate([R, rows])
+        R = qr(together, mode="r", overwrite_a=True, check_finite=False)[0][: min(together.shape)]
     if R is None:
         raise ValueError("there are no samples")
     return R

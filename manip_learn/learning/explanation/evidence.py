@@ -10,13 +10,8 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.learning.explanation.row_motion import MEMORY, RowMotion
-
-# share of a held phase's samples that may be far off (slips, knocks): bounds the evidence against it
-OUTLIERS = 0.02
-# evidence that a change between two states costs [nats]: a person changes every few seconds, a chance of exp(-16) for
-# one of the ten samples of a second is that of a change in some months
-SWITCH = 16.0
+from manip_learn.learning.deciding import CHANGE_SECONDS, FAR_OFF_SHARE, HELD_SHARES, HELD_STEADY, SWITCH_NATS
+from manip_learn.learning.explanation.row_motion import RowMotion
 
 
 @final
@@ -39,7 +34,7 @@ def evidence(
     """Log-likelihood of each sample if the rows are held over the same if they are free, weighted by its time.
 
     Free: the rows take their even share of the motion, variance f = u^T Phi^+ Phi u / p a row. Held: variance
-    (steady sigma)^2 + (share^2) f, or free after all with the probability OUTLIERS. At a standstill the two are the
+    (steady sigma)^2 + (share^2) f, or free after all with probability FAR_OFF_SHARE. At a standstill the two are the
     same and the evidence is zero.
 
     Args:
@@ -54,18 +49,16 @@ def evidence(
     free = np.maximum(motion.free[:, None], floor)
     held = np.minimum(floor + share * free, free)
     exponent = 0.5 * s * np.log(free / held) - 0.5 * energy * (1.0 / held - 1.0 / free)
-    ratio = np.log(OUTLIERS + (1.0 - OUTLIERS) * np.exp(np.minimum(exponent, 50.0)))
-    return ratio * (motion.weight[:, None] / MEMORY)
+    ratio = np.log(FAR_OFF_SHARE + (1.0 - FAR_OFF_SHARE) * np.exp(np.minimum(exponent, 50.0)))
+    return ratio * (motion.weight[:, None] / CHANGE_SECONDS)
 
 
-STEADY = (1.0, 3.0, 9.0)
-SHARES = (0.003, 0.01, 0.03, 0.1, 0.2)
 # the scales among which a hypothesis takes the one with the most evidence, about half a decade apart
-SCALES = tuple(HeldScale(steady, share) for steady in STEADY for share in SHARES)
+SCALES = tuple(HeldScale(steady, share) for steady in HELD_STEADY for share in HELD_SHARES)
 
 
 def gains_of(
-    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = SWITCH
+    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = SWITCH_NATS
 ) -> Float[np.ndarray, "g h"]:
     """Evidence of each trajectory for each hypothesis: of the best sequence of held and free stretches, or, as in a cut
     recording, of a single state throughout.
@@ -87,7 +80,7 @@ def gains_of(
 
 
 def held_by(
-    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = SWITCH
+    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = SWITCH_NATS
 ) -> Bool[np.ndarray, "n h"]:
     """Which samples each hypothesis holds in, taken on its own: the sequences of `gains_of`."""
     lengths = np.diff(first)
@@ -115,7 +108,7 @@ def held_by(
 
 
 def states_of(
-    values: Float[np.ndarray, "n k"], first: Int[np.ndarray, " m"], switch: float = SWITCH
+    values: Float[np.ndarray, "n k"], first: Int[np.ndarray, " m"], switch: float = SWITCH_NATS
 ) -> Int[np.ndarray, " n"]:
     """Most likely state of each sample: 0 free motion, k the k-th hypothesis (Viterbi's algorithm); or, as in a cut
     recording, a single state throughout.

@@ -11,21 +11,12 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.learning.explanation.evidence import (
-    SCALES,
-    SWITCH,
-    HeldScale,
-    evidence,
-    gains_of,
-    held_by,
-    states_of,
-)
+from manip_learn.learning.deciding import CHANGE_SECONDS, LEAST_GAIN_NATS, SAMPLES_PER_DIRECTION, SWITCH_NATS
+from manip_learn.learning.explanation.evidence import SCALES, HeldScale, evidence, gains_of, held_by, states_of
 from manip_learn.learning.explanation.proposals import fitted_rows, proposed
-from manip_learn.learning.explanation.row_motion import MEMORY, RowMotion, broken_energy
-from manip_learn.learning.explanation.views import View
+from manip_learn.learning.explanation.row_motion import RowMotion, View, broken_energy
+from manip_learn.linalg import row_space_angle, row_space_angles
 
-# least gain of a hypothesis, without its best supporter and after the price of its parameters [nats]
-LEAST_GAIN = 40.0
 MOST_CONSTRAINTS = 6
 # hypotheses that are tested in a row without one that passes
 MOST_TESTED = 6
@@ -37,9 +28,6 @@ KEPT, TURNS, SETTLING = 4, 4, 4
 BEST_ALONE = 2
 # rows closer together than this are one proposal [rad]
 SAME = np.radians(3.0)
-# and one constraint: with play in the grip each recording has a direction of its own, 0.8 to 1.2 degrees from others
-# in the recordings of a drawer with play and stick-slip; 2 degrees are told apart [rad]
-ONE = np.radians(1.8)
 
 
 @final
@@ -72,7 +60,7 @@ class Hypothesis:
     def price(self, seconds: float) -> float:
         """Of the s (r - s) parameters of Lambda, learnt from so many seconds (G. Schwarz, 1978) [nats]."""
         s, r = self.rows.shape
-        return 0.5 * s * (r - s) * float(np.log(max(seconds / MEMORY, 2.0)))
+        return 0.5 * s * (r - s) * float(np.log(max(seconds / CHANGE_SECONDS, 2.0)))
 
     def worth(self, seconds: float) -> float:
         """Support less the price [nats]."""
@@ -107,7 +95,7 @@ class Explanation:
         refused: Hypotheses that gained enough and were not believed, in the order of their test.
     """
 
-    def __init__(self, views: Sequence[View], hypotheses: Sequence[Hypothesis] = (), switch: float = SWITCH):
+    def __init__(self, views: Sequence[View], hypotheses: Sequence[Hypothesis] = (), switch: float = SWITCH_NATS):
         self.views, self.hypotheses, self.switch = views, tuple(hypotheses), switch
         self.thin = views[0].thin
         self.values = self._values(fine=False)
@@ -146,18 +134,25 @@ class Explanation:
 
     @property
     def has_twins(self) -> bool:
-        """Whether two hypotheses differ by less than what one constraint may."""
-        found = [(h.view, self.views[h.view].motion.selection(h.rows)) for h in self.hypotheses]
-        return any(
-            i == j and a.shape == b.shape and np.linalg.svd(a @ b.T, compute_uv=False)[-1] > np.cos(ONE)
-            for (i, a), (j, b) in combinations(found, 2)
-        )
+        """Whether two hypotheses differ by less than each leaves open itself: a row that moves by a share of the free
+        rows' velocity is one whose direction changes by that angle.
+        """
+        pairs = combinations(enumerate(self.hypotheses), 2)
+        return any(self.angle(i, j) < a.scale.share + b.scale.share for (i, a), (j, b) in pairs)
+
+    def angle(self, i: int, j: int) -> float:
+        """Between the rows of two hypotheses; a right one where they are not of the same view and number [rad]."""
+        one, other = self.hypotheses[i], self.hypotheses[j]
+        if one.view != other.view:
+            return 0.5 * np.pi
+        motion = self.views[one.view].motion
+        return row_space_angle(motion.selection(one.rows), motion.selection(other.rows))
 
     def with_one_more(self, hypothesis: Hypothesis) -> Explanation:
         """All hypotheses and one more, each fitted to the samples that it explains best, in turns."""
         best = now = Explanation(self.views, (*self.hypotheses, hypothesis), self.switch)
         for _ in range(SETTLING):
-            fitted = [now._refitted(k) for k in range(len(now.hypotheses))]
+            fitted = [now._refitted(k, h) for k, h in enumerate(now.hypotheses)]
             now = Explanation(self.views, fitted, self.switch)
             # a soft fit also accepts free motion, and so becomes softer with each turn
             if float(now.explained.sum()) <= float(best.explained.sum()):
@@ -168,7 +163,7 @@ class Explanation:
     def without_idle(self) -> Explanation:
         """Without hypotheses whose samples the others explain as well."""
         now = self
-        while len(now.hypotheses) > 1 and np.min(now.supports) < LEAST_GAIN:
+        while len(now.hypotheses) > 1 and np.min(now.supports) < LEAST_GAIN_NATS:
             idle = int(np.argmin(now.supports))
             now = Explanation(now.views, [h for k, h in enumerate(now.hypotheses) if k != idle], now.switch)
         return now
@@ -182,7 +177,7 @@ class Explanation:
                     continue
                 width = view.thin.rates.shape[1]
                 plain = dataclasses.replace(h, view=number, rows=np.eye(h.n_rows, width))
-                trial = now._with(k, now._with(k, plain)._refitted(k, now.states == k + 1))
+                trial = now._with(k, now._refitted(k, plain))
                 saved = h.price(seconds) - plain.price(seconds)
                 if float(trial.explained.sum()) + saved >= float(now.explained.sum()):
                     now = trial
@@ -193,17 +188,14 @@ class Explanation:
         others = self.hypotheses
         return Explanation(self.views, (*others[:k], hypothesis, *others[k + 1 :]), self.switch)
 
-    def _refitted(self, k: int, chosen: Bool[np.ndarray, " n"] | None = None) -> Hypothesis:
-        h, thin = self.hypotheses[k], self.views[self.hypotheses[k].view].thin
-        held: np.ndarray = self.states == k + 1 if chosen is None else chosen
-        if np.count_nonzero(held & thin.moving) < 3 * h.rows.shape[1]:
-            return h
-        again = dataclasses.replace(h, rows=_rows(thin, held, h))
+    def _refitted(self, k: int, start: Hypothesis) -> Hypothesis:
+        """The start, fitted to the samples that the k-th hypothesis explains."""
+        held = self.states == k + 1
         baseline = np.where((self.states > 0) & ~held, self.others(k), 0.0)
-        return _scaled(self.views, [again], baseline, self.switch)[0]
+        return _again(self.views, [start], held[:, None], baseline, self.switch)[0]
 
 
-def explain(views: Sequence[View], believed: Test, switch: float = SWITCH) -> Explanation:
+def explain(views: Sequence[View], believed: Test, switch: float = SWITCH_NATS) -> Explanation:
     """Add one hypothesis after the other, as long as one gains enough and is believed.
 
     Proposals come from windows of what is not explained, and from recordings and pairs of them in each state; so a
@@ -218,13 +210,13 @@ def explain(views: Sequence[View], believed: Test, switch: float = SWITCH) -> Ex
     now, refused = Explanation(views, (), switch), list[Hypothesis]()
     seconds = float(views[0].thin.weight.sum())
     while len(now.hypotheses) < MOST_CONSTRAINTS:
-        gaining = [h for h in candidates(now) if h.worth(seconds) > LEAST_GAIN]
+        gaining = [h for h in candidates(now) if h.worth(seconds) > LEAST_GAIN_NATS]
         accepted, tested = None, 0
         for h in sorted(gaining, key=lambda h: -h.worth(seconds)):
             if tested == MOST_TESTED or any(_similar(h, r) for r in refused):
                 continue
             trial, tested = now.with_one_more(h), tested + 1
-            if trial.supports[-1] > LEAST_GAIN and not trial.has_twins:
+            if trial.supports[-1] > LEAST_GAIN_NATS and not trial.has_twins:
                 held = trial.states == len(trial.hypotheses)
                 if believed(views[h.view], trial.hypotheses[-1], held):
                     accepted = trial.without_idle()
@@ -279,20 +271,27 @@ def _fitted(
         if not values:
             break
         held = held_by(np.stack(values, axis=1), views[0].thin.first, switch)
-        enough = [
-            k
-            for k, h in enumerate(now)
-            if np.count_nonzero(held[:, k] & views[h.view].thin.moving) >= 3 * h.rows.shape[1]
-        ]
-        again = [dataclasses.replace(now[k], rows=_rows(views[now[k].view].thin, held[:, k], now[k])) for k in enough]
-        again = _scaled(views, again, baseline, switch)
-        better = [
-            (going[k], h) for k, h in zip(enough, again, strict=True) if h.gains.sum() > best[going[k]].gains.sum()
-        ]
-        for i, h in better:
-            best[i] = h
-        going = [i for i, _ in better]
+        again = zip(going, _again(views, now, held, baseline, switch), strict=True)
+        better = {i: h for i, h in again if h.gains.sum() > best[i].gains.sum()}
+        best = [better.get(i, h) for i, h in enumerate(best)]
+        going = list(better)
     return best
+
+
+def _again(
+    views: Sequence[View],
+    hypotheses: Sequence[Hypothesis],
+    held: Bool[np.ndarray, "n h"],
+    baseline: Float[np.ndarray, " n"],
+    switch: float,
+) -> list[Hypothesis]:
+    """Each fitted to its held samples, where these are enough to determine its rows."""
+    fitted = []
+    for h, own in zip(hypotheses, held.T, strict=True):
+        thin = views[h.view].thin
+        enough = np.count_nonzero(own & thin.moving) >= SAMPLES_PER_DIRECTION * h.rows.shape[1]
+        fitted.append(dataclasses.replace(h, rows=_rows(thin, own, h)) if enough else h)
+    return _scaled(views, fitted, baseline, switch)
 
 
 def _scaled(
@@ -322,17 +321,14 @@ def _rows(motion: RowMotion, held: Bool[np.ndarray, " n"], h: Hypothesis) -> Flo
 
 
 def _similar(first: Hypothesis, second: Hypothesis) -> bool:
-    if first.view != second.view or first.rows.shape != second.rows.shape:
-        return False
-    return float(np.linalg.svd(first.rows @ second.rows.T, compute_uv=False)[-1]) > np.cos(SAME)
+    return first.view == second.view and row_space_angle(first.rows, second.rows) < SAME
 
 
 def _distinct(rows: Float[np.ndarray, "h s r"], order: Int[np.ndarray, " h"]) -> list[int]:
     """The first few in this order whose row spaces differ."""
     kept: list[int] = []
     for i in order:
-        shared = np.linalg.svd(rows[kept] @ rows[i].T, compute_uv=False)[:, -1] if kept else np.zeros(0)
-        if np.all(shared < np.cos(SAME)):
+        if not kept or np.all(row_space_angles(rows[kept], rows[i]) > SAME):
             kept.append(int(i))
         if len(kept) == KEPT:
             break

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from itertools import combinations, pairwise
 from typing import final
 
 import numpy as np
@@ -15,31 +14,33 @@ from jaxtyping import Bool, Float
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import counted, listed
-from manip_learn.learning.before_smoothing import BeforeSmoothing
-from manip_learn.learning.evidence.recombination import recombination_test
-from manip_learn.learning.explanation.evidence import SWITCH
-from manip_learn.learning.explanation.explain import LEAST_GAIN, Explanation, Hypothesis, explain
-from manip_learn.learning.explanation.lone import lone_contacts
+from manip_learn.learning.deciding import (
+    FEWEST_TRAJECTORIES,
+    FIRM_SHARE,
+    JOINTS_AT_ONCE,
+    LEAST_GAIN_NATS,
+    NEARLY_SAME_DEG,
+    SHORT_STRETCH_RATIO,
+    SWITCH_NATS,
+)
+from manip_learn.learning.explanation.explain import Explanation, Hypothesis, explain
+from manip_learn.learning.explanation.lone import lone_contacts, parts_of
 from manip_learn.learning.explanation.odd import agreeing, drifting, missing, slipping
-from manip_learn.learning.explanation.row_motion import joints_at_once
-from manip_learn.learning.explanation.stretch import Stretch, pieces_of, sharpened, stretches_of, uncovered
-from manip_learn.learning.explanation.views import View, mechanism_features, views_of
+from manip_learn.learning.explanation.row_motion import View, joints_at_once, mechanism_features, views_of
+from manip_learn.learning.explanation.stretch import (
+    BeforeSmoothing,
+    Stretch,
+    pieces_of,
+    sharpened,
+    stretches_of,
+    uncovered,
+    ways_to_choose,
+)
+from manip_learn.learning.recombination import recombination_test
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Reference
 
-RECOMBINATIONS = 99
-# a joint that moves alone goes where it must: only joints that move at the same time show what coordinates them. Joints
-# that are moved one after the other give 1.00, contacts of twelve mechanisms with four arms 1.4 to 4 (least 1.1)
-AT_ONCE = 1.1
-# a stretch shorter than this share of the usual one is chance: another motion that passes along the free directions
-CHANCE = 0.25
-# largest share of the free velocity along the rows of a firm contact
-FIRM = 0.05
-# directions in which the joints must move for a contact that one recording alone shows
-EXCITED = 5
-# rows of two constraints closer together than this may be one constraint, or two [deg]
-NEARLY_THE_SAME = 5.0
 IN_ONE_ONLY = "appears in one recording only"
 DISAGREES = "does not agree with the other recordings"
 
@@ -55,7 +56,7 @@ class Part:
         feature_maps: The candidates for Phi; the one in which the rows were found, if they were.
         found: Rows that explain these stretches, orthonormal; None if nothing does.
         asked: The feature maps that were asked for.
-        choices: In how many ways as many recordings can be chosen from all.
+        choices: Among how many they were chosen: feature maps, numbers of rows, and `ways_to_choose` as much motion.
         source: All recordings before they were smoothed; None if they were not.
     """
 
@@ -64,7 +65,7 @@ class Part:
     feature_maps: tuple[FeatureMap, ...]
     found: Float[np.ndarray, "s p"] | None = None
     asked: tuple[FeatureMap, ...] = ()
-    choices: int = 1
+    choices: float = 1.0
     source: BeforeSmoothing | None = None
 
     @property
@@ -144,18 +145,15 @@ def find(
     widths = {t.u.shape[1] for t in trajectories if t.u is not None}
     if not usable or any(widths != {f.nv} for f in feature_maps):
         return unexplained(demonstrations, feature_maps)  # refused where the samples are collected
-    shown = partial(views_of, [*usable, *(mechanism_features(usable, trajectories) if mechanisms else ())])
-    views = shown(trajectories)
+    views = views_of([*usable, *(mechanism_features(usable, trajectories) if mechanisms else ())], trajectories)
     if not views:
         return unexplained(demonstrations, feature_maps)  # a single row: nothing to compare it with
-    believed = partial(_believed, trajectories, int(rng.integers(2**32)))
-    explanation = explain(views, believed, SWITCH if phases else np.inf)
+    believed = _Recombination(trajectories, _tried(views), int(rng.integers(2**32)))
+    explanation = explain(views, believed, SWITCH_NATS if phases else np.inf)
     elsewhere = _elsewhere(usable, trajectories, explanation)
     if elsewhere:  # what disagrees in this reference is no other task
         return dataclasses.replace(unexplained(demonstrations, feature_maps), warnings=elsewhere, elsewhere=True)
-    contacts = list[Stretch]()
-    if phases and len(trajectories) > 1 and all(t.q.shape[1] == usable[0].nv for t in trajectories):
-        contacts = lone_contacts(explanation, trajectories, shown, rng, min(EXCITED, usable[0].nv))
+    contacts = lone_contacts(explanation, believed.of_one) if phases and len(trajectories) > 1 else []
     if not explanation.hypotheses:
         alone = tuple((s, IN_ONE_ONLY) for s in contacts)
         nearest = Explanation(explanation.views, explanation.refused[:1], explanation.switch)
@@ -171,16 +169,15 @@ def _elsewhere(
     """A warning if rows in the other reference, which was not asked for, explain all recordings better."""
     tried = {f.reference for f in feature_maps if isinstance(f, FrameJacobian)}
     whole = [np.all(explanation.gains[:, k] > 0.0) for k in range(len(explanation.hypotheses))]
-    firm = any(w and h.scale.share <= FIRM for w, h in zip(whole, explanation.hypotheses, strict=True))
+    firm = any(w and h.scale.share <= FIRM_SHARE for w, h in zip(whole, explanation.hypotheses, strict=True))
     if len(tried) != 1 or firm:
         return ()
     other: Reference = "local" if "world" in tried else "world"
     maps = [
         FrameJacobian(f.robot, f.frame.name, f.row_names, other) for f in feature_maps if isinstance(f, FrameJacobian)
     ]
-    there = explain(views_of(maps, trajectories), lambda *_: True, np.inf)
-    throughout = len(np.unique(there.thin.trajectory[there.states > 0])) == len(trajectories)
-    if not throughout or there.explained.sum() < explanation.explained.sum() + LEAST_GAIN:
+    there = _throughout(maps, trajectories)
+    if there is None or there.explained.sum() < explanation.explained.sum() + LEAST_GAIN_NATS:
         return ()
     return (
         f"in the {tried.pop()} reference no constraint fits all recordings, in the {other} one does: the rows are held "
@@ -190,14 +187,16 @@ def _elsewhere(
 
 def held_throughout(feature_maps: Sequence[FeatureMap], demonstrations: Demonstrations) -> bool:
     """Whether some rows of these features stay still in every recording as a whole, be they held or never tried."""
-    usable = [f for f in feature_maps if _moves(f, demonstrations.trajectories)]
-    if not usable:
-        return False
-    views = views_of(usable, demonstrations.trajectories)
+    return _throughout([f for f in feature_maps if _moves(f, demonstrations.trajectories)], demonstrations) is not None
+
+
+def _throughout(feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory]) -> Explanation | None:
+    """What stays still in each recording as a whole, chance or not; None if one of them has no such rows."""
+    views = views_of(feature_maps, trajectories) if feature_maps else []
     if not views:
-        return False
+        return None
     found = explain(views, lambda *_: True, np.inf)
-    return bool(found.hypotheses) and len(np.unique(found.thin.trajectory[found.states > 0])) == len(demonstrations)
+    return found if set(found.thin.trajectory[found.states > 0]) == set(range(len(trajectories))) else None
 
 
 def _moves(features: FeatureMap, trajectories: Sequence[Trajectory]) -> bool:
@@ -206,24 +205,54 @@ def _moves(features: FeatureMap, trajectories: Sequence[Trajectory]) -> bool:
     return bool(np.any(np.abs(features.batch(few)) > 0.0))
 
 
-def _believed(
-    trajectories: Sequence[Trajectory], seed: int, view: View, h: Hypothesis, held: Bool[np.ndarray, " n"]
-) -> bool:
-    """Whether exchanging joints between the stretches breaks the rows, and the joints move enough to show it."""
-    shown = stretches_of(view.thin, held.astype(np.int64), 1)
-    # a slip of some millimetres is a few samples of evidence, and as much as exchanged joints break of a short contact
-    still = agreeing(view.thin, h.rows, shown)
-    stretches, pieces = pieces_of(trajectories, [s for s, good in zip(shown, still, strict=True) if good])
-    recordings = sorted({s.trajectory for s in stretches})
-    if not pieces or (len(trajectories) > 1 and len(recordings) < 2):
-        return False
-    noise = view.motion.noise[view.motion.first[:-1]]
-    moved = [joints_at_once(np.asarray(c.u), noise[s.trajectory]) for s, c in zip(stretches, pieces, strict=True)]
-    if np.median(moved) < AT_ONCE:
-        return False
-    choices = math.comb(len(trajectories), len(recordings))
-    evidence = recombination_test(view.features, pieces, np.random.default_rng(seed), RECOMBINATIONS, choices)
-    return evidence.n_rows >= h.n_rows
+def _tried(views: Sequence[View]) -> int:
+    """Feature maps and numbers of rows that are tried."""
+    return sum(v.largest for v in views)
+
+
+@final
+@dataclass(frozen=True)
+class _Recombination:
+    """The test of a hypothesis: whether exchanging joints between its stretches breaks its rows.
+
+    Attributes:
+        trajectories: All recordings, with velocities.
+        tried: Kinds of hypotheses of which the one that gains most is tested.
+        seed: Of the exchanges.
+    """
+
+    trajectories: Sequence[Trajectory]
+    tried: int
+    seed: int
+
+    def __call__(self, view: View, h: Hypothesis, held: Bool[np.ndarray, " n"]) -> bool:
+        """Whether several recordings confirm the hypothesis, or the only one does."""
+        shown = stretches_of(view.thin, held.astype(np.int64), 1)
+        # a slip of some millimetres is a few samples of evidence, and as much as exchanged joints break of a short
+        # contact
+        still = agreeing(view.thin, h.rows, shown)
+        stretches, pieces = pieces_of(self.trajectories, [s for s, good in zip(shown, still, strict=True) if good])
+        recordings = {s.trajectory for s in stretches}
+        enough = len(recordings) >= min(2, len(self.trajectories))
+        return enough and self._confirmed(view, h, stretches, pieces, len(recordings))
+
+    def of_one(self, view: View, h: Hypothesis, stretch: Stretch) -> bool:
+        """Whether the parts of a single stretch confirm the hypothesis beyond doubt, each as a recording would."""
+        stretches, pieces = pieces_of(self.trajectories, [stretch])
+        parts = [p[a:b] for p in pieces for a, b in pairwise(parts_of(float(p.time[0]), float(p.time[-1])))]
+        return self._confirmed(view, h, stretches, parts, 1)
+
+    def _confirmed(
+        self, view: View, h: Hypothesis, stretches: Sequence[Stretch], pieces: Sequence[Trajectory], recordings: int
+    ) -> bool:
+        """By pieces of these stretches; beyond doubt if they are of few recordings, for two can be alike by chance."""
+        noise = [view.motion.noise[view.motion.first[s.trajectory]] for s in stretches]
+        at_once = [joints_at_once(np.asarray(p.u), float(np.mean(noise))) for p in pieces]
+        shown = pieces if pieces and np.median(at_once) >= JOINTS_AT_ONCE else []
+        choices = self.tried * ways_to_choose(view.thin, stretches)
+        evidence = recombination_test(view.features, shown, np.random.default_rng(self.seed), choices)
+        sure = recordings >= FEWEST_TRAJECTORIES or evidence.clear
+        return bool(shown) and evidence.n_rows >= h.n_rows and sure
 
 
 def _findings(
@@ -233,6 +262,7 @@ def _findings(
     contacts: Sequence[Stretch],
 ) -> Findings:
     trajectories, states = demonstrations.trajectories, explanation.fine_states()
+    tried = _tried(explanation.views)
     order = np.argsort(-explanation.supports).tolist()
     parts, odd, apart = list[Part](), dict[int, str](), list[Stretch]()
     views = [explanation.views[explanation.hypotheses[k].view] for k in order]
@@ -241,7 +271,7 @@ def _findings(
         h = explanation.hypotheses[k]
         spans = sharpened(view.motion, h.rows, stretches_of(view.motion, states, k + 1))
         usual = np.median([s.duration for s in spans]) if spans else 0.0
-        found.append(tuple(pieces_of(trajectories, [s for s in spans if s.duration >= CHANCE * usual])[0]))
+        found.append(tuple(pieces_of(trajectories, [s for s in spans if s.duration >= SHORT_STRETCH_RATIO * usual])[0]))
     for number, (k, view, stretches) in enumerate(zip(order, views, found, strict=True), start=1):
         rows = explanation.hypotheses[k].rows
         if not stretches:
@@ -255,7 +285,6 @@ def _findings(
         odd |= slipping(view.motion, rows, *own, members, elsewhere)
         odd |= missing(*own, stretches, number)
         odd |= drifting(*own, stretches, agrees)
-        shown = len({s.trajectory for s in members})
         parts.append(
             Part(
                 Demonstrations(pieces_of(trajectories, members)[1], demonstrations.notes),
@@ -263,7 +292,7 @@ def _findings(
                 (view.features,),
                 selection,
                 tuple(feature_maps),
-                math.comb(len(trajectories), shown),
+                tried * ways_to_choose(view.motion, members),
             )
         )
     if not parts:
@@ -281,21 +310,10 @@ def _findings(
 
 
 def _doubts(explanation: Explanation, order: Sequence[int]) -> list[str]:
-    out, found = [], [explanation.hypotheses[k] for k in order]
-    for j, b in enumerate(found):
-        for i, a in enumerate(found[:j]):
-            if a.view != b.view or a.n_rows != b.n_rows:
-                continue
-            one, other = (explanation.views[h.view].motion.selection(h.rows) for h in (a, b))
-            angle = _angle(one, other)
-            if angle < NEARLY_THE_SAME:
-                out.append(
-                    f"constraints {i + 1} and {j + 1} differ by {angle:.1f} deg only: two contacts that nearly "
-                    "coincide, or one that is not quite constant; they are kept apart, not averaged"
-                )
-    return out
-
-
-def _angle(one: Float[np.ndarray, "s p"], other: Float[np.ndarray, "s p"]) -> float:
-    """Largest angle between two row spaces [deg]."""
-    return float(np.degrees(np.arccos(np.clip(np.linalg.svd(one @ other.T)[1][-1], -1.0, 1.0))))
+    angles = {(i, j): np.degrees(explanation.angle(order[i], order[j])) for i, j in combinations(range(len(order)), 2)}
+    return [
+        f"constraints {i + 1} and {j + 1} differ by {angle:.1f} deg only: two contacts that nearly coincide, or one "
+        "that is not quite constant; they are kept apart, not averaged"
+        for (i, j), angle in angles.items()
+        if angle < NEARLY_SAME_DEG
+    ]

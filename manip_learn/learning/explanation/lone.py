@@ -2,71 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import dataclasses
+from collections.abc import Callable
 
 import numpy as np
+from jaxtyping import Float
 
+from manip_learn.learning.deciding import FEWEST_TRAJECTORIES, FIRM_ALONE_SHARE, LEAST_GAIN_NATS
 from manip_learn.learning.explanation.explain import Explanation, Hypothesis, candidates
-from manip_learn.learning.explanation.row_motion import directions_used
-from manip_learn.learning.explanation.stretch import Stretch, stretches_of
-from manip_learn.learning.explanation.surrogates import exchanged
-from manip_learn.learning.explanation.views import View
-from manip_learn.recordings.trajectory import Trajectory
-
-# in a single recording only firmness tells a contact from free motion, which also runs straight or flat, but never to
-# better than a few per cent
-FIRM_ALONE = 0.01
-# least evidence [nats], and how many times that of the best recording without a contact
-LEAST_ALONE, MARGIN_ALONE = 60.0, 1.5
-# recordings without a contact that are searched for comparison
-CHANCE_RUNS = 3
+from manip_learn.learning.explanation.row_motion import View
+from manip_learn.learning.explanation.stretch import Stretch, covered, stretches_of
 
 
-def lone_contacts(
-    explanation: Explanation,
-    trajectories: Sequence[Trajectory],
-    views_of: Callable[[Sequence[Trajectory]], list[View]],
-    rng: np.random.Generator,
-    excited: int,
-) -> list[Stretch]:
+def lone_contacts(explanation: Explanation, believed: Callable[[View, Hypothesis, Stretch], bool]) -> list[Stretch]:
     """Stretches beside those explained in which rows hold firmly, in one recording each.
-
-    The same search finds straight and flat parts of free motion, too. What it finds there is known from recordings
-    whose joints come from different ones: a contact must exceed the best of them.
 
     Args:
         explanation: What several recordings show.
-        trajectories: Whole recordings with velocities.
-        views_of: Shows recordings in the feature maps.
-        rng: For the comparison.
-        excited: Directions in which the joints must move for rows to be held rather than not used.
+        believed: The test of a hypothesis against chance, by a single stretch.
     """
-    best = _firmest(explanation)
-    if not best:
-        return []
-    needed = LEAST_ALONE
-    for _ in range(CHANCE_RUNS):
-        chance = Explanation(views_of(exchanged(trajectories, rng)))
-        needed = max(needed, *(MARGIN_ALONE * h.gains[i] for i, h in _firmest(chance).items()), needed)
+    found = [h for h in candidates(explanation, alone=True) if h.scale.share <= FIRM_ALONE_SHARE]
     out, motion = list[Stretch](), explanation.views[0].motion
-    for i, h in best.items():
-        if h.gains[i] <= needed:
+    for i in range(explanation.thin.n_trajectories if found else 0):
+        h = max(found, key=lambda h: h.gains[i])
+        if h.gains[i] <= LEAST_GAIN_NATS:
             continue
         alone = Explanation(explanation.views, (*explanation.hypotheses, h), explanation.switch)
         states = alone.fine_states() * (motion.trajectory == i)
-        for s in stretches_of(motion, states, len(alone.hypotheses)):
-            t = trajectories[i][s.start : s.end]
-            if s.trajectory == i and directions_used(np.asarray(t.u), float(motion.noise[motion.first[i]])) >= excited:
-                out.append(s)
+        stretches = stretches_of(motion, states, len(alone.hypotheses))
+        worthy = [s for s in stretches if _worth(alone, s) > LEAST_GAIN_NATS]
+        out += [s for s in worthy if believed(explanation.views[h.view], h, s)]
     return out
 
 
-def _firmest(explanation: Explanation) -> dict[int, Hypothesis]:
-    """The firm hypothesis with the most evidence in each recording where it has enough."""
-    found = [h for h in candidates(explanation, alone=True) if h.scale.share <= FIRM_ALONE]
-    out = {}
-    for i in range(explanation.thin.n_trajectories):
-        best = max(found, key=lambda h: h.gains[i], default=None)
-        if best is not None and best.gains[i] > LEAST_ALONE:
-            out[i] = best
-    return out
+def parts_of(start: float, end: float) -> Float[np.ndarray, " k"]:
+    """Edges of the parts of a stretch that stand for recordings: one more than the fewest can be spared [s]."""
+    return np.linspace(start, end, FEWEST_TRAJECTORIES + 2)
+
+
+def _worth(alone: Explanation, stretch: Stretch) -> float:
+    """Gain of the last hypothesis in a stretch, without the part of it that gains most, less its price and that of the
+    change into it and out of it [nats].
+    """
+    thin, k = alone.thin, len(alone.hypotheses) - 1
+    inside = covered(thin, [stretch])
+    part = np.searchsorted(parts_of(stretch.start, stretch.end)[1:-1], thin.time[inside])
+    gains = np.bincount(part, (alone.values[:, k] - alone.others(k))[inside])
+    return dataclasses.replace(alone.hypotheses[k], gains=gains).worth(stretch.duration) - alone.switch

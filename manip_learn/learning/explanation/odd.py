@@ -4,32 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from statistics import NormalDist
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.learning.explanation.reason import reason, way_along
+from manip_learn.constraint.features.feature_map import FeatureMap, sum_in_words
+from manip_learn.learning.deciding import (
+    FAR_FROM_HELD,
+    LEAST_SLIP,
+    LONGEST_SLIP_SECONDS,
+    ODD_SHARE,
+    ODD_SPREAD,
+    OVER_NOISE,
+    SHOWN_BY_SHARE,
+    SLIP_FACTOR,
+)
 from manip_learn.learning.explanation.row_motion import RowMotion
 from manip_learn.learning.explanation.stretch import Stretch, covered, pieces_of
 from manip_learn.recordings.trajectory import Trajectory
 
-# a stretch is odd if it drifts along the held rows more than this many times the usual distance, more than this many
-# (robust) standard deviations of the logarithm above it, and by this share of its motion; in 50 sets of recordings that
-# all agree the largest drift was 3 times the usual one
-ODD_FACTOR = 2.5
-ODD_SPREAD = 6.0
-ODD_SHARE = 0.005
-# and by more than white noise on its velocities takes a random walk: its range exceeds 4 standard deviations of its end
-# in one of 10,000 trajectories
-ODD_NOISE = 4.0
-MEDIAN_SQUARE = 0.455  # of a standard normal variable
-# longest interruption of a contact: who lets go for longer does so on purpose [s]
-LONGEST = 1.5
-# a slip goes this many times farther along the held rows than a whole contact, and at least this far [m or rad]
-SLIP_FACTOR, LEAST_SLIP = 5.0, 2e-3
-# share of the recordings that must show a constraint before one that does not is called odd
-MOST = 0.6
+MEDIAN_SQUARE = NormalDist().inv_cdf(0.75) ** 2  # of a standard normal variable
 
 
 def agreeing(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretches: Sequence[Stretch]) -> Bool[np.ndarray, " m"]:
@@ -46,8 +41,8 @@ def agreeing(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretches: Seque
         excess = np.log(np.maximum(ratios, 1e-12))
         # below the usual only: above it the odd ones spread as well
         spread = max(0.0, -float(np.quantile(excess[agrees], 0.16)))
-        agrees = (excess <= max(np.log(ODD_FACTOR), ODD_SPREAD * spread)) | (drift <= ODD_SHARE)
-        agrees |= lengths <= ODD_NOISE * noise
+        agrees = (excess <= max(np.log(FAR_FROM_HELD), ODD_SPREAD * spread)) | (drift <= ODD_SHARE)
+        agrees |= lengths <= OVER_NOISE * noise
         if not np.any(agrees):
             return np.ones(len(stretches), dtype=bool)
     return agrees
@@ -105,7 +100,7 @@ def missing(
 ) -> dict[int, str]:
     """The trajectories in which a constraint is not seen although nearly all others show it, and why."""
     shown = {s.trajectory for s in stretches}
-    if len(shown) < max(2.0, MOST * len(trajectories)):
+    if len(shown) < max(2.0, SHOWN_BY_SHARE * len(trajectories)):
         return {}
     usual = pieces_of(trajectories, stretches)[1]
     out = {}
@@ -146,16 +141,53 @@ def slipping(
     for i, parts in spans.items():
         for a, b in pairwise(parts if len(parts) > usual else ()):
             gap = Stretch(i, a.end, b.start)
-            if gap.duration > LONGEST or any(gap.shared(s) > 0.0 for s in others):
+            if gap.duration > LONGEST_SLIP_SECONDS or any(gap.shared(s) > 0.0 for s in others):
                 continue
             between = trajectories[i][a.end : b.start]
             whole = [trajectories[s.trajectory][s.start : s.end] for s in stretches]
-            if _drift(motion, rows, gap)[0] > SLIP_FACTOR * held and _moved(features, between, selection) > LEAST_SLIP:
+            if (
+                _drift(motion, rows, gap)[0] > SLIP_FACTOR * held
+                and _extent(way_along(features, between, selection)) > LEAST_SLIP
+            ):
                 why = reason(features, [*whole, between], selection, len(whole), range(len(whole)))
                 out[i] = f"its contact is interrupted from {a.end:.2f} s to {b.start:.2f} s, as by a slip: {why}"
                 break
     return out
 
 
-def _moved(features: FeatureMap, trajectory: Trajectory, selection: Float[np.ndarray, "s p"]) -> float:
-    return _extent(way_along(features, trajectory, selection))
+def reason(
+    features: FeatureMap,
+    trajectories: Sequence[Trajectory],
+    selection: Float[np.ndarray, "s p"],
+    odd: int,
+    members: Sequence[int],
+) -> str:
+    """One sentence: how far it moves along the direction that the others hold still, and how far they do."""
+    t = trajectories[odd]
+    way = way_along(features, t, selection)
+    centred = way - way.mean(axis=0)
+    worst = np.linalg.svd(centred, full_matrices=False)[2][0]
+    row = worst @ selection
+    moved = float(np.ptp(way @ worst))
+    usual = float(np.median([np.ptp(way_along(features, trajectories[i], selection) @ worst) for i in members]))
+    turns = np.array([unit.startswith("rad") for unit in features.row_units])
+    rotation = float(np.sum(row[turns] ** 2)) > 0.5
+    others = f"the other {len(members)} hold" if len(members) > 1 else "the other one holds"
+    how = "turns {:.2g} deg about" if rotation else "moves {:.3g} mm along"
+    factor = np.degrees(1.0) if rotation else 1e3
+    return (
+        f"{t.name} {how.format(factor * moved)} a direction ({_words(features, row)}) that {others} still "
+        f"(median {factor * usual:.2g} {'deg' if rotation else 'mm'})"
+    )
+
+
+def way_along(features: FeatureMap, t: Trajectory, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "T s"]:
+    """Way along each row [m or rad], trapezoid rule."""
+    rates = np.matmul(features.batch(t.q), np.asarray(t.u)[:, :, None])[:, :, 0] @ selection.T
+    steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(t.time)[:, None]
+    return np.concatenate([np.zeros((1, len(selection))), np.cumsum(steps, axis=0)])
+
+
+def _words(features: FeatureMap, row: Float[np.ndarray, " p"]) -> str:
+    row = row if row[np.argmax(np.abs(row))] > 0.0 else -row
+    return sum_in_words(row, features.row_names, "+.2f", 0.05)

@@ -11,18 +11,13 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from manip_learn.learning.deciding import LONG_WINDOWS_SECONDS, PROPOSAL_GAP, SHORT_WINDOWS_SECONDS
 from manip_learn.learning.explanation.row_motion import RowMotion
 
-# lengths of the windows, and the share of a length by which one starts after the other [s]
-WINDOWS = (0.6, 1.2)
-STRIDE = 0.5
-# of windows that are taken in pairs, for one on a curved surface fits many, and how many of them at most
-LONG_WINDOWS = (1.2, 2.0)
-MOST_PAIRED = 60
+STRIDE = 0.5  # share of a window's length by which one starts after the other
+MOST_PAIRED = 60  # windows that are taken in pairs
 # recordings, and pairs of them, that are taken at most: more propose the same rows again
 MOST_ALONE, MOST_PAIRS = 16, 24
-# a proposal of s rows has its s-th level this much below the next one
-LEAST_GAP = 2.5
 # windows, and pairs of them, that propose s rows, those with the clearest gaps
 MOST = 200
 
@@ -85,7 +80,7 @@ def proposed(motion: RowMotion, states: Int[np.ndarray, " n"], largest: int) -> 
         sizes, directions = _least_used(moments)
         for s, kept in out.items():
             gap = sizes[:, s] / sizes[:, s - 1]
-            chosen = np.flatnonzero(gap > LEAST_GAP)
+            chosen = np.flatnonzero(gap > PROPOSAL_GAP)
             chosen = chosen[np.argsort(-gap[chosen])][:most]
             kept.append(np.linalg.qr(directions[chosen, :s].transpose(0, 2, 1))[0].transpose(0, 2, 1))
     return {s: rows for s, kept in out.items() if kept and len(rows := np.concatenate(kept))}
@@ -94,7 +89,7 @@ def proposed(motion: RowMotion, states: Int[np.ndarray, " n"], largest: int) -> 
 def _windows(motion: RowMotion, chosen: Bool[np.ndarray, " n"]) -> list[Moments]:
     """Windows of these samples, and windows of two recordings together."""
     motion = dataclasses.replace(motion, weight=motion.weight * chosen)
-    parts, long = [_window_moments(motion, WINDOWS)], _window_moments(motion, LONG_WINDOWS)
+    parts, long = [_window_moments(motion, SHORT_WINDOWS_SECONDS)], _window_moments(motion, LONG_WINDOWS_SECONDS)
     if len(long.M) > 1:
         sizes, _ = _least_used(long)
         long = long.chosen(np.argsort(-np.max(sizes[:, 1:] / sizes[:, :-1], axis=1))[:MOST_PAIRED])

@@ -10,26 +10,19 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
+from manip_learn.constraint.features.place_rows import PlaceForm, PlaceRows
 from manip_learn.errors import NotIdentifiableError, RecordingError
-from manip_learn.learning.whitening import whitening
+from manip_learn.learning.deciding import CUBIC, LONGEST_STEP_SECONDS, OVER_NOISE, SHORT_WINDOWS_SECONDS
+from manip_learn.learning.samples import whitening
+from manip_learn.linalg import null_basis
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 
-# samples closer together than this tell the same story: a person's motion does not change faster [s]
-MEMORY = 0.1
 # samples a second that are enough to judge a hypothesis; boundaries are found on all samples
 SCAN_RATE = 25.0
-# largest step of time that counts in full: a gap in a recording is no evidence [s]
-LONGEST_STEP = 0.2
 # eigenvalues of Phi Phi^T at one posture below this are none: rows that depend on the others there
 RANK = 1e-8
-# length of the windows from which the noise of the velocities is told [s]
-NOISE_WINDOW = 0.6
-# directions that a smooth motion, one like a cubic, fills of a window
-SMOOTH = 4
-# samples this many times above the noise count as motion of the tip
-MOVING = 4.0
-# a direction in which the joints move less than this share of the liveliest is not used
-USED = 0.01
 
 
 @final
@@ -122,7 +115,7 @@ class RowMotion:
     @property
     def moving(self) -> Bool[np.ndarray, " n"]:
         """Where the rows move clearly more than the noise: elsewhere nothing can be known."""
-        return self.free > MOVING**2 * self.noise
+        return self.free > OVER_NOISE**2 * self.noise
 
     def thinned(self, rate: float = SCAN_RATE) -> RowMotion:
         """Evenly chosen samples, about so many a second, each standing for the time of those left out."""
@@ -190,23 +183,16 @@ def joints_at_once(u: Float[np.ndarray, "n nv"], noise: float) -> float:
         u: Velocities.
         noise: Variance of the noise of each of them.
     """
-    squares = u[np.sum(u**2, axis=1) > MOVING**2 * noise * u.shape[1]] ** 2
+    squares = u[np.sum(u**2, axis=1) > OVER_NOISE**2 * noise * u.shape[1]] ** 2
     if not len(squares):
         return 0.0
     return float(np.median(np.sum(squares, axis=1) ** 2 / np.sum(squares**2, axis=1)))
 
 
-def directions_used(u: Float[np.ndarray, "n nv"], noise: float) -> int:
-    """Number of directions in which the joints move, beyond the variance of their noise."""
-    sizes = np.linalg.svd(u, compute_uv=False)
-    floor = max(USED * float(np.max(sizes, initial=0.0)), 2.0 * np.sqrt(noise * len(u)))
-    return int(np.count_nonzero(sizes > floor))
-
-
 def _weights(time: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
     if len(time) < 2:
         return np.full(len(time), 0.01)
-    steps = np.minimum(np.diff(time), LONGEST_STEP)
+    steps = np.minimum(np.diff(time), LONGEST_STEP_SECONDS)
     return 0.5 * (np.append(steps, steps[-1]) + np.insert(steps, 0, steps[0]))
 
 
@@ -218,16 +204,69 @@ def velocity_noise(trajectory: Trajectory) -> float:
     """
     u, time = np.asarray(trajectory.u), trajectory.time
     nv, T = u.shape[1], len(u)
-    length = min(T, max(2 * nv, int(np.searchsorted(time, time[0] + NOISE_WINDOW))))
+    length = min(T, max(2 * nv, int(np.searchsorted(time, time[0] + SHORT_WINDOWS_SECONDS[0]))))
     starts = np.arange(0, T - length + 1, max(1, length // 2))
     windows = np.stack([u[a : a + length] for a in starts])
     left = []
-    if nv > SMOOTH:
+    if nv > CUBIC:
         values = np.linalg.eigvalsh(np.einsum("wti,wtj->wij", windows, windows) / length)
-        left.append(np.mean(values[:, : nv - SMOOTH], axis=1))
-    if length > SMOOTH:
-        cubic = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), SMOOTH))[0]
+        left.append(np.mean(values[:, : nv - CUBIC], axis=1))
+    if length > CUBIC:
+        cubic = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), CUBIC))[0]
         rest = windows - cubic @ (cubic.T @ windows)
-        left.append(np.sum(rest**2, axis=(1, 2)) / ((length - SMOOTH) * nv))
+        left.append(np.sum(rest**2, axis=(1, 2)) / ((length - CUBIC) * nv))
     least = min((float(np.median(x)) for x in left), default=0.0)
     return max(least, 1e-10 * float(np.mean(u**2)), 1e-24)
+
+
+# postures of each recording whose mean place becomes the middle of the rows: it conditions the numbers only
+FEW = 50
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class View:
+    """The recordings in one feature map.
+
+    Attributes:
+        features: Phi.
+        motion: All samples.
+        thin: Evenly chosen ones, on which hypotheses are scored.
+        largest: Largest number of rows that leave the features something free.
+    """
+
+    features: FeatureMap
+    motion: RowMotion
+    thin: RowMotion
+    largest: int
+
+    @property
+    def immovable(self) -> Float[np.ndarray, "k p"]:
+        """Rows of the features that the arm cannot move, orthonormal."""
+        return null_basis(np.linalg.svd(self.motion.whitening, full_matrices=False)[2]).T
+
+
+def views_of(feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory]) -> list[View]:
+    """The recordings in each feature map.
+
+    Raises:
+        RecordingError: A trajectory lacks velocities.
+        NotIdentifiableError: Every row of a map is zero throughout.
+    """
+    noise = [velocity_noise(t) for t in trajectories]
+    motions = [(f, RowMotion.collect(f, trajectories, noise)) for f in feature_maps]
+    views = [View(f, motion, motion.thinned(), min(motion.rank, f.nv) - 1) for f, motion in motions]
+    return [v for v in views if v.largest > 0]
+
+
+def mechanism_features(feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory]) -> list[PlaceRows]:
+    """The rows in which mechanisms that hold the frame asked for are constant; none where its velocity is not whole."""
+    frames = [f for f in feature_maps if isinstance(f, FrameJacobian) and set(f.row_names) >= set(AXES[:3])]
+    if not frames:
+        return []
+    robot, frame = frames[0].robot, frames[0].frame
+    few = np.concatenate([t.q[:: max(1, len(t) // FEW)] for t in trajectories])
+    middle = batch_kinematics(robot, frame).pose(few)[:, :3, 3].mean(axis=0)
+    whole = set(frames[0].row_names) == set(AXES)
+    forms: tuple[PlaceForm, ...] = ("point and rotation", "twist") if whole else ("point",)
+    return [PlaceRows(robot, frame.name, form, middle) for form in forms]

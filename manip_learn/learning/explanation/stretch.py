@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,17 +11,11 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from manip_learn.learning.deciding import CHANGE_SECONDS, CUBIC, FAR_FROM_HELD, SHORTEST_STRETCH_SECONDS
 from manip_learn.learning.explanation.evidence import runs
 from manip_learn.learning.explanation.row_motion import RowMotion
+from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
-
-# a stretch shorter than this is chance [s]
-SHORTEST = 0.3
-# left out at both ends of a stretch before rows are fitted: velocities are smoothed over the change [s]
-TRIM = 0.1
-# ends of a stretch that may have left it [s], and how many times as far from where it is held as its inner part
-EDGE, FAR = 0.3, 2.5
-FEWEST_SAMPLES = 4  # of a stretch that is learnt from
 
 
 @final
@@ -59,7 +54,7 @@ def stretches_of(motion: RowMotion, states: Int[np.ndarray, " n"], state: int) -
             continue
         number = int(motion.trajectory[a])
         start, end = float(motion.time[a + inside[0]]), float(motion.time[a + inside[-1]])
-        long = end - start >= SHORTEST
+        long = end - start >= SHORTEST_STRETCH_SECONDS
         if state:
             start = float(motion.ends[number, 0]) if a == motion.first[number] else start
             end = float(motion.ends[number, 1]) if b == motion.first[number + 1] else end
@@ -77,14 +72,14 @@ def sharpened(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretches: Sequ
     for s in stretches:
         inside = (motion.trajectory == s.trajectory) & (motion.time >= s.start) & (motion.time <= s.end)
         time = motion.time[inside]
-        inner = (time >= s.start + EDGE) & (time <= s.end - EDGE)
-        if s.duration < 4.0 * EDGE or np.count_nonzero(inner) < 10:
+        inner = (time >= s.start + SHORTEST_STRETCH_SECONDS) & (time <= s.end - SHORTEST_STRETCH_SECONDS)
+        if s.duration < 4.0 * SHORTEST_STRETCH_SECONDS or np.count_nonzero(inner) < 10:
             out.append(s)
             continue
         way = np.cumsum(motion.rates[inside] * motion.weight[inside, None], axis=0) @ rows.T
         away = np.linalg.norm(way - np.median(way[inner], axis=0), axis=1)
-        left = time[(away > FAR * np.quantile(away[inner], 0.9)) & ~inner]
-        before, after = left[left < s.start + EDGE], left[left > s.end - EDGE]
+        left = time[(away > FAR_FROM_HELD * np.quantile(away[inner], 0.9)) & ~inner]
+        before, after = left[left < s.start + SHORTEST_STRETCH_SECONDS], left[left > s.end - SHORTEST_STRETCH_SECONDS]
         first, last = motion.ends[s.trajectory]
         start = float(time[time > before[-1]][0]) if len(before) and s.start > first else s.start
         end = float(time[time < after[0]][-1]) if len(after) and s.end < last else s.end
@@ -95,10 +90,10 @@ def sharpened(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretches: Sequ
 def cut(trajectory: Trajectory, stretch: Stretch) -> slice | None:
     """The samples of a stretch, without its ends where these are no ends of the recording; None if they are too few."""
     time = trajectory.time
-    start = stretch.start if stretch.start <= time[0] else stretch.start + TRIM
-    end = stretch.end if stretch.end >= time[-1] else stretch.end - TRIM
+    start = stretch.start if stretch.start <= time[0] else stretch.start + CHANGE_SECONDS
+    end = stretch.end if stretch.end >= time[-1] else stretch.end - CHANGE_SECONDS
     inside = np.flatnonzero((time >= start) & (time <= end))
-    return slice(int(inside[0]), int(inside[-1]) + 1) if len(inside) >= FEWEST_SAMPLES else None
+    return slice(int(inside[0]), int(inside[-1]) + 1) if len(inside) >= CUBIC else None
 
 
 def pieces_of(
@@ -130,3 +125,52 @@ def covered(motion: RowMotion, stretches: Sequence[Stretch]) -> Bool[np.ndarray,
     for s in stretches:
         held |= (motion.trajectory == s.trajectory) & (motion.time >= s.start) & (motion.time <= s.end)
     return held
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class BeforeSmoothing:
+    """Recordings before and after velocities were derived.
+
+    Attributes:
+        derived: With velocities; smoothing cuts off the ends.
+        recorded: The same, as they were.
+    """
+
+    derived: Demonstrations
+    recorded: Demonstrations
+
+    def of(self, stretches: Sequence[Stretch], parts: Sequence[Trajectory]) -> list[Trajectory]:
+        """The recorded samples of parts of the derived trajectories.
+
+        A part that begins or ends with the derived trajectory begins or ends with the recorded one.
+
+        Args:
+            stretches: Which trajectory each part is of.
+            parts: With velocities.
+        """
+        return [self._of(s.trajectory, part) for s, part in zip(stretches, parts, strict=True)]
+
+    def _of(self, number: int, part: Trajectory) -> Trajectory:
+        derived, recorded = self.derived[number], self.recorded[number]
+        if derived is recorded:
+            return part
+        start = None if part.time[0] == derived.time[0] else float(part.time[0])
+        end = None if part.time[-1] == derived.time[-1] else float(part.time[-1])
+        return recorded[start:end]
+
+
+def ways_to_choose(motion: RowMotion, stretches: Sequence[Stretch]) -> float:
+    """In how many ways as many stretches, as long as these, could have been chosen from as many recordings.
+
+    A recording has as many places for a stretch as parts of that length. Whoever looks for what is still finds the
+    best of them, and must pay for the choice.
+    """
+    moving = motion.weight * motion.moving
+    whole = np.bincount(motion.trajectory, moving)
+    recordings = {s.trajectory for s in stretches}
+    ways = math.comb(len(whole), len(recordings))
+    for i in recordings:
+        spans = [float(np.sum(moving[covered(motion, [s])])) for s in stretches if s.trajectory == i]
+        ways *= math.prod(whole[i] / span for span in spans if span > 0.0) / math.factorial(len(spans))
+    return max(ways, 1.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS, MechanismKind
+from manip_learn.learning.deciding import BEYOND_CHANCE, FARTHEST_M, LEAST_BEND_M, STANDARD_ERRORS
 from manip_learn.learning.mechanisms.fits import Fit, fit_candidate
 from manip_learn.learning.mechanisms.refined import radius_of
 from manip_learn.learning.mechanisms.residuals import QUANTITIES, Place
@@ -18,10 +19,6 @@ BENT_FORMS = {
     "hinge": "screw",
     "hinge, firm": "screw, firm",
 }
-FARTHEST = 3.0  # [m] beyond this an axis or a centre is not told from a line or a plane
-BENT = 5e-5  # [m] by which a path must leave a simpler mechanism: rails wobble
-CLEARLY = 5.0  # radius or pitch over its standard deviation
-DOUBT = 2.0  # standard deviations of the curvature within which a bent form cannot be excluded
 
 
 def straight_or_bent(paths: TipPaths, read: Fit) -> tuple[Fit, str]:
@@ -76,13 +73,13 @@ def _starts(paths: TipPaths, kind: MechanismKind, place: Place) -> list[Place]:
 def _bends(paths: TipPaths, straight: Fit, bent: Fit) -> bool:
     """Whether the data show what the straight form lacks: measurable, and more than rails wobble."""
     size = _size(paths, bent)
-    if size is None or ("pitch" not in bent.candidate.unknowns and size[0] > FARTHEST):
+    if size is None or ("pitch" not in bent.candidate.unknowns and size[0] > FARTHEST_M):
         return False
     rest = [
         sum(float(np.sum(f.held_out[n] ** 2)) for n in f.candidate.holds if QUANTITIES[n].unit == "m")
         for f in (straight, bent)
     ]
-    return size[0] > CLEARLY * size[1] and rest[0] - rest[1] > BENT**2
+    return size[0] > BEYOND_CHANCE * size[1] and rest[0] - rest[1] > LEAST_BEND_M**2
 
 
 def _size(paths: TipPaths, bent: Fit) -> tuple[float, float] | None:
@@ -99,8 +96,8 @@ def _rival(paths: TipPaths, bent: Fit, straight: Fit) -> str:
     if size is None or "pitch" in bent.candidate.unknowns:
         return ""
     radius, sigma = size
-    curvature = 1.0 / radius + DOUBT * sigma / radius**2
-    if not np.isfinite(curvature) or curvature < 1.0 / FARTHEST:
+    curvature = 1.0 / radius + STANDARD_ERRORS * sigma / radius**2
+    if not np.isfinite(curvature) or curvature < 1.0 / FARTHEST_M:
         return ""
     return (
         f"a {bent.candidate.name} would fit as well, with more than {1.0 / curvature:.2g} m of radius: the motion is "

@@ -12,20 +12,19 @@ from jaxtyping import Bool, Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.constraint.features.mechanism_rows import MechanismRows
-from manip_learn.constraint.features.place_fields import across
 from manip_learn.constraint.features.place_rows import PlaceForm, PlaceRows
 from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.constraint.mechanism_reading import Read, read_kind, rows_of
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning.evidence.recombination import recombination_test
+from manip_learn.learning.deciding import POOR_AXIS_DEG, POOR_RADIUS, WIDE_RADIUS
 from manip_learn.learning.explanation.explain import Hypothesis, explain
-from manip_learn.learning.explanation.views import View, views_of
+from manip_learn.learning.explanation.row_motion import View, views_of
 from manip_learn.learning.mechanisms.bending import straight_or_bent
 from manip_learn.learning.mechanisms.fits import Fit, fit_candidate
-from manip_learn.learning.mechanisms.reading import Read, read_kind
 from manip_learn.learning.mechanisms.refined import refined
 from manip_learn.learning.mechanisms.residuals import QUANTITIES
 from manip_learn.learning.mechanisms.tip_paths import TipPaths, thinned
+from manip_learn.learning.recombination import recombination_test
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import with_velocities
@@ -33,11 +32,7 @@ from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 
 SAMPLES = 60  # of each trajectory in the first fit of a place
-RECOMBINATIONS = 99
 BLIND = 1e-6  # rows of Phi below this are ones that the arm cannot move
-SOFT = 0.03  # share of the motion left in the held rows: hardware stays below
-POOR_RADIUS, POOR_AXIS = 0.2, 5.0  # relative, and [deg]: one standard deviation above which a fit is no answer
-WIDE, WANTED = 0.015, 0.005  # relative: uncertainty of the radius that is worth a warning, and the one aimed at
 REPEATED = "held by the way of moving, not by a contact that all share"
 FORMS: tuple[PlaceForm, ...] = ("point and rotation", "twist", "surface")
 
@@ -177,7 +172,6 @@ def _read(
                     view.features,
                     [moved[i] for i in shown],
                     np.random.default_rng(seed),
-                    RECOMBINATIONS,
                     math.comb(len(moved), len(shown)),
                 )
                 strength = evidence.strengths[h.n_rows - 1] if len(evidence.strengths) >= h.n_rows else 0.0
@@ -212,7 +206,8 @@ def _judged(
         unit: max(float(fit.held_out[n].max()) for n in fit.candidate.holds if QUANTITIES[n].unit == unit)
         for unit in {QUANTITIES[n].unit for n in fit.candidate.holds}
     }
-    features, selection = _constraint(robot, tip.name, fit, np.concatenate([thinned(q, 10) for q in postures]))
+    few = np.concatenate([thinned(q, 10) for q in postures])
+    features, selection = _constraint(robot, tip.name, fit, mechanism.radius, few)
     poor = _poor(mechanism)
     if poor:
         return MechanismFit(None, None, None, held_out, table, poor, (poor,), odd)
@@ -239,7 +234,7 @@ def _poor(mechanism: Mechanism) -> str:
     if radius is None or arc is None:
         return ""
     # the curvature of an arc, and with it the radius, is known to its residual over the square of the arc
-    worst = max(u.get("axis", 0.0) / POOR_AXIS, u.get("point", 0.0) / (POOR_RADIUS * max(radius, 0.02)))
+    worst = max(u.get("axis", 0.0) / POOR_AXIS_DEG, u.get("point", 0.0) / (POOR_RADIUS * max(radius, 0.02)))
     if worst <= 1.0:
         return ""
     needed = min(np.degrees(arc) * np.sqrt(4.0 * worst), 90.0)
@@ -252,9 +247,9 @@ def _poor(mechanism: Mechanism) -> str:
 def _wide(mechanism: Mechanism) -> tuple[str, ...]:
     """A warning if the motion determines the place of an axis or a centre badly."""
     radius, arc, place = mechanism.radius, mechanism.arc, mechanism.uncertainty.get("point", 0.0)
-    if radius is None or arc is None or place <= WIDE * radius or mechanism.grip == "firm":
+    if radius is None or arc is None or place <= WIDE_RADIUS * radius or mechanism.grip == "firm":
         return ()
-    needed = min(np.degrees(arc) * np.sqrt(place / (WANTED * radius)), 90.0)
+    needed = min(np.degrees(arc) * np.sqrt(place / (WIDE_RADIUS / 3.0 * radius)), 90.0)
     return (
         f"the hand goes {np.degrees(arc):.0f} degrees about the axis or the centre only, whose place is known to "
         f"+- {1e3 * place:.0f} mm: move it by at least {needed:.0f} degrees",
@@ -273,25 +268,10 @@ def _why_none(table: Sequence[Alternative]) -> str:
 
 
 def _constraint(
-    robot: Robot, frame: str, fit: Fit, postures: Float[np.ndarray, "n nv"]
+    robot: Robot, frame: str, fit: Fit, radius: float | None, postures: Float[np.ndarray, "n nv"]
 ) -> tuple[FeatureMap, Float[np.ndarray, "s p"]]:
-    """Phi and Lambda: constant rows where they do, rows about an axis or a centre else."""
-    c, place = fit.candidate, fit.place
-    if c.constant:
-        base = np.concatenate([across(place.axis), place.axis[None]])
-        linear = {"slide-1": 0, "slide-2": 1, "axial": 2}
-        angular = {"turn-1": 0, "turn-2": 1, "turn": 2}
-        rows = np.zeros((len(c.rows), 6))
-        for row, name in zip(rows, c.rows, strict=True):
-            start, k = (0, linear[name]) if name in linear else (3, angular[name])
-            row[start : start + 3] = base[k]
-        used = [bool(np.any(rows[:, :3])), bool(np.any(rows[:, 3:]))]
-        axes = "pose" if all(used) else "xyz" if used[0] else "rotation"
-        features: FeatureMap = FrameJacobian(robot, frame, axes)
-        selection = rows if all(used) else rows[:, :3] if used[0] else rows[:, 3:]
-    else:
-        features = MechanismRows(robot, frame, c.rows, axis=place.axis, point=place.point, pitch=place.pitch)
-        selection = np.eye(len(c.rows))
+    """Phi and Lambda, without the rows that the arm cannot move."""
+    features, selection = rows_of(fit.candidate, fit.place, radius, robot, frame)
     A = np.einsum("sp,npj->nsj", selection, features.batch(postures))
     movable = np.sqrt(np.mean(np.sum(A * A, axis=2), axis=0)) > BLIND
     return features, selection[movable]

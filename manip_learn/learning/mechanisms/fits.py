@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.mechanism_kinds import MechanismKind
+from manip_learn.learning.deciding import SMALLEST_RESIDUAL
 from manip_learn.learning.mechanisms.residuals import QUANTITIES, Place
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 
@@ -16,7 +17,6 @@ ITERATIONS = 25
 FIRST_ITERATIONS = 4  # of each start, before the best goes on
 TOLERANCE = 1e-6  # relative change of the cost
 ASTRAY = 10.0  # [m] a centre that far away is not coming back
-SMALLEST = {"m": 2e-5, "rad": 4e-5}  # residuals below these do not count as better
 LEVERAGE_FLOOR = 1e-6
 
 
@@ -137,7 +137,7 @@ def _weights(paths: TipPaths, candidate: MechanismKind, place: Place, shared: tu
         value = paths.centred(QUANTITIES[name].evaluate(paths, place)[0], name in shared)
         squares.setdefault(QUANTITIES[name].unit, []).append(float(np.sum(value**2) / value.size))
     return {
-        name: float(np.sqrt(np.mean(squares[QUANTITIES[name].unit]) + SMALLEST[QUANTITIES[name].unit] ** 2))
+        name: float(np.sqrt(np.mean(squares[QUANTITIES[name].unit]) + SMALLEST_RESIDUAL[QUANTITIES[name].unit] ** 2))
         for name in candidate.holds
     }
 

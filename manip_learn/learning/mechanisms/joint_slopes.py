@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.constraint.features.place_fields import across
-from manip_learn.learning.mechanisms.residuals import NEAR_AXIS, Place, turn_about
+from manip_learn.constraint.features.place_fields import Place, mechanism_weights
+from manip_learn.learning.mechanisms.residuals import NEAR_AXIS, turn_about
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 from manip_learn.robot.rotations import left_jacobian_inverse, skew
 
@@ -28,33 +28,17 @@ def _skews(vectors: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3 3"]:
     return -np.cross(vectors[:, None, :], np.eye(3)[None])
 
 
-def _radial(paths: TipPaths, place: Place) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
-    d = paths.p - place.point
-    x = d - np.outer(d @ place.axis, place.axis)
-    rho = np.maximum(np.linalg.norm(x, axis=1), NEAR_AXIS)
-    return x / rho[:, None], rho
-
-
 def _across_line(paths: TipPaths, place: Place) -> Float[np.ndarray, "N 2 6"]:
-    return _linear(np.tile(across(place.axis), (len(paths.p), 1, 1)))
+    return _linear(np.tile(place.across, (len(paths.p), 1, 1)))
 
 
-def _height(paths: TipPaths, place: Place) -> Float[np.ndarray, "N 1 6"]:
-    return _linear(np.tile(place.axis, (len(paths.p), 1, 1)))
-
-
-def _radius(paths: TipPaths, place: Place) -> Float[np.ndarray, "N 1 6"]:
-    return _linear(_radial(paths, place)[0][:, None])
-
-
-def _distance(paths: TipPaths, place: Place) -> Float[np.ndarray, "N 1 6"]:
-    d = paths.p - place.point
-    return _linear((d / np.maximum(np.linalg.norm(d, axis=1), NEAR_AXIS)[:, None])[:, None])
+def _row(name: str) -> Slope:
+    return lambda paths, place: mechanism_weights((name,), place, None).at(paths.p)[0]
 
 
 def _thread(paths: TipPaths, place: Place) -> Float[np.ndarray, "N 1 6"]:
-    n, rho = _radial(paths, place)
-    around = n @ skew(place.axis).T / rho[:, None]
+    around = np.cross(place.axis, paths.p - place.point)
+    around /= np.maximum(np.sum(around**2, axis=1), NEAR_AXIS**2)[:, None]
     return _linear((place.axis - place.pitch * around)[:, None])
 
 
@@ -86,9 +70,9 @@ def _orientation(paths: TipPaths, place: Place) -> Float[np.ndarray, "N 3 6"]:
 
 SLOPES: dict[str, Slope] = {
     "across-line": _across_line,
-    "height": _height,
-    "radius": _radius,
-    "distance": _distance,
+    "height": _row("axial"),
+    "radius": _row("radial"),
+    "distance": _row("spherical"),
     "thread": _thread,
     "axis-in-hand": _axis_in_hand,
     "point-in-hand": _point_in_hand,

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.mechanism import Mechanism
-from manip_learn.learning.mechanisms.fits import SMALLEST, Fit, fit_candidate
+from manip_learn.learning.deciding import SHARED_LOSS, SMALLEST_RESIDUAL
+from manip_learn.learning.mechanisms.fits import Fit, fit_candidate
 from manip_learn.learning.mechanisms.residuals import QUANTITIES, angles_about, turn_about
 from manip_learn.learning.mechanisms.tip_paths import TipPaths, thinned
 from manip_learn.learning.mechanisms.weighted_fit import WeightedFit, fit_weighted
@@ -17,7 +18,6 @@ from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 
-SHARED_LOSS = 1.15  # a quantity is the same for all trajectories if its residual grows by less
 SAMPLES, LEAST = 4000, 60  # of all trajectories in the last fit, and of each
 
 
@@ -99,8 +99,8 @@ def _with_shared(paths: TipPaths, fit: Fit) -> Fit:
         tied = fit_candidate(paths, fit.candidate, [fit.place], shared)
         if all(
             np.all(
-                np.hypot(tied.held_out[n], SMALLEST[QUANTITIES[n].unit])
-                <= SHARED_LOSS * np.hypot(fit.held_out[n], SMALLEST[QUANTITIES[n].unit])
+                np.hypot(tied.held_out[n], SMALLEST_RESIDUAL[QUANTITIES[n].unit])
+                <= SHARED_LOSS * np.hypot(fit.held_out[n], SMALLEST_RESIDUAL[QUANTITIES[n].unit])
             )
             for n in fit.candidate.holds
         ):

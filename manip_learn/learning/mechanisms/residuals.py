@@ -9,37 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal, final
 
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.constraint.features.place_fields import across
+from manip_learn.constraint.features.place_fields import Place
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 from manip_learn.robot.rotations import skew
 
 NEAR_AXIS = 1e-4  # [m] angles about an axis are not trusted closer to it
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Place:
-    """Axis (unit length), point [m] and pitch [m/rad] of a mechanism, in the base frame."""
-
-    axis: Float[np.ndarray, " 3"]
-    point: Float[np.ndarray, " 3"]
-    pitch: float = 0.0
-
-    @cached_property
-    def across(self) -> Float[np.ndarray, "2 3"]:
-        """Two unit vectors across the axis, see `place_fields.across`."""
-        return across(self.axis)
-
-    def moved(self, step: Float[np.ndarray, " 7"]) -> Place:
-        """The place after a step of the seven numbers."""
-        axis = self.axis + step[:3]
-        return Place(axis / np.linalg.norm(axis), self.point + step[3:6], self.pitch + float(step[6]))
 
 
 Values = tuple[Float[np.ndarray, "N d"], Float[np.ndarray, "N d 7"]]

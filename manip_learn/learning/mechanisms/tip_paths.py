@@ -16,8 +16,6 @@ from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_vectors
 
-PHASES = 40  # places along each trajectory at which joints are exchanged
-
 
 @final
 @dataclass(frozen=True, eq=False)

@@ -27,20 +27,17 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.learning.bootstrap import influences
-from manip_learn.learning.evidence.joint_offsets import JointOffsets
+from manip_learn.learning.deciding import SCATTER_ERRORS, STANDARD_ERRORS, STATED_SHARE_OF_PLACES
 from manip_learn.learning.mechanisms.fits import Fit, tangents
 from manip_learn.learning.mechanisms.residuals import Place
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 from manip_learn.learning.mechanisms.weighted_residuals import Linearised, Weights, scaled_inverse
+from manip_learn.learning.uncertainty import JointOffsets, influences
 
 ITERATIONS = 12
 SETTLED = 1e-6  # squared length of the last step in standard errors
 SHORTEST = 1e-3  # share of a step
 LONGEST = 100  # samples over which neighbours may share their noise
-CHANCE = 2.0  # standard errors of an autocorrelation
-BEYOND = 1.5  # standard errors by which the scatter over trajectories must exceed its expectation to count
-SHARE = 0.683  # of the cases in which the truth lies within what is stated
 DRAWS = 1000
 UNSEEN = 1e-10  # share of the largest curvature below which a combination of offsets shows nowhere
 
@@ -53,7 +50,7 @@ class WeightedFit:
     Attributes:
         place: Where.
         errors: Draws of the error of axis, point and pitch, shape (k, 7).
-        radius: Mean distance from the axis or the centre, and what its error stays below in 68 % of cases [m]; None if
+        radius: Distance from the axis or the centre, and what its error stays below in 68 % of cases [m]; None if
             it is not held.
     """
 
@@ -63,7 +60,7 @@ class WeightedFit:
 
     def within(self, chosen: slice) -> float:
         """What the error of some of the seven numbers stays below in 68 % of cases."""
-        return float(np.quantile(np.linalg.norm(self.errors[:, chosen], axis=1), SHARE))
+        return float(np.quantile(np.linalg.norm(self.errors[:, chosen], axis=1), STATED_SHARE_OF_PLACES))
 
 
 def fit_weighted(paths: TipPaths, J: Float[np.ndarray, "N 6 nv"], fit: Fit, rng: np.random.Generator) -> WeightedFit:
@@ -88,9 +85,21 @@ def fit_weighted(paths: TipPaths, J: Float[np.ndarray, "N 6 nv"], fit: Fit, rng:
         if there.cost > here.cost:
             break
         here = there
-    x, r = _errors(here, rng), here.radius
-    radius = (float(r @ here.constants), float(np.quantile(np.abs(x @ r), SHARE))) if r.any() else None
-    return WeightedFit(here.place, x[:, : here.m] @ here.tangents.T, radius)
+    errors = _errors(here, rng)
+    return WeightedFit(here.place, errors[:, : here.m] @ here.tangents.T, _radius(here, errors))
+
+
+def _radius(here: Linearised, errors: Float[np.ndarray, "k w"]) -> tuple[float, float] | None:
+    """That of the middle one of the trajectories, for a grip that slips is elsewhere; where each has its own, what they
+    differ by belongs to its error.
+    """
+    if not len(here.radius):
+        return None
+    each = here.constants[here.radius]
+    middle = here.radius[np.argsort(each)[len(each) // 2]]
+    own, spread = np.abs(errors[:, middle]), np.abs(each - here.constants[middle])
+    parts = [np.quantile(own, STATED_SHARE_OF_PLACES), np.quantile(spread, STATED_SHARE_OF_PLACES)]
+    return float(here.constants[middle]), float(np.hypot(*parts))
 
 
 def _errors(here: Linearised, rng: np.random.Generator) -> Float[np.ndarray, "k w"]:
@@ -147,7 +156,7 @@ def _correlation(here: Linearised) -> list[float]:
         if n < 2 * k or here.cost <= 0.0:
             break
         share = sum(float(np.sum(a * b)) for a, b in pairs) / n * len(here.residuals) / here.cost
-        if share < CHANCE / np.sqrt(n):
+        if share < STANDARD_ERRORS / np.sqrt(n):
             break
         shares.append(share)
     return shares
@@ -161,5 +170,5 @@ def _scatter(here: Linearised, C: Float[np.ndarray, "m m"]) -> tuple[float, floa
         return 1.0, np.inf
     moves = influences(here.gradients, here.hessians)[:, : here.m] * np.sqrt((n - 1.0) / n)
     ratio = float(np.trace(scaled_inverse(C) @ moves.T @ moves)) / here.m
-    factor = ratio / (1.0 + BEYOND * np.sqrt(2.0 / freedom))
+    factor = ratio / (1.0 + SCATTER_ERRORS * np.sqrt(2.0 / freedom))
     return (factor, freedom) if factor > 1.0 else (1.0, np.inf)

@@ -10,13 +10,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from manip_learn.constraint.mechanism_kinds import MechanismKind
+from manip_learn.learning.deciding import VARIANCE_FLOOR
 from manip_learn.learning.mechanisms.fits import Fit, clusters, tangents
 from manip_learn.learning.mechanisms.joint_slopes import SLOPES
 from manip_learn.learning.mechanisms.residuals import QUANTITIES, Place
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 
-# share of the mean variance of a quantity that every sample has besides: hardware does not hold to nothing
-FLOOR = 0.05
 UNDETERMINED = 1e-12
 
 
@@ -43,7 +42,7 @@ class Weights:
         floor, column = np.zeros(S.shape[1]), 0
         for name in candidate.holds:
             own = slice(column, column + QUANTITIES[name].width)
-            floor[own] = FLOOR * float(np.mean(np.einsum("nii->n", S[:, own, own]))) / QUANTITIES[name].rank
+            floor[own] = VARIANCE_FLOOR * float(np.mean(np.einsum("nii->n", S[:, own, own]))) / QUANTITIES[name].rank
             column = own.stop
         # what no joint moves is exact, at any weight: the third coordinate of a planar arm
         values, vectors = np.linalg.eigh(S + np.diag(np.where(floor > UNDETERMINED * floor.max(), floor, 1.0)))
@@ -101,7 +100,7 @@ class Linearised:
         constants: c.
         gradients, hessians: Of half the cost, of each cluster, for all unknowns.
         weights: Of the residuals.
-        radius: Which combination of the constants is the mean radius; zeros if none is held.
+        radius: Which unknown is the radius of each trajectory; none if it is not held.
         tangents: The unknowns of the place in axis, point and pitch.
     """
 
@@ -113,7 +112,7 @@ class Linearised:
     gradients: Float[np.ndarray, "g w"]
     hessians: Float[np.ndarray, "g w w"]
     weights: Weights
-    radius: Float[np.ndarray, " w"]
+    radius: Int[np.ndarray, " n"]
     tangents: Float[np.ndarray, "7 m"]
 
     @staticmethod
@@ -136,10 +135,8 @@ class Linearised:
         for i, part, own in unknowns.clusters():
             residuals[part] += slopes[part] @ constants[own]
             gradients[i, own] = np.einsum("nij,ni->j", slopes[part], residuals[part])
-        radius = np.zeros(w)
-        for j in (j for j, name in enumerate(names) if name in ("radius", "distance")):
-            for count, own in zip(paths.counts, unknowns.columns, strict=True):
-                radius[own[m + j]] += count / len(residuals)
+        held = [m + j for j, name in enumerate(names) if name in ("radius", "distance")]
+        radius = np.array([own[j] for own in unknowns.columns for j in held], dtype=np.int64)
         return Linearised(place, unknowns, slopes, residuals, constants, gradients, hessians, weights, radius, T)
 
     @property

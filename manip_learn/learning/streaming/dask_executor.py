@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeVar, final
 
 from manip_learn.errors import ManipLearnError, MissingExtraError
-from manip_learn.learning.streaming.accumulator import Accumulator, Chunk, Executor, accumulate_part, merge_optional
-from manip_learn.learning.streaming.sample_stream import SampleStream
+from manip_learn.learning.streaming.passes import Accumulator, Executor, accumulate, merge_parts, merge_tree
+from manip_learn.learning.streaming.sample_stream import Chunk, SampleStream, chunks
 from manip_learn.recordings.trajectory_source import Progress, TrajectorySource
 
 try:
@@ -25,8 +25,6 @@ LOOPBACK = "127.0.0.1"
 PATIENCE = "10s"
 # a worker of this machine that does not answer is gone: no half minute of waiting for it
 LOCAL_CONFIG = {"distributed.comm.timeouts.connect": "3s"}
-# every call of a client needs names of its own: the same name would stand for the result of an earlier fit
-_CALLS = itertools.count()
 
 
 @contextmanager
@@ -61,21 +59,12 @@ def dask_client(address: str, n_workers: int | None = None) -> Iterator[Client]:
         yield client
 
 
-@contextmanager
-def connected_executor(client: Client, stream: SampleStream, progress: Progress | None) -> Iterator[DaskExecutor]:
-    """Executor for one fit; what the workers hold for them is released at the end."""
-    executor = DaskExecutor(client, stream, progress)
-    try:
-        yield executor
-    finally:
-        executor.release()
-
-
 @final
 class DaskExecutor(Executor):
     """Each part is read once, and kept by the worker that read it; a pass is one task per part and a tree of merges.
 
-    All tasks are pure functions of what the source says, so that a lost worker's share is done again by another.
+    All tasks are pure functions of what the source says, so that a lost worker's share is done again by another. The
+    workers forget the samples with the last reference to the executor.
 
     Args:
         client: Whose workers.
@@ -84,53 +73,22 @@ class DaskExecutor(Executor):
     """
 
     def __init__(self, client: Client, stream: SampleStream, progress: Progress | None = None):
+        n = stream.source.n_parts
         self._client = client
         self._progress = progress
-        self._prefix = f"manip-learn-{client.id}-{next(_CALLS)}"
-        self._passes = itertools.count()
-        self._parts = [
-            client.submit(_read, stream.alone(i), i, key=f"{self._prefix}-read-{i}", pure=False)
-            for i in range(stream.source.n_parts)
-        ]
+        self._parts = _mapped(client, "read", _read, [stream.alone(i) for i in range(n)], list(range(n)))
 
-    def total(self, accumulator: Accumulator, first_trajectories: dict[int, int], title: str) -> Any:
+    def total(self, accumulator: Accumulator, title: str, first_trajectories: dict[int, int] | None = None) -> Any:
         """One pass.
 
         Raises:
             ManipLearnError: Workers die again and again.
         """
-        name = f"{self._prefix}-pass-{next(self._passes)}"
-        level: list[Future] = [
-            self._client.submit(
-                _accumulated, accumulator, part, first_trajectories.get(i, 0), key=f"{name}-part-{i}", pure=False
-            )
-            for i, part in enumerate(self._parts)
-        ]
-        leaves, depth = level, 0
-        while len(level) > 1:
-            depth += 1
-            pairs = [level[i : i + 2] for i in range(0, len(level), 2)]
-            level = [
-                self._client.submit(merge_optional, accumulator, *pair, key=f"{name}-sum-{depth}-{i}", pure=False)
-                if len(pair) == 2
-                else pair[0]
-                for i, pair in enumerate(pairs)
-            ]
-        if self._progress is not None:
-            for done, _ in enumerate(as_completed(leaves), start=1):
-                self._progress(title, done / len(leaves))
-        try:
-            return level[0].result()
-        except KilledWorker as error:
-            raise ManipLearnError(
-                f"the dask workers die again and again on the same part ({error}): is there enough memory for each?"
-            ) from error
-
-    def release(self) -> None:
-        """Let the workers forget the samples."""
-        for part in self._parts:
-            part.release()
-        self._parts = []
+        n = len(self._parts)
+        first = [(first_trajectories or {}).get(i, 0) for i in range(n)]
+        parts = _mapped(self._client, "pass", _accumulated, [accumulator] * n, self._parts, first)
+        total = merge_tree(partial(self._client.submit, merge_parts, accumulator, pure=False), parts)
+        return next(_results([total], parts, self._progress, title))
 
 
 def map_parts(
@@ -146,14 +104,25 @@ def map_parts(
     Raises:
         ManipLearnError: Workers die again and again.
     """
-    prefix = f"manip-learn-{client.id}-{next(_CALLS)}"
-    futures = [
-        client.submit(function, source.alone(i), *arguments, key=f"{prefix}-map-{i}", pure=False)
-        for i in range(source.n_parts)
-    ]
+    alone = [source.alone(i) for i in range(source.n_parts)]
+    futures = _mapped(client, "map", function, alone, *([argument] * len(alone) for argument in arguments))
+    yield from _results(futures, futures, progress, title)
+
+
+def _mapped(client: Client, name: str, function: Callable[..., Any], *arguments: list[Any]) -> list[Future]:
+    """Futures of function of the first, the second, ... of each list; named anew, or they would be an earlier fit's."""
+    return client.map(function, *arguments, key=f"manip-learn-{name}", pure=False)
+
+
+def _results(futures: list[Future], leaves: list[Future], progress: Progress | None, title: str) -> Iterator[Any]:
+    """What the workers make; the progress is the share of the leaves that are done.
+
+    Raises:
+        ManipLearnError: Workers die again and again.
+    """
     if progress is not None:
-        for done, _ in enumerate(as_completed(futures), start=1):
-            progress(title, done / len(futures))
+        for done, _ in enumerate(as_completed(leaves), start=1):
+            progress(title, done / len(leaves))
     for future in futures:
         try:
             yield future.result()
@@ -165,9 +134,8 @@ def map_parts(
 
 def _read(stream: SampleStream, number: int) -> tuple[list[Chunk], list[str]]:
     notes: list[str] = []
-    return list(stream.chunks(0, notes, number)), notes
+    return list(chunks(stream.trajectories(0, notes), number)), notes
 
 
 def _accumulated(accumulator: Accumulator, held: tuple[list[Chunk], list[str]], first_trajectory: int) -> Any:
-    samples, notes = held
-    return accumulate_part(accumulator, samples, first_trajectory, notes)
+    return accumulate(accumulator, *held, first_trajectory)

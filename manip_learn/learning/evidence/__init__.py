@@ -1,1 +1,0 @@
-"""Statistical evidence that rows are held, from recombined motions."""
