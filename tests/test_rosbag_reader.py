@@ -101,6 +101,27 @@ def test_round_trip(kind: str, planar3: Robot, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_efforts_come_back(kind: str, planar3: Robot, tmp_path: Path) -> None:
+    """Matched by name, also where the joints come in messages of their own; none where some messages have none."""
+    order, names = [2, 0, 1], ("joint3", "joint1", "joint2")
+    whole = [
+        ("/joint_states", START + int(s), (START + int(s), names, q[order], (), 7.0 * q[order]))
+        for s, q in zip(STEPS, Q, strict=True)
+    ]
+    (t,) = load_demonstrations(write_bag(tmp_path / "whole", kind, whole), planar3)
+    np.testing.assert_array_equal(t.effort, 7.0 * Q)
+    apart = [
+        (topic, START + int(s), (START + int(s), [JOINTS[i] for i in part], q[part], (), 7.0 * q[part]))
+        for s, q in zip(STEPS, Q, strict=True)
+        for topic, part in (("/arm", [0, 1]), ("/wrist", [2]))
+    ]
+    (t,) = load_demonstrations(write_bag(tmp_path / "apart", kind, apart), planar3)
+    np.testing.assert_allclose(t.effort, 7.0 * t.q, rtol=0, atol=1e-12)
+    some = [(topic, at, content[:4] if i == 20 else content) for i, (topic, at, content) in enumerate(whole)]
+    assert load_demonstrations(write_bag(tmp_path / "some", kind, some), planar3)[0].effort is None
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_bag_is_recognised_by_content(kind: str, planar3: Robot, tmp_path: Path) -> None:
     """A single bag file with a misleading name, and unusual characters in its path, is read."""
     bag = write_bag(tmp_path / "bag", kind, all_in_one())

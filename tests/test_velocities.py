@@ -10,7 +10,7 @@ from manip_learn.errors import RecordingError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.recordings import local_fit as local_fit_module
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.local_fit import best_window, local_fit
+from manip_learn.recordings.local_fit import HALF_WIDTHS, best_window, half_widths_of, local_fit
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_together, derive_velocities, with_velocities
 from manip_learn.robot import load_robot
@@ -91,6 +91,42 @@ def test_polynomials_on_uneven_stamps_are_exact():
         value, found = local_fit(time, x, 6, degree)
         np.testing.assert_allclose(value, x[6:-6], rtol=0, atol=1e-11)
         np.testing.assert_allclose(found, slope[6:-6], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 2e-4])
+def test_fast_sampling_has_windows_as_long_as_slow_sampling(jitter: float):
+    """At 500 Hz and 1e-3 rad the window is longer than 61 samples, with a degree that follows the motion.
+
+    The error is less than half that of the best window of 61 samples. Up to 100 Hz no longer ones are among the choice.
+    """
+    rng = np.random.default_rng(11)
+    time = 0.002 * np.arange(2500) + rng.uniform(-jitter, jitter, 2500)
+    phase, rate = rng.uniform(0.0, 6.0, 7), rng.uniform(2.0, 5.0, 7)
+    q = 0.3 * np.sin(np.outer(time, rate) + phase) + 1e-3 * rng.standard_normal((2500, 7))
+    true = Trajectory(time, q, 0.3 * rate * np.cos(np.outer(time, rate) + phase), ROBOT.joint_names)
+    noisy = Trajectory(time, q, None, ROBOT.joint_names)
+    m, degree = best_window(time, q)
+    assert 75 <= m <= 150 and degree >= 3
+    best = min(error_of(true, derive_velocities(noisy, ROBOT, "smooth", 30, d)) for d in (2, 3, 5))
+    assert error_of(true, derive_velocities(noisy, ROBOT)) < 0.5 * best
+    for step in (0.01, 0.1):
+        assert half_widths_of(step * np.arange(2500)) == HALF_WIDTHS
+
+
+def test_many_uneven_windows_are_exact():
+    """Where each window has its own equations, value and slope are those of the window's polynomial."""
+    rng = np.random.default_rng(12)
+    time = 1.7e3 + np.cumsum(rng.uniform(0.001, 0.003, 4000))
+    x = rng.standard_normal((4000, 3))
+    value, slope = local_fit(time, x, 40, 5)
+    assert value.shape == (3920, 3)
+    for i in (0, 1234, 3919):
+        window = slice(i, i + 81)
+        fit = np.polynomial.Polynomial.fit
+        for j in range(3):
+            polynomial = fit(time[window] - time[i + 40], x[window, j], 5)
+            assert abs(polynomial(0.0) - value[i, j]) < 1e-11
+            assert abs(polynomial.deriv()(0.0) - slope[i, j]) < 1e-9
 
 
 def test_uneven_stamps_do_not_spoil_the_choice():

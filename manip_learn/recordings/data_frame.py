@@ -13,7 +13,7 @@ import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.writers.csv_writer import VELOCITY_SUFFIX
+from manip_learn.recordings.writers.csv_writer import EFFORT_SUFFIX, VELOCITY_SUFFIX
 
 TRAJECTORY, TIME = "trajectory", "time"
 
@@ -74,6 +74,9 @@ def frame_of(trajectories: Sequence[Trajectory]) -> PandasFrame:
     if any(t.u is not None for t in trajectories):
         u = np.concatenate([np.full_like(t.q, np.nan) if t.u is None else t.u for t in trajectories])
         table |= {name + VELOCITY_SUFFIX: u[:, j] for j, name in enumerate(joints)}
+    if any(t.effort is not None for t in trajectories):
+        effort = np.concatenate([np.full_like(t.q, np.nan) if t.effort is None else t.effort for t in trajectories])
+        table |= {name + EFFORT_SUFFIX: effort[:, j] for j, name in enumerate(joints)}
     return pd.DataFrame(table)
 
 

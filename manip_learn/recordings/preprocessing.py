@@ -26,7 +26,7 @@ def trim_standstill(trajectory: Trajectory, share: float = 0.02) -> Trajectory:
 
 
 def resample(trajectory: Trajectory, dt: float) -> Trajectory:
-    """Linear interpolation of positions and velocities on an even grid of dt [s].
+    """Linear interpolation of positions, velocities and efforts on an even grid of dt [s].
 
     Raises:
         RecordingError: dt is not positive or longer than the trajectory.
@@ -41,8 +41,8 @@ def resample(trajectory: Trajectory, dt: float) -> Trajectory:
     def at(columns: np.ndarray) -> np.ndarray:
         return np.column_stack([np.interp(time, trajectory.time, c) for c in columns.T])
 
-    u = None if trajectory.u is None else at(trajectory.u)
-    return Trajectory(time, at(trajectory.q), u, trajectory.joint_names, trajectory.name)
+    u, effort = (None if array is None else at(array) for array in (trajectory.u, trajectory.effort))
+    return Trajectory(time, at(trajectory.q), u, trajectory.joint_names, trajectory.name, effort=effort)
 
 
 def subsample(trajectory: Trajectory, n_samples: int) -> Trajectory:

@@ -125,6 +125,7 @@ class SavedMotion:
         status: One word per sample, of rollouts; else empty.
         following_error: shape (T,), of rollouts for which it is known; else None.
         name: What messages call it.
+        effort: shape (T, nv), of recordings; None if it is not known [N m or N].
     """
 
     header: FileHeader
@@ -136,12 +137,15 @@ class SavedMotion:
     status: tuple[str, ...] = ()
     name: str = "motion"
     following_error: Float[np.ndarray, " T"] | None = None
+    effort: Float[np.ndarray, "T nv"] | None = None
 
 
 def motion_of_trajectory(trajectory: Trajectory, robot: Robot) -> SavedMotion:
     """A demonstration of a robot, ready to be written."""
     header = FileHeader("recording", trajectory.joint_names, RobotIdentity.of(robot), nq=trajectory.q.shape[1])
-    return SavedMotion(header, trajectory.time, trajectory.q, trajectory.u, name=trajectory.name)
+    return SavedMotion(
+        header, trajectory.time, trajectory.q, trajectory.u, name=trajectory.name, effort=trajectory.effort
+    )
 
 
 def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
@@ -162,6 +166,8 @@ def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
         needed |= {"following_error": (motion.following_error, (rows,))}
     if header.kind == "recording":
         needed = {"q": needed["q"]} | ({} if motion.u is None else {"u": needed["u"]})
+    if motion.effort is not None:
+        needed |= {"effort": (motion.effort, (rows, nv))}
     for name, (array, shape) in needed.items():
         if array is None or array.shape != shape:
             there = "is missing" if array is None else f"has shape {array.shape}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +23,8 @@ class Trajectory:
         u: shape (T, nv), joint velocities [rad/s or m/s]; None if they were not recorded.
         joint_names: One name per velocity column, the robot's own names.
         name: Where it came from, for messages.
+        effort: shape (T, nv), what the motors exert, gravity and friction included [N m or N], by keyword; None if it
+            was not recorded. `learn` uses it as a witness beside the motion, see `effort_witness`.
 
     Raises:
         RecordingError: Shapes that do not fit, fewer than one row, time that does not increase, NaN or infinity.
@@ -42,6 +44,7 @@ class Trajectory:
     u: Float[np.ndarray, "T nv"] | None = None
     joint_names: tuple[str, ...] = ()
     name: str = field(default="trajectory")
+    effort: Float[np.ndarray, "T nv"] | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
@@ -49,6 +52,8 @@ class Trajectory:
         object.__setattr__(self, "q", self._array("q", self.q, 2))
         if self.u is not None:
             object.__setattr__(self, "u", self._array("u", self.u, 2))
+        if self.effort is not None:
+            object.__setattr__(self, "effort", self._array("effort", self.effort, 2))
         self._check_shapes()
         steps = np.diff(self.time)
         if steps.size and np.min(steps) <= 0.0:
@@ -94,12 +99,15 @@ class Trajectory:
                 f"{self.name}: q must have shape ({T}, {nv}): {T} times and {nv} joint names; got {self.q.shape}",
                 code="shape",
             )
-        if self.u is not None and self.u.shape != (T, nv):
-            raise RecordingError(f"{self.name}: u must have shape ({T}, {nv}), got {self.u.shape}", code="shape")
+        for what, array in (("u", self.u), ("effort", self.effort)):
+            if array is not None and array.shape != (T, nv):
+                raise RecordingError(
+                    f"{self.name}: {what} must have shape ({T}, {nv}), got {array.shape}", code="shape"
+                )
 
     def __reduce__(self):
         # through the constructor: a pickled array comes back writeable
-        return Trajectory, (self.time, self.q, self.u, self.joint_names, self.name)
+        return _rebuilt, (self.time, self.q, self.u, self.joint_names, self.name, self.effort)
 
     def __len__(self) -> int:
         return int(self.time.shape[0])
@@ -111,8 +119,9 @@ class Trajectory:
         """Number of samples, duration, joints, and whether velocities were recorded."""
         joints = len(self.joint_names) or (self.q if self.u is None else self.u).shape[1]
         velocities = "without" if self.u is None else "with"
+        efforts = "" if self.effort is None else " and efforts"
         amount = f"{counted(len(self), 'sample')} over {self.duration:.4g} s"
-        return f"{amount}, {counted(joints, 'joint')}, {velocities} velocities"
+        return f"{amount}, {counted(joints, 'joint')}, {velocities} velocities{efforts}"
 
     @property
     def duration(self) -> float:
@@ -148,9 +157,16 @@ class Trajectory:
         Raises:
             RecordingError: Another number of columns.
         """
-        return Trajectory(self.time, self.q, self.u, joint_names, self.name)
+        return Trajectory(self.time, self.q, self.u, joint_names, self.name, effort=self.effort)
 
     def part(self, samples: slice | np.ndarray, name: str | None = None) -> Trajectory:
         """The chosen samples as a trajectory of their own."""
-        u = None if self.u is None else self.u[samples]
-        return Trajectory(self.time[samples], self.q[samples], u, self.joint_names, name or self.name)
+        u, effort = (None if array is None else array[samples] for array in (self.u, self.effort))
+        names = self.joint_names
+        return Trajectory(self.time[samples], self.q[samples], u, names, name or self.name, effort=effort)
+
+
+def _rebuilt(*fields: Any) -> Trajectory:
+    """A trajectory from a pickle."""
+    *others, effort = fields
+    return Trajectory(*others, effort=effort)

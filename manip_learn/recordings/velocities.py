@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, overload
 
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import RecordingError, counted
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.local_fit import DEGREES, HALF_WIDTHS, best_windows, fits, local_fit, noise_variance
+from manip_learn.recordings.local_fit import DEGREES, best_windows, fits, half_widths_of, local_fit, noise_variance
 from manip_learn.recordings.pose_velocities import continuous_rotation_vectors, smooth_pose
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.joints import JointBlock
@@ -44,11 +44,13 @@ def derive_velocities(
             by least squares (Savitzky and Golay, 1964, here with true time stamps), value and slope at its centre;
             `"auto"`: smooth, but midpoint for very short trajectories and for short ones that are clean.
         half_width: Half width of the window [samples]; found from the data by default, together with the degree: those
-            whose estimated variance plus squared bias (against a polynomial of two degrees more) is smallest.
+            whose estimated variance plus squared bias (against a polynomial of two degrees more) is smallest, among
+            30 samples or 0.3 s at most, whichever is more.
         degree: Degree of the polynomial: 2, 3 or 5 by default.
 
     Returns:
-        A trajectory with u; shorter by one sample (midpoint) or by a half width at both ends (smooth).
+        A trajectory with u; shorter by one sample (midpoint) or by a half width at both ends (smooth). Efforts are kept
+        as they were recorded, halfway between samples for midpoints.
 
     Raises:
         RecordingError: Too few samples.
@@ -72,9 +74,8 @@ def derive_velocities(
         return _manifold_midpoints(trajectory, robot)
     if method == "midpoint":
         slope = np.diff(x, axis=0) / np.diff(time)[:, None]
-        return Trajectory(
-            0.5 * (time[1:] + time[:-1]), 0.5 * (x[1:] + x[:-1]), slope, trajectory.joint_names, trajectory.name
-        )
+        names, effort = trajectory.joint_names, _between(trajectory.effort)
+        return Trajectory(_between(time), _between(x), slope, names, trajectory.name, effort=effort)
     if bodies:
         return _with_bodies(trajectory, robot, x, bodies, half_width, degree)
     return _smoothed([trajectory], x[None], half_width, degree)[0]
@@ -120,7 +121,8 @@ def _smoothed(
         value, slope = local_fit(time, x[chosen].transpose(1, 0, 2).reshape(T, -1), m, d)
         for i, k in zip(chosen, range(0, value.shape[1], nv), strict=True):
             t, own = trajectories[i], slice(k, k + nv)
-            out[i] = Trajectory(time[m : T - m], value[:, own], slope[:, own], t.joint_names, t.name)
+            effort = None if t.effort is None else t.effort[m : T - m]
+            out[i] = Trajectory(time[m : T - m], value[:, own], slope[:, own], t.joint_names, t.name, effort=effort)
     return [out[i] for i in range(len(trajectories))]
 
 
@@ -153,7 +155,8 @@ def _with_bodies(
         q[:, columns], u[:, columns] = value[inner], slope[inner]
     for b in bodies:
         q[:, b.v.start + 3 : b.v.stop] = continuous_rotation_vectors(q[:, b.v.start + 3 : b.v.stop])
-    return Trajectory(time[widest : T - widest], q, u, trajectory.joint_names, trajectory.name)
+    effort = None if trajectory.effort is None else trajectory.effort[widest : T - widest]
+    return Trajectory(time[widest : T - widest], q, u, trajectory.joint_names, trajectory.name, effort=effort)
 
 
 def _windows(
@@ -161,7 +164,7 @@ def _windows(
 ) -> list[tuple[int, int]]:
     """Half width and degree for each of several recordings at the times of a trajectory."""
     T = len(trajectory)
-    widths = HALF_WIDTHS if half_width is None else (half_width,)
+    widths = half_widths_of(trajectory.time) if half_width is None else (half_width,)
     degrees = DEGREES if degree is None else (degree,)
     if half_width is not None and T < 2 * half_width + 1:
         raise RecordingError(
@@ -232,6 +235,20 @@ def _manifold_midpoints(trajectory: Trajectory, robot: Robot) -> Trajectory:
     dt = np.diff(trajectory.time)
     steps = np.array([robot.difference(a, b) for a, b in zip(trajectory.q[:-1], trajectory.q[1:], strict=True)])
     middles = np.array([robot.integrate(q, 0.5 * step) for q, step in zip(trajectory.q[:-1], steps, strict=True)])
+    names, effort = trajectory.joint_names, _between(trajectory.effort)
     return Trajectory(
-        trajectory.time[:-1] + 0.5 * dt, middles, steps / dt[:, None], trajectory.joint_names, trajectory.name
+        trajectory.time[:-1] + 0.5 * dt, middles, steps / dt[:, None], names, trajectory.name, effort=effort
     )
+
+
+@overload
+def _between(values: np.ndarray) -> np.ndarray: ...
+
+
+@overload
+def _between(values: None) -> None: ...
+
+
+def _between(values: np.ndarray | None) -> np.ndarray | None:
+    """Halfway between neighbouring samples."""
+    return None if values is None else 0.5 * (values[1:] + values[:-1])

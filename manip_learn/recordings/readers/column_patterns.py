@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
 from manip_learn.errors import advice, closest_names
@@ -16,8 +17,9 @@ SHOWN = 8
 POSITION = {"position", "positions", "pos", "q", "angle", "angles", "theta", "rad"}
 VELOCITY = {"velocity", "velocities", "vel", "qd", "dq", "qdot", "qvel", "speed"}
 COMMAND = {"desired", "command", "commanded", "cmd", "target", "goal", "setpoint", "reference", "ref", "des", "action"}
+EFFORT = {"effort", "efforts", "torque", "torques", "tau"}
 OTHER = {
-    *("effort", "efforts", "torque", "torques", "tau", "current", "acceleration", "acc", "accel", "qdd", "ddq"),
+    *("current", "acceleration", "acc", "accel", "qdd", "ddq"),
     *("temperature", "temp", "voltage", "force", "error", "errors", "limit", "jerk", "name"),
 }
 NUMBERED = re.compile(r"(?P<head>.*?)(?P<number>\d+)(?P<tail>\D*)")
@@ -30,25 +32,30 @@ class PatternError(ValueError):
 @final
 @dataclass(frozen=True)
 class Found:
-    """Columns of the joints: of positions, and of velocities where there are some.
+    """Columns of the joints: of positions, and of velocities and efforts where there are some.
 
     Attributes:
         positions: Column -> joint.
         velocities: Column -> joint.
         note: How they were found.
+        efforts: Column -> joint.
     """
 
     positions: dict[int, str]
     velocities: dict[int, str]
     note: str
+    efforts: dict[int, str] = field(default_factory=dict)
 
 
 def kind_of(pattern: str) -> str:
-    """`position`, `velocity`, `command`, `other`, or nothing where its words do not say."""
+    """`position`, `velocity`, `effort`, `command`, `other`, or nothing where its words do not say."""
     if re.search(r"(rad|deg)/s", pattern.lower()):
         return "velocity"
     words = set(re.findall(r"[a-z]+", pattern.replace(JOINT, " ").replace(INDEX, " ").lower()))
-    for kind, known in (("other", OTHER), ("command", COMMAND), ("velocity", VELOCITY), ("position", POSITION)):
+    if words & EFFORT and words & COMMAND:  # not what was measured
+        return "other"
+    kinds = {"other": OTHER, "command": COMMAND, "effort": EFFORT, "velocity": VELOCITY, "position": POSITION}
+    for kind, known in kinds.items():
         if words & known:
             return kind
     return ""
@@ -131,7 +138,7 @@ def by_joint_names(names: Sequence[str | None], moving: Sequence[str], still: Se
     for pattern in own:
         kinds.setdefault(kind_of(pattern), []).append(pattern)
     candidates = kinds.get("position") or kinds.get("") or []
-    velocity = [p for p in kinds.get("velocity", []) if set(own[p]) >= set(moving)]
+    velocity, effort = ([p for p in kinds.get(k, []) if set(own[p]) >= set(moving)] for k in ("velocity", "effort"))
     if len(candidates) != 1:
         choices = [*candidates, *([] if candidates else kinds.get("command", []))]
         if not choices:
@@ -141,8 +148,19 @@ def by_joint_names(names: Sequence[str | None], moving: Sequence[str], still: Se
     chosen = candidates[0]
     positions = {i: j for j, i in own[chosen].items()}
     speeds = {i: j for j, i in own[velocity[0]].items()} if len(velocity) == 1 else {}
-    alike = f" and {velocity[0]!r}" if speeds else ""
-    return Found(positions, speeds, f"columns are read as {chosen!r}{alike}, the only ones that name the joints")
+    efforts = {i: j for j, i in own[effort[0]].items()} if len(effort) == 1 else {}
+    alike = (f" and {velocity[0]!r}" if speeds else "") + (f" and {effort[0]!r}" if efforts else "")
+    note = f"columns are read as {chosen!r}{alike}, the only ones that name the joints"
+    return Found(positions, speeds, note, efforts)
+
+
+def effort_joint(name: str, joints: Sequence[str]) -> str | None:
+    """`joint1` for `joint1_effort`, `effort_joint1`, `tau.joint1`, where that is a joint; None for all other names."""
+    for word, mark in itertools.product(EFFORT, "._/"):
+        for joint in (name.removesuffix(mark + word), name.removeprefix(word + mark)):
+            if name not in joints and joint in joints:
+                return joint
+    return None
 
 
 def _templates(names: Sequence[str | None], joints: Sequence[str]) -> dict[str, dict[str, int]]:
@@ -219,10 +237,10 @@ def by_recorded_names(
         if not re.search(r"name", pattern, re.IGNORECASE) or not joints & set(said):
             continue
         parts = {}
-        for kind in ("position", "velocity"):
+        for kind in ("position", "velocity", "effort"):
             other = families.get(re.sub("name", kind, pattern, flags=re.IGNORECASE), [])
             parts[kind] = dict(zip(other, said, strict=True)) if len(other) == len(said) else {}
         if parts["position"]:
             note = f"the joints are those that the columns {pattern!r} name"
-            return Found(parts["position"], parts["velocity"], note), columns
+            return Found(parts["position"], parts["velocity"], note, parts["effort"]), columns
     return None

@@ -26,7 +26,7 @@ from manip_learn.recordings.readers.csv_dialect import DELIMITER_WORDS, LONGEST_
 from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest
 from manip_learn.recordings.readers.time_columns import find_time
 from manip_learn.recordings.validation.unmoved_joints import unmoved_joint_names
-from manip_learn.recordings.writers.csv_writer import VELOCITY_SUFFIX
+from manip_learn.recordings.writers.csv_writer import EFFORT_SUFFIX, VELOCITY_SUFFIX
 
 # what belongs to a message or a data frame, not to the motion
 BOOKKEEPING = re.compile(r"(.*[./])?(header[./](seq|frame_id)|seq|frame_id)|unnamed: 0", re.IGNORECASE)
@@ -90,7 +90,9 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
             names[i] = joint
         for i, joint in found.velocities.items():
             names[i] = joint + VELOCITY_SUFFIX
-        kept = {*found.positions, *found.velocities, *time.columns}
+        for i, joint in found.efforts.items():
+            names[i] = joint + EFFORT_SUFFIX
+        kept = {*found.positions, *found.velocities, *found.efforts, *time.columns}
         left_out = [i for i, n in enumerate(names) if n is not None and i not in kept]
         notes += [found.note] if found.note else []
     for i in set(left_out):

@@ -1,4 +1,4 @@
-"""Text tables: `time` [s], one column per joint, and where recorded `<joint>_velocity`. Strict: nothing is guessed."""
+"""Text tables: `time` [s], a column per joint, where recorded `<joint>_velocity`, `<joint>_effort`. Strictly read."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import RecordingError, advice
+from manip_learn.recordings.readers.column_patterns import effort_joint
 from manip_learn.recordings.readers.csv_columns import columns_of
 from manip_learn.recordings.readers.csv_dialect import (
     DELIMITER_WORDS,
@@ -26,6 +27,7 @@ from manip_learn.recordings.readers.csv_dialect import (
 )
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, reason
+from manip_learn.recordings.validation.unmoved_joints import unmoved_joint_names
 from manip_learn.recordings.writers.csv_writer import VELOCITY_SUFFIX
 
 # columns that belong to a joint but are not needed here
@@ -63,12 +65,15 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
             + advice("; if the file is whole, pass {}", "last_line='keep'", "--last-line keep")
         )
     own = request.robot.joint_names
-    surplus = [n for n in kept if _base_name(n, SURPLUS_SUFFIXES, own)]
+    effort = {n: effort_joint(n, (*own, *unmoved_joint_names(request.robot))) for n in kept}
+    surplus = [n for n in kept if not effort[n] and _base_name(n, SURPLUS_SUFFIXES, own)]
     if surplus:
         notes.append(f"not needed and not used: {', '.join(surplus)}")
     velocity = {n: _base_name(n, (VELOCITY_SUFFIX,), own) for n in kept}
     v = [i for i, n in enumerate(kept) if velocity[n] and n not in surplus]
-    p = [i for i, n in enumerate(kept) if not velocity[n] and n not in surplus and used[i] not in columns.time]
+    e = [i for i, n in enumerate(kept) if effort[n] and n not in surplus]
+    beside = {*v, *e, *(i for i, n in enumerate(kept) if n in surplus or used[i] in columns.time)}
+    p = [i for i in range(len(kept)) if i not in beside]
     yield Recording(
         path=path,
         name=path.name,
@@ -77,6 +82,8 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         positions=table[:, p],
         velocity_names=tuple(str(velocity[kept[i]]) for i in v),
         velocities=table[:, v] if v else None,
+        effort_names=tuple(str(effort[kept[i]]) for i in e),
+        efforts=table[:, e] if e else None,
         strict_columns=columns.strict,
         in_seconds=columns.in_seconds(request),
         line_of=partial(_line_of, path, dialect),

@@ -24,6 +24,7 @@ class JointStateLayout:
         stamp_at: Offset of the seconds; the nanoseconds follow.
         position_at: Offset of the positions, or None if the message has none.
         velocity_at: Offset of the velocities, or None.
+        effort_at: Offset of the efforts, or None.
         fixed: Offsets of the bytes that every message of this layout shares.
         template: The shared bytes.
     """
@@ -34,6 +35,7 @@ class JointStateLayout:
     stamp_at: int
     position_at: int | None
     velocity_at: int | None
+    effort_at: int | None
     fixed: Int[np.ndarray, " k"]
     template: UInt8[np.ndarray, " k"]
 
@@ -53,6 +55,10 @@ class JointStateLayout:
     def velocities(self, messages: UInt8[np.ndarray, "N size"]) -> Float[np.ndarray, "N n"] | None:
         """Joint velocities; None if the messages have none."""
         return self._numbers(messages, self.velocity_at)
+
+    def efforts(self, messages: UInt8[np.ndarray, "N size"]) -> Float[np.ndarray, "N n"] | None:
+        """Joint efforts; None if the messages have none."""
+        return self._numbers(messages, self.effort_at)
 
     def _numbers(self, messages: UInt8[np.ndarray, "N size"], at: int | None) -> Float[np.ndarray, "N n"] | None:
         if at is None:
@@ -133,7 +139,7 @@ def _layout(cursor: _Cursor, stamp_at: int) -> JointStateLayout:
     names = tuple(cursor.text(shared=True) for _ in range(n))
     position_at, n_positions = cursor.doubles()
     velocity_at, n_velocities = cursor.doubles()
-    cursor.doubles()  # effort
+    effort_at, n_efforts = cursor.doubles()
     fixed = np.array(cursor.fixed, dtype=np.int64)
     return JointStateLayout(
         size=len(cursor.raw),
@@ -142,6 +148,7 @@ def _layout(cursor: _Cursor, stamp_at: int) -> JointStateLayout:
         stamp_at=stamp_at,
         position_at=position_at if n_positions == n and n else None,
         velocity_at=velocity_at if n_velocities == n and n else None,
+        effort_at=effort_at if n_efforts == n and n else None,
         fixed=fixed,
         template=np.frombuffer(cursor.raw, dtype=np.uint8)[fixed],
     )

@@ -37,6 +37,7 @@ class JointGroup:
         stamps: shape (T,), increasing [ns].
         q: shape (T, n).
         u: shape (T, n), or None.
+        effort: shape (T, n), or None.
     """
 
     topic: str
@@ -44,6 +45,7 @@ class JointGroup:
     stamps: Int[np.ndarray, " T"]
     q: Float[np.ndarray, "T n"]
     u: Float[np.ndarray, "T n"] | None
+    effort: Float[np.ndarray, "T n"] | None = None
 
 
 def topics_of_joints(streams: list[JointStateStream], joints: tuple[str, ...]) -> tuple[dict[str, str], list[str]]:
@@ -150,11 +152,8 @@ def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) 
     stamps = np.concatenate([s.stamps for s in streams])
     received = np.concatenate([s.received for s in streams])
     q = np.concatenate([s.positions[:, c] for s, c in zip(streams, columns, strict=True)])
-    u = None
-    if all(s.velocities is not None for s in streams):
-        u = np.concatenate(
-            [s.velocities[:, c] for s, c in zip(streams, columns, strict=True) if s.velocities is not None]
-        )
+    u = _side_by_side([s.velocities for s in streams], columns)
+    effort = _side_by_side([s.efforts for s in streams], columns)
     notes = []
     if np.any(stamps == 0):
         stamps = received
@@ -178,7 +177,14 @@ def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) 
             f"{topic}: {counted(np.count_nonzero(~keep), 'message')} left out for a repeated stamp, the last is kept"
         )
     order = order[keep]
-    return JointGroup(topic, names, stamps[order], q[order], None if u is None else u[order]), notes
+    u, effort = (None if x is None else x[order] for x in (u, effort))
+    return JointGroup(topic, names, stamps[order], q[order], u, effort), notes
+
+
+def _side_by_side(parts: list[np.ndarray | None], columns: list[list[int]]) -> Float[np.ndarray, "T n"] | None:
+    """The chosen columns of all streams, one after the other; None if one of them has none."""
+    there = [part[:, c] for part, c in zip(parts, columns, strict=True) if part is not None]
+    return np.concatenate(there) if len(there) == len(parts) else None
 
 
 @final
@@ -191,6 +197,7 @@ class MergedStates:
     q: Float[np.ndarray, "T n"]
     u: Float[np.ndarray, "T n"] | None
     notes: tuple[str, ...]
+    effort: Float[np.ndarray, "T n"] | None = None
 
 
 def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> MergedStates:
@@ -204,12 +211,13 @@ def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> MergedS
     """
     base = max(groups, key=lambda g: (len(g.names), len(g.stamps)))
     inside = np.ones(len(base.stamps), dtype=bool)
-    q, u, names, notes = [base.q], [base.u], list(base.names), []
+    q, u, effort, names, notes = [base.q], [base.u], [base.effort], list(base.names), []
     for group in groups:
         if group is base:
             continue
         q.append(_at(base.stamps, group, _continuous(group, angles_that_wrap)))
         u.append(None if group.u is None else _at(base.stamps, group, group.u))
+        effort.append(None if group.effort is None else _at(base.stamps, group, group.effort))
         names += group.names
         inside &= _covered(base.stamps, group.stamps)
         source = f"{group.topic}" if group.topic != base.topic else "other messages of the same topic"
@@ -223,7 +231,9 @@ def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> MergedS
     all_u = np.hstack(some_u)[inside] if not without else None
     if without and some_u:
         notes.append(f"velocities are not used, for {', '.join(dict.fromkeys(without))} has none")
-    return MergedStates(tuple(names), base.stamps[inside], np.hstack(q)[inside], all_u, tuple(notes))
+    some = [x for x in effort if x is not None]
+    efforts = np.hstack(some)[inside] if len(some) == len(groups) else None
+    return MergedStates(tuple(names), base.stamps[inside], np.hstack(q)[inside], all_u, tuple(notes), efforts)
 
 
 def _continuous(group: JointGroup, angles_that_wrap: frozenset[str]) -> Float[np.ndarray, "T n"]:

@@ -31,6 +31,7 @@ class JointStateStream:
         received: shape (T,), stamps of the recorder [ns].
         positions: shape (T, n).
         velocities: shape (T, n), or None if any message has none.
+        efforts: shape (T, n), likewise.
     """
 
     topic: str
@@ -40,6 +41,7 @@ class JointStateStream:
     received: Int[np.ndarray, " T"]
     positions: Float[np.ndarray, "T n"]
     velocities: Float[np.ndarray, "T n"] | None
+    efforts: Float[np.ndarray, "T n"] | None = None
 
 
 @final
@@ -49,6 +51,7 @@ class _Pieces:
     received: list[np.ndarray] = field(default_factory=list)
     positions: list[np.ndarray] = field(default_factory=list)
     velocities: list[np.ndarray | None] = field(default_factory=list)
+    efforts: list[np.ndarray | None] = field(default_factory=list)
 
 
 def joint_state_streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStateStream], list[str]]:
@@ -71,6 +74,7 @@ def joint_state_streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[Joi
             piece.received.append(stamps)
             piece.positions.append(positions)
             piece.velocities.append(layout.velocities(messages))
+            piece.efforts.append(layout.efforts(messages))
     streams = [
         JointStateStream(
             topic,
@@ -79,9 +83,8 @@ def joint_state_streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[Joi
             np.concatenate(p.stamps),
             np.concatenate(p.received),
             np.concatenate(p.positions),
-            None
-            if any(v is None for v in p.velocities)
-            else np.concatenate([v for v in p.velocities if v is not None]),
+            _all_or_none(p.velocities),
+            _all_or_none(p.efforts),
         )
         for (topic, publisher, names), p in pieces.items()
     ]
@@ -95,6 +98,11 @@ def joint_state_streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[Joi
         and any(v is not None for v in p.velocities)
     ]
     return streams, notes
+
+
+def _all_or_none(parts: list[np.ndarray | None]) -> np.ndarray | None:
+    there = [p for p in parts if p is not None]
+    return np.concatenate(there) if len(there) == len(parts) else None
 
 
 def _batches(bag: BagFile, topics: tuple[str, ...]) -> Iterator[tuple[str, str, np.ndarray, list[bytes]]]:

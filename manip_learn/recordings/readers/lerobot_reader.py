@@ -28,6 +28,7 @@ except ImportError as error:
 BATCH = 65_536
 ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200  # bytes, and how much smaller packed
 FEWEST_BYTES = 16  # of a sample: a stamp and a few joints
+STAMPS = ("timestamp", "frame_index", "episode_index")
 GRIPPER = "gripper"  # always 0 .. 100 in LeRobot, whatever the unit of the other motors
 
 
@@ -40,6 +41,7 @@ class Episode:
     time: np.ndarray
     state: np.ndarray
     velocity: np.ndarray | None
+    effort: np.ndarray | None = None
 
 
 def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
@@ -84,6 +86,9 @@ def _recording(dataset: LeRobotDataset, request: ParserRequest, names: tuple[str
         velocities = episode.state[:, velocity]
     elif episode.velocity is not None and episode.velocity.shape == episode.state.shape:
         velocity_names, velocities = position_names, episode.velocity
+    efforts = None
+    if not velocity and episode.effort is not None and episode.effort.shape == episode.state.shape:
+        efforts = episode.effort
     positions, said = _gripper(episode.state[:, position], position_names, request)
     return Recording(
         path=dataset.root,
@@ -93,6 +98,8 @@ def _recording(dataset: LeRobotDataset, request: ParserRequest, names: tuple[str
         positions=positions,
         velocity_names=velocity_names,
         velocities=velocities,
+        effort_names=position_names if efforts is not None else (),
+        efforts=efforts,
         strict_columns=False,
         in_seconds=True,
         notes=(*notes, *said),
@@ -185,11 +192,13 @@ def _episodes(dataset: LeRobotDataset, feature: StateFeature, request: ParserReq
 
 def _joined(parts: list[Episode]) -> Episode:
     velocities = [p.velocity for p in parts if p.velocity is not None]
+    efforts = [p.effort for p in parts if p.effort is not None]
     return Episode(
         parts[0].index,
         np.concatenate([p.time for p in parts]),
         np.concatenate([p.state for p in parts]),
         np.concatenate(velocities) if len(velocities) == len(parts) else None,
+        np.concatenate(efforts) if len(efforts) == len(parts) else None,
     )
 
 
@@ -202,11 +211,7 @@ def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: 
                 raise _refusal(
                     file, "no-state", f"there is no column {feature.position!r}, there is {', '.join(there[:12])}"
                 )
-            columns = [
-                c
-                for c in (feature.position, feature.velocity, "timestamp", "frame_index", "episode_index")
-                if c in there
-            ]
+            columns = [c for c in (feature.position, feature.velocity, feature.effort, *STAMPS) if c in there]
             stated, found = parquet.metadata.num_rows, 0
             _refuse_bomb(file, stated)
             for batch in parquet.iter_batches(batch_size=BATCH, columns=columns):
@@ -237,13 +242,17 @@ def _split(
     file: Path, batch: Any, dataset: LeRobotDataset, feature: StateFeature, request: ParserRequest
 ) -> Iterator[Episode]:
     state = _matrix(file, batch, feature.position)
-    velocity = _matrix(file, batch, feature.velocity) if feature.velocity in batch.schema.names else None
+    velocity, effort = (
+        _matrix(file, batch, name) if name in batch.schema.names else None
+        for name in (feature.velocity, feature.effort)
+    )
     episode = _vector(file, batch, "episode_index") if "episode_index" in batch.schema.names else np.zeros(len(state))
     time = _time(file, batch, dataset, request)
     bounds = [0, *(int(i) + 1 for i in np.flatnonzero(np.diff(episode))), len(state)]
     for a, b in zip(bounds, bounds[1:], strict=False):
         if b > a:
-            yield Episode(int(episode[a]), time[a:b], state[a:b], None if velocity is None else velocity[a:b])
+            beside = (None if x is None else x[a:b] for x in (velocity, effort))
+            yield Episode(int(episode[a]), time[a:b], state[a:b], *beside)
 
 
 def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ParserRequest) -> np.ndarray:

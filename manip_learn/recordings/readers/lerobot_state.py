@@ -10,10 +10,13 @@ from typing import Any, final
 
 from manip_learn.errors import RecordingError, advice, closest_names
 
-STATE, VELOCITY = "observation.state", "observation.velocity"
+STATE, VELOCITY, EFFORT = "observation.state", "observation.velocity", "observation.effort"
 # names that data sets give to joint positions: joint_position (DROID), joint_pos, joint_positions, qpos
 POSITIONS = re.compile(r"(joint_?pos(ition)?s?|qpos)$", re.IGNORECASE)
 VELOCITY_WORDS = (("position", "velocity"), ("pos", "vel"))
+EFFORT_WORDS = tuple(
+    (p, e) for p in ("positions", "position", "pos") for e in ("effort", "torque", "torques", "efforts")
+)
 NUMBERS = ("float", "int", "uint")  # how the types of features that hold numbers begin
 
 
@@ -26,6 +29,7 @@ class StateFeature:
         position: Its name, which is that of a column too.
         velocity: Name that the velocities of the same joints would have.
         names: Names of its entries, or None.
+        effort: Name that the efforts of the same joints would have.
         others: Other features that look like joint positions.
     """
 
@@ -33,6 +37,7 @@ class StateFeature:
     velocity: str
     names: tuple[str, ...] | None
     others: tuple[str, ...] = ()
+    effort: str = EFFORT
 
 
 def state_feature(path: Path, features: Mapping[str, Any] | None, asked: str | None) -> StateFeature:
@@ -48,7 +53,7 @@ def state_feature(path: Path, features: Mapping[str, Any] | None, asked: str | N
     """
     wanted = STATE if asked is None else asked
     if features is None:
-        return StateFeature(wanted, _velocity_of(wanted, ()), None)
+        return StateFeature(wanted, _velocity_of(wanted, ()), None, effort=_effort_of(wanted, ()))
     vectors = [name for name, feature in features.items() if _is_vector(feature)]
     likely = tuple(name for name in vectors if POSITIONS.search(name) and not name.startswith("action"))
     if wanted not in features:
@@ -62,7 +67,8 @@ def state_feature(path: Path, features: Mapping[str, Any] | None, asked: str | N
             path=path,
         )
     others = tuple(name for name in likely if name != wanted)
-    return StateFeature(wanted, _velocity_of(wanted, vectors), entry_names(features[wanted].get("names")), others)
+    names, effort = entry_names(features[wanted].get("names")), _effort_of(wanted, vectors)
+    return StateFeature(wanted, _velocity_of(wanted, vectors), names, others, effort)
 
 
 def _missing(wanted: str, asked: str | None, vectors: Sequence[str], likely: Sequence[str]) -> str:
@@ -95,11 +101,18 @@ def _is_vector(feature: Any) -> bool:
 
 def _velocity_of(position: str, vectors: Sequence[str]) -> str:
     """`observation.velocity` of the usual state; of another feature the one with the word exchanged."""
-    if position == STATE:
-        return VELOCITY
+    return VELOCITY if position == STATE else _exchanged(position, VELOCITY_WORDS, vectors, VELOCITY)
+
+
+def _effort_of(position: str, vectors: Sequence[str]) -> str:
+    """`observation.effort`, likewise."""
+    return EFFORT if position == STATE else _exchanged(position, EFFORT_WORDS, vectors, EFFORT)
+
+
+def _exchanged(position: str, words: Sequence[tuple[str, str]], vectors: Sequence[str], usual: str) -> str:
     head, dot, last = position.rpartition(".")
-    exchanged = [head + dot + last.replace(p, v) for p, v in VELOCITY_WORDS if p in last]
-    return next((name for name in exchanged if name in vectors), exchanged[0] if exchanged else VELOCITY)
+    exchanged = [head + dot + last.replace(p, v) for p, v in words if p in last]
+    return next((name for name in exchanged if name in vectors), exchanged[0] if exchanged else usual)
 
 
 def entry_names(names: Any) -> tuple[str, ...] | None:

@@ -1,4 +1,4 @@
-"""NumPy archives of the user's own: `time` (T,), `q` (T, n), `joint_names` (n,), and where recorded `u` (T, n)."""
+"""NumPy archives of a user: `time` (T,), `q` (T, n), `joint_names` (n,), and where recorded `u` and `effort` (T, n)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.readers.saved_reader import joint_positions
 
-NUMBERS = ("time", "q", "u")
+NUMBERS = ("time", "q", "u", "effort")
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
@@ -44,6 +44,8 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         positions=joint_positions(path, arrays["q"], names, request.robot),
         velocity_names=names if "u" in arrays else (),
         velocities=arrays.get("u"),
+        effort_names=names if "effort" in arrays else (),
+        efforts=arrays.get("effort"),
         notes=tuple(notes),
     )
 
@@ -61,9 +63,14 @@ def _check_shapes(archive: NpzArchive) -> None:
     time, q = archive.shape("time"), archive.shape("q")
     if len(time) != 1 or len(q) != 2 or q[0] != time[0]:
         raise archive.refusal("shape", f"time must have shape (T,) and q (T, n); they have {time} and {q}")
-    u = archive.shape("u") if "u" in archive else q
-    if len(u) != 2 or u[0] != time[0]:
-        raise archive.refusal("shape", f"u must have shape ({time[0]}, n), it has {u}: one row per time stamp")
+    for name in ("u", "effort"):
+        shape = archive.shape(name) if name in archive else q
+        if len(shape) != 2 or shape[0] != time[0]:
+            raise archive.refusal(
+                "shape", f"{name} must have shape ({time[0]}, n), it has {shape}: one row per time stamp"
+            )
+    if "effort" in archive and archive.shape("effort") != archive.shape("u" if "u" in archive else "q"):
+        raise archive.refusal("shape", f"effort has shape {archive.shape('effort')}: one column per joint is needed")
 
 
 def _joint_names(archive: NpzArchive, request: ReadRequest) -> tuple[str, ...]:

@@ -75,9 +75,9 @@ def say_recording(answers: IO[bytes], recording: Any) -> None:
     """A recording: what has no numbers as a line, then the arrays."""
     import numpy as np
 
-    arrays = {"time": recording.time, "positions": recording.positions, "velocities": recording.velocities}
+    arrays = {name: getattr(recording, name) for name in ("time", "positions", "velocities", "efforts")}
     given = {k: np.ascontiguousarray(a, dtype=np.float64) for k, a in arrays.items() if a is not None}
-    names = ("name", "position_names", "velocity_names", "strict_columns", "in_seconds", "notes")
+    names = ("name", "position_names", "velocity_names", "effort_names", "strict_columns", "in_seconds", "notes")
     words = {name: getattr(recording, name) for name in names}
     shapes = {k: a.shape for k, a in given.items()}
     say(answers, {"kind": "recording", "path": str(recording.path), "fields": words, "shapes": shapes})

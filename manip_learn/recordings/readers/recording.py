@@ -35,6 +35,8 @@ class Recording:
         trusted: True for our own rollouts: their units are not questioned.
         line_of: Sample -> line in the file, where there are lines.
         notes: What the reader noticed or did.
+        effort_names: One joint name per column of `efforts`.
+        efforts: shape (T, e) [N m or N], or None.
     """
 
     path: Path
@@ -49,6 +51,8 @@ class Recording:
     trusted: bool = False
     line_of: Callable[[int], int] | None = None
     notes: tuple[str, ...] = ()
+    effort_names: tuple[str, ...] = ()
+    efforts: Float[np.ndarray, "T e"] | None = None
 
     def line(self, sample: int) -> int | None:
         """Line of the sample in the file, counted from 1, or None."""

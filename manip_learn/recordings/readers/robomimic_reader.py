@@ -24,6 +24,7 @@ except ImportError as error:
     raise MissingExtraError("reading robomimic data", "robomimic") from error
 
 POSITION, VELOCITY = "robot0_joint_pos", "robot0_joint_vel"
+EFFORTS = ("robot0_joint_effort", "robot0_joint_torque", "robot0_joint_torques")
 ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200  # bytes, and how much smaller packed
 
 
@@ -73,7 +74,10 @@ def _recording(path: Path, data: Any, name: str, names: tuple[str, ...], rate: f
             path, "shape", f"{name}/obs/{POSITION} has {positions.shape[1]} columns for {len(names)} joint names"
         )
     _refuse_lost(path, f"data/{name}", positions.shape[0], "samples", demo, "num_samples")
-    velocities = None
+    velocities = efforts = None
+    for effort in (e for e in EFFORTS if e in obs):
+        efforts = _matrix(path, _member(path, obs, effort, h5py.Dataset), f"{name}/obs/{effort}")
+        efforts = efforts if efforts.shape == positions.shape else None
     if VELOCITY in obs:
         velocities = _matrix(path, _member(path, obs, VELOCITY, h5py.Dataset), f"{name}/obs/{VELOCITY}")
         if velocities.shape != positions.shape:
@@ -88,6 +92,8 @@ def _recording(path: Path, data: Any, name: str, names: tuple[str, ...], rate: f
         positions=positions,
         velocity_names=names if velocities is not None else (),
         velocities=velocities,
+        effort_names=names if efforts is not None else (),
+        efforts=efforts,
         strict_columns=False,
         in_seconds=True,
         notes=(note,),

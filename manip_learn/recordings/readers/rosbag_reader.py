@@ -51,6 +51,8 @@ def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
         positions=merged.q,
         velocity_names=merged.names if merged.u is not None else (),
         velocities=merged.u,
+        effort_names=merged.names if merged.effort is not None else (),
+        efforts=merged.effort,
         strict_columns=False,
         in_seconds=True,
         notes=tuple(notes),

@@ -31,7 +31,7 @@ from manip_learn.recordings.saved_motion import (
 from manip_learn.robot import Robot
 
 BAG_PARSER = "manip_learn.recordings.readers.rosbag_reader"
-CURVES = ("u", "manipulability", "task_error", "following_error")
+CURVES = ("u", "effort", "manipulability", "task_error", "following_error")
 ARRAYS = ("time", "q", *CURVES)
 TEXTS = ("format", "header", "status", "joint_names", "frame")
 
@@ -101,6 +101,8 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         positions=joint_positions(path, motion.q, names, request.robot),
         velocity_names=names if motion.u is not None else (),
         velocities=motion.u,
+        effort_names=names if motion.effort is not None else (),
+        efforts=motion.effort,
         in_seconds=True,
         trusted=True,
         notes=notes,

@@ -40,8 +40,8 @@ def read_saved_csv(path: Path, header: FileHeader) -> SavedMotion:
         lines = _lines(file, path)
         next(lines)
         number, columns = next(lines, (2, ""))
-        has_u = columns == column_line(header, True)
-        if not has_u and columns != column_line(header, False):
+        given = [(a, b) for a in (True, False) for b in (False, True) if columns == column_line(header, a, b)]
+        if not given:
             raise refusal(
                 path,
                 "columns",
@@ -49,22 +49,25 @@ def read_saved_csv(path: Path, header: FileHeader) -> SavedMotion:
                 "write the file again, or remove the line of the header to have the table read as any other",
                 line=number,
             )
-        names = column_names(header, has_u)
+        has_u, has_effort = given[0]
+        names = column_names(header, has_u, has_effort)
         rows, status = _rows(path, lines, names, header.kind == "rollout")
     table = np.array(rows, dtype=np.float64).reshape(len(rows), -1 if rows else len(names) - bool(status))
     nq, nv = header.nq or len(header.joint_names), len(header.joint_names)
-    curves = table[:, 1 + nq + has_u * nv :]
+    start = 1 + nq + has_u * nv
+    curves = table[:, start + has_effort * nv :]
     is_rollout = header.kind == "rollout"
     return SavedMotion(
         header,
         table[:, 0],
         table[:, 1 : 1 + nq],
-        table[:, 1 + nq : 1 + nq + nv] if has_u else None,
+        table[:, 1 + nq : start] if has_u else None,
         curves[:, 0] if is_rollout else None,
         curves[:, 1] if is_rollout else None,
         tuple(status),
         path.name,
         curves[:, 2] if is_rollout and header.follows else None,
+        table[:, start : start + nv] if has_effort else None,
     )
 
 
@@ -108,7 +111,7 @@ def read_saved_jsonl(path: Path, header: FileHeader) -> SavedMotion:
             try:
                 sample = json.loads(line)
                 if i == 0:
-                    arrays |= {name: [] for name in ("u", *CURVES) if name in sample}
+                    arrays |= {name: [] for name in ("u", "effort", *CURVES) if name in sample}
                 for name, values in arrays.items():
                     values.append(_numbers(name, sample[name], header))
                 if header.kind == "rollout":
@@ -119,12 +122,13 @@ def read_saved_jsonl(path: Path, header: FileHeader) -> SavedMotion:
     columns = {name: np.array(values, dtype=np.float64) for name, values in arrays.items()}
     if not columns["time"].size:
         raise refusal(path, "too-short", "there is a header but no sample")
-    curves = {name: columns.get(name) for name in ("u", *CURVES)}
+    curves = {name: columns.get(name) for name in ("u", "effort", *CURVES)}
     return SavedMotion(header, columns["time"], columns["q"], **curves, status=tuple(status), name=path.name)
 
 
 def _numbers(name: str, value: object, header: FileHeader) -> float | list[float]:
-    width = {"q": header.nq or len(header.joint_names), "u": len(header.joint_names)}.get(name)
+    nv = len(header.joint_names)
+    width = {"q": header.nq or nv, "u": nv, "effort": nv}.get(name)
     if width is None:
         return _number(name, value)
     if not isinstance(value, list) or len(value) != width:

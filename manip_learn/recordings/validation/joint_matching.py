@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from manip_learn.errors import RecordingError, advice, closest_names
+from manip_learn.errors import RecordingError, advice, closest_names, counted
 from manip_learn.recordings.readers.column_patterns import another_robot
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
@@ -46,6 +46,7 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
         raise _missing(recording, robot, missing)
     notes = _surplus_notes(recording, robot)
     velocities, said = _velocities(recording, robot)
+    efforts, also = _efforts(recording, robot)
     q = recording.positions[:, [names.index(j) for j in robot.joint_names]]
     return replace(
         recording,
@@ -53,7 +54,9 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
         positions=q,
         velocity_names=robot.joint_names,
         velocities=velocities,
-        notes=(*recording.notes, *notes, *said),
+        effort_names=robot.joint_names if efforts is not None else (),
+        efforts=efforts,
+        notes=(*recording.notes, *notes, *said, *also),
     )
 
 
@@ -63,15 +66,20 @@ def _without_ignored(recording: Recording, request: ReadRequest) -> Recording:
         return recording
     p = [i for i, n in enumerate(recording.position_names) if not request.ignores(n)]
     v = [i for i, n in enumerate(recording.velocity_names) if not request.ignores(n)]
-    if len(p) == len(recording.position_names) and len(v) == len(recording.velocity_names):
+    e = [i for i, n in enumerate(recording.effort_names) if not request.ignores(n)]
+    if (len(p), len(v), len(e)) == tuple(
+        map(len, (recording.position_names, recording.velocity_names, recording.effort_names))
+    ):
         return recording
-    velocities = recording.velocities
+    velocities, efforts = recording.velocities, recording.efforts
     return replace(
         recording,
         position_names=tuple(recording.position_names[i] for i in p),
         positions=recording.positions[:, p],
         velocity_names=tuple(recording.velocity_names[i] for i in v),
         velocities=None if velocities is None else velocities[:, v],
+        effort_names=tuple(recording.effort_names[i] for i in e),
+        efforts=None if efforts is None else efforts[:, e],
     )
 
 
@@ -178,3 +186,18 @@ def _velocities(recording: Recording, robot: Robot) -> tuple[Float[np.ndarray, "
             column=absent[0],
         )
     return recording.velocities[:, [names.index(j) for j in robot.joint_names]], []
+
+
+def _efforts(recording: Recording, robot: Robot) -> tuple[Float[np.ndarray, "T nv"] | None, list[str]]:
+    """Efforts of all joints, or none: what the motion is learnt from does not need them, so nothing is refused."""
+    efforts, names = recording.efforts, recording.effort_names
+    there = [j for j in robot.joint_names if j in names]
+    if efforts is None or not there:
+        return None, []
+    if len(there) < robot.nv:
+        return None, [f"efforts are recorded for {len(there)} of {robot.nv} joints, so they are not used"]
+    efforts = efforts[:, [names.index(j) for j in robot.joint_names]]
+    bad = int(np.count_nonzero(~np.all(np.isfinite(efforts), axis=1)))
+    if bad:
+        return None, [f"efforts are not finite in {counted(bad, 'sample')}, so they are not used"]
+    return efforts, []

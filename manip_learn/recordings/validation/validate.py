@@ -157,6 +157,8 @@ def _kept(recording: Recording, keep: np.ndarray) -> Recording:
         time=recording.time[keep],
         position_names=recording.position_names,
         positions=recording.positions[keep],
+        effort_names=recording.effort_names,
+        efforts=None if recording.efforts is None else recording.efforts[keep],
         in_seconds=recording.in_seconds,
         trusted=recording.trusted,
         line_of=None if line_of is None else lambda i: line_of(int(index[i])),
@@ -202,7 +204,8 @@ def _split(
 ) -> Demonstrations:
     parts, gaps = pieces(time)
     if not gaps.size:
-        return Demonstrations((Trajectory(time, q, u, robot.joint_names, recording.name),), notes)
+        whole = Trajectory(time, q, u, robot.joint_names, recording.name, effort=recording.efforts)
+        return Demonstrations((whole,), notes)
     long_parts = [p for p in parts if p.stop - p.start >= 2]
     shown = ", ".join(f"{time[g + 1] - time[g]:.3g} s after {recording.place(int(g))}" for g in gaps[:SHOWN])
     notes.append(
@@ -213,8 +216,6 @@ def _split(
     if not long_parts:
         raise recording.refusal("too-short", "the samples are so far apart that no two belong together")
     n = len(long_parts)
-    trajectories = tuple(
-        Trajectory(time[p], q[p], None if u is None else u[p], robot.joint_names, f"{recording.name} part {k} of {n}")
-        for k, p in enumerate(long_parts, 1)
-    )
+    whole = Trajectory(time, q, u, robot.joint_names, recording.name, effort=recording.efforts)
+    trajectories = tuple(whole.part(p, f"{recording.name} part {k} of {n}") for k, p in enumerate(long_parts, 1))
     return Demonstrations(trajectories, notes)

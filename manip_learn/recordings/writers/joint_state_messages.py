@@ -52,8 +52,8 @@ def nanoseconds(time: Float[np.ndarray, " T"], *, from_first: bool) -> Int[np.nd
     return stamps.astype(np.int64)
 
 
-def joint_state_encoder(names: tuple[str, ...]) -> Callable[[int, np.ndarray, np.ndarray], bytes]:
-    """A function (stamp [ns], positions, velocities) -> message; either array may be empty."""
+def joint_state_encoder(names: tuple[str, ...]) -> Callable[[int, np.ndarray, np.ndarray, np.ndarray], bytes]:
+    """A function (stamp [ns], positions, velocities, efforts) -> message; each array may be empty."""
     head = b"\x01\x00\x00\x00\x00"  # frame_id: empty
     body = bytearray(struct.pack("<I", len(names)))
     for name in names:
@@ -62,9 +62,9 @@ def joint_state_encoder(names: tuple[str, ...]) -> Callable[[int, np.ndarray, np
         body += struct.pack("<I", len(text)) + text
     middle = head + b"\x00" * 3 + bytes(body)
 
-    def encode(stamp: int, positions: np.ndarray, velocities: np.ndarray) -> bytes:
+    def encode(stamp: int, positions: np.ndarray, velocities: np.ndarray, efforts: np.ndarray) -> bytes:
         message = bytearray(struct.pack("<iI", *divmod(stamp, 1_000_000_000)) + middle)
-        for values in (positions, velocities, positions[:0]):
+        for values in (positions, velocities, efforts):
             _append_doubles(message, values)
         return CDR_LITTLE_ENDIAN + bytes(message)
 

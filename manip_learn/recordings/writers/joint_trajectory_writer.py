@@ -1,7 +1,8 @@
 """A motion as a `trajectory_msgs/msg/JointTrajectory`, in text that `ros2 topic pub` and ros2_control users send.
 
 The text is JSON behind comment lines, which is YAML too: every number has a decimal point, as YAML 1.1 demands. Times
-are whole nanoseconds from the first sample.
+are whole nanoseconds from the first sample. Efforts are left out: what was measured is no command, and controllers of
+ros2_control refuse points that have them.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from manip_learn.recordings.saved_motion import SavedMotion
 def jsonl_bytes(motion: SavedMotion) -> bytes:
     """The lines, UTF-8."""
     columns: dict[str, list] = {"time": motion.time.tolist(), "q": motion.q.tolist()}
-    for name in ("u", "manipulability", "task_error", "following_error"):
+    for name in ("u", "effort", "manipulability", "task_error", "following_error"):
         array = getattr(motion, name)
         if array is not None:
             columns[name] = array.tolist()

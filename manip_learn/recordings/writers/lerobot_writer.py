@@ -1,4 +1,5 @@
-"""Motions as a LeRobot v3.0 data set: one episode each, `observation.state` and `observation.velocity` in float64.
+"""Motions as a LeRobot v3.0 data set: one episode each, `observation.state` and, where known,
+`observation.velocity` and `observation.effort` in float64.
 
 Timestamps count from the first sample of each episode. Nothing that was not recorded is made up: there is no `action`.
 """
@@ -16,7 +17,7 @@ import numpy as np
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import MissingExtraError, OutputError
 from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER
-from manip_learn.recordings.readers.lerobot_state import STATE, VELOCITY
+from manip_learn.recordings.readers.lerobot_state import EFFORT, STATE, VELOCITY
 from manip_learn.recordings.saved_motion import SavedMotion
 
 try:
@@ -43,6 +44,8 @@ def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
         raise OutputError(f"cannot write a LeRobot data set to {folder}: it exists; name a new or an empty folder")
     if len({m.u is None for m in motions}) > 1:
         raise OutputError("some trajectories have velocities and others not: export them to data sets of their own")
+    if len({m.effort is None for m in motions}) > 1:
+        raise OutputError("some trajectories have efforts and others not: export them to data sets of their own")
     table = _samples(motions)
     fps = _rate(motions)
     write_atomically(folder / "data" / FILE, _parquet(table))
@@ -60,6 +63,8 @@ def _samples(motions: Sequence[SavedMotion]) -> Any:
     columns = {STATE: _vectors([m.q for m in motions])}
     if motions[0].u is not None:
         columns[VELOCITY] = _vectors([m.u for m in motions if m.u is not None])
+    if motions[0].effort is not None:
+        columns[EFFORT] = _vectors([m.effort for m in motions if m.effort is not None])
     columns["timestamp"] = pa.array(np.concatenate([m.time - m.time[0] for m in motions]))
     columns["frame_index"] = pa.array(np.concatenate([np.arange(n) for n in lengths]))
     columns["episode_index"] = pa.array(np.repeat(np.arange(len(motions)), lengths))
@@ -113,7 +118,7 @@ def _statistics(table: Any) -> dict[str, Any]:
 def _info(motions: Sequence[SavedMotion], fps: float, table: Any) -> dict[str, Any]:
     header = motions[0].header
     vector = {"dtype": "float64", "shape": [len(header.joint_names)], "names": list(header.joint_names)}
-    features: dict[str, Any] = {name: vector for name in (STATE, VELOCITY) if name in table.column_names}
+    features: dict[str, Any] = {name: vector for name in (STATE, VELOCITY, EFFORT) if name in table.column_names}
     features["timestamp"] = {"dtype": "float64", "shape": [1], "names": None}
     for name in ("frame_index", "episode_index", "index", "task_index"):
         features[name] = {"dtype": "int64", "shape": [1], "names": None}

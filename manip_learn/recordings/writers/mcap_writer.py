@@ -69,7 +69,8 @@ def _messages(motion: SavedMotion, stamps: np.ndarray) -> Iterator[list[bytes]]:
     are_positions = motion.q.shape[1] == len(header.joint_names)  # configurations are only in the rollout's samples
     for i, stamp in enumerate(stamps.tolist()):
         q, u = motion.q[i], nothing if motion.u is None else motion.u[i]
-        messages = [encode(stamp, q if are_positions else nothing, u)]
+        effort = nothing if motion.effort is None else motion.effort[i]
+        messages = [encode(stamp, q if are_positions else nothing, u, effort)]
         if motion.manipulability is not None and motion.task_error is not None:
             numbers = float(motion.time[i]), float(motion.manipulability[i]), float(motion.task_error[i])
             following = None if motion.following_error is None else float(motion.following_error[i])

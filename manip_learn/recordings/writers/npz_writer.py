@@ -18,6 +18,7 @@ def npz_bytes(motion: SavedMotion) -> bytes:
         "time": motion.time,
         "q": motion.q,
         "u": motion.u,
+        "effort": motion.effort,
         "joint_names": np.array(header.joint_names, dtype=str),
         "manipulability": motion.manipulability,
         "task_error": motion.task_error,
