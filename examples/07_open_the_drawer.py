@@ -12,7 +12,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from drawer_physics import PERIOD, DrawerPhysics, draw, true_axis
+from drawer_physics import PERIOD, ArmPhysics, draw, drawer, true_axis
 from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
@@ -23,48 +23,23 @@ WAY, SPEED = 0.18, 0.06  # [m], [m/s]
 ALLOWED_FORCE = 15.0  # side force at which the arm is to stop [N]
 
 
-def following_error_limit(constraint: ml.Constraint, q: np.ndarray, stiffness: float) -> float:
-    """force * lever / stiffness [rad]: how far a servo gives way to the allowed force.
-
-    A side force f loads the joints with A(q)^T f: lever is the longest among the joints, for the worst direction of f.
-    """
-    angle = np.linspace(0.0, np.pi, 180)
-    levers = np.abs(np.column_stack([np.cos(angle), np.sin(angle)]) @ constraint(q))  # two rows are held
-    return ALLOWED_FORCE * float(levers.max(axis=1).min()) / stiffness
-
-
-def open_drawer(constraint: ml.Constraint, grasp: np.ndarray, stiffness: float) -> tuple[ml.Rollout, np.ndarray]:
+def open_drawer(constraint: ml.Constraint, grasp: np.ndarray, stiffness: float) -> tuple[ml.RunRecord, np.ndarray]:
     """What the arm did, and per period: way [m], side force [N], following error and its limit [rad]."""
     task, climb = ml.FreeDirection(constraint, WAY, SPEED), ml.ManipulabilityAscent(constraint, gain=1.0)
     controller = ml.ResolvedRateController(constraint, task=task, null_policy=climb)
-    limit = following_error_limit(constraint, grasp, stiffness)
+    robot = constraint.robot
+    assert robot is not None  # rows of a frame have one
+    limit = ml.following_error_limit(robot, ALLOWED_FORCE, stiffness, q=grasp, constraint=constraint)
     loop = ml.ServoLoop(  # gentle on what the hand holds
         controller, PERIOD, acceleration_limit=3.0, jerk_limit=30.0, following_error_limit=limit, latency=0.003
     )
     loop.reset(grasp)  # where the servos hold the arm, not where a noisy encoder sees it
-    physics = DrawerPhysics("panda", grasp, true_axis(RECORDINGS), stiffness, np.random.default_rng(7))
-    commands, measured, signals = [], [], []
-    for k in range(round((task.duration + 1.5) / PERIOD)):
-        if k * PERIOD > task.duration + 0.5:
-            loop.stop()  # open: no null-space motion any more
-        q, t = physics.measured()
-        command = loop.update(q, t)
-        physics.send(loop.position)
-        commands.append(command)
-        measured.append(q)
-        signals.append((physics.way, physics.side_force, command.following_error, limit))
-    rows = range(0, len(commands), 20)
-    rollout = ml.Rollout(
-        time=PERIOD * np.array(rows),
-        q=np.array([measured[i] for i in rows]),
-        u=np.array([commands[i].velocity for i in rows]),
-        manipulability=np.array([commands[i].manipulability for i in rows]),
-        status=tuple(commands[i].status for i in rows),
-        joint_names=loop.robot.joint_names,
-        task_error=np.array([WAY - signals[i][0] for i in rows]),
-        frame=FRAME,
-    )
-    return rollout, np.array(signals)
+    chest = drawer(robot.position(grasp, FRAME), true_axis(RECORDINGS))
+    physics = ArmPhysics("panda", grasp, chest, stiffness, np.random.default_rng(7))
+    record = ml.run(loop, physics, task.duration + 0.5)
+    error = np.asarray(record.rollout.following_error)
+    signals = np.column_stack([physics.history, error, np.full(len(error), limit[0])])
+    return record, signals
 
 
 def main() -> None:
@@ -85,13 +60,13 @@ def main() -> None:
     wrong = ml.Constraint(learnt.selection @ turn.as_matrix().T, features)
     opened = {}
     for name, constraint in {"learnt axis": learnt, "axis 5 degrees off": wrong}.items():
-        opened[name] = rollout, signals = open_drawer(constraint, grasp, arguments.stiffness)
+        opened[name] = record, signals = open_drawer(constraint, grasp, arguments.stiffness)
         way, force, error, limit = signals.T
         tripped = "".join(f", {f:.1f} N where that stopped the arm" for f in force[error > limit][:1])
-        print(f"{name}: {1e3 * way[-1]:.1f} of {1e3 * WAY:.0f} mm opened; {rollout.status_counts}")
+        print(f"{name}: {1e3 * way[-1]:.1f} of {1e3 * WAY:.0f} mm opened; {record.ended}")
         print(f"  following error up to {1e3 * error.max():.2f} mrad, limit {1e3 * limit[0]:.2f} mrad")
-        print(f"  side force up to {force.max():.1f} N" + tripped)
-    rollouts = {name: rollout for name, (rollout, _) in opened.items()}
+        print(f"  side force up to {force.max():.1f} N{tripped}, {force[-1]:.1f} N at the end")
+    rollouts = {name: record.rollout for name, (record, _) in opened.items()}
     page = ml.replay(robot, rollouts, html="open_the_drawer.html", open_browser=not arguments.headless)
     print(f"replay: {page.html}, plot: {draw({name: s for name, (_, s) in opened.items()}, 'open_the_drawer.svg')}")
 

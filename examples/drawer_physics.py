@@ -1,4 +1,4 @@
-"""An arm under position control with its hand on the handle of a drawer, in MuJoCo's rigid-body dynamics.
+"""An arm under position control with its hand on a drawer or a door, in MuJoCo's rigid-body dynamics: a driver.
 
 Each joint has a position servo: a spring of stated stiffness to the commanded position, critically damped against its
 rate, by the drive's own sensors. Commands and measurements travel for 1 ms each. The grip is a ball joint between hand
@@ -21,8 +21,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 from make_recordings.arms import load_arm
-from make_recordings.guided_model import guided_model
-from make_recordings.mechanisms import Slide
+from make_recordings.guided_model import STIFF_SOLIMP, guided_model
+from make_recordings.mechanisms import Mechanism, Slide
 from matplotlib.figure import Figure
 
 PERIOD, TIMESTEP = 0.001, 0.0005  # of the servo's commands, of the physics [s]
@@ -40,44 +40,62 @@ def true_axis(recordings: Path) -> Float[np.ndarray, " 3"]:
 
 
 @final
-class DrawerPhysics:
-    """The arm, its servos and the drawer.
+class ArmPhysics:
+    """The arm, its servos and what it holds: a driver for `manip_learn.run`, whose clock is that of the simulation.
 
     Args:
         robot_name: One of `make_recordings.arms.ROBOTS`.
         grasp: shape (nv,), posture with the hand on the handle [rad].
-        axis: shape (3,), unit vector out of the chest, base frame.
+        mechanism: What the hand holds (see `make_recordings.mechanisms`), e.g. what `drawer` gives; None for nothing.
         stiffness: Of every joint's servo [N m/rad].
         rng: Source of the encoder noise.
+        latency: From a measurement to the command that it leads to, a multiple of two periods [s]; half on each way.
+        jammed_at: Way at which a drawer is stuck [m]; None for nowhere.
+        payload: Mass that hangs from the hand, and that the drives know nothing of [kg].
     """
+
+    period = PERIOD
+    simulated = True  # one period passes in `command`
 
     def __init__(
         self,
         robot_name: str,
         grasp: Float[np.ndarray, " nv"],
-        axis: Float[np.ndarray, " 3"],
+        mechanism: Mechanism | None,
         stiffness: float,
         rng: np.random.Generator,
+        *,
+        latency: float = LATENCY,
+        jammed_at: float | None = None,
+        payload: float = 0.0,
     ):
         arm = load_arm(robot_name)
         handle = arm.pose(grasp)[:3, 3]
-        drawer = Slide(handle, np.empty((0, 3)), np.array([0.3]), axis)
-        self._model = guided_model(arm, [drawer], [handle], friction=1.0)
-        self._model.opt.timestep = TIMESTEP
-        self._grip = self._model.equality(GRIP).id
-        self._model.eq_solref[self._grip, 0] = 2.0 * TIMESTEP
-        self._model.dof_frictionloss[-1] = DRAWER_FRICTION
-        self._data = mujoco.MjData(self._model)
-        self._n, self._axis, self._rng = len(grasp), axis, rng
+        held = [] if mechanism is None else [mechanism]
+        self._model = model = guided_model(arm, held, [handle] * len(held), friction=1.0)
+        model.opt.timestep = TIMESTEP
+        self._n, self._rng, self._stiffness = len(grasp), rng, stiffness
+        self._mechanism, self._tip = mechanism, model.site("tip").id
+        self._grip = model.equality(GRIP).id if held else -1
+        if held:
+            model.eq_solref[self._grip, 0] = 2.0 * TIMESTEP
+        if isinstance(mechanism, Slide):
+            model.dof_frictionloss[-1] = DRAWER_FRICTION
+        if jammed_at is not None:
+            model.jnt_limited[-1], model.jnt_range[-1] = True, (-1.0, jammed_at)
+            model.jnt_solref[-1], model.jnt_solimp[-1] = (0.02, 1.0), STIFF_SOLIMP  # wood gives way a little
+        self._weight = np.array([0.0, 0.0, -9.81 * payload])
+        self._data = mujoco.MjData(model)
         self._data.qpos[: self._n] = grasp
-        self._data.eq_active[self._grip] = 1
-        mujoco.mj_forward(self._model, self._data)
-        inertia = np.zeros((self._model.nv, self._model.nv))
-        mujoco.mj_fullM(self._model, self._data, inertia)
-        self._stiffness = stiffness
+        if held:
+            self._data.eq_active[self._grip] = 1
+        mujoco.mj_forward(model, self._data)
+        inertia = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, self._data, inertia)
         self._damping = 2.0 * np.sqrt(stiffness * np.diag(inertia)[: self._n])
-        late = round(0.5 * LATENCY / PERIOD)
-        self._measured = deque([(self._encoders(), -k * PERIOD) for k in range(late, -1, -1)], late + 1)
+        late = round(0.5 * latency / PERIOD)
+        self._measured = deque([self._encoders() for _ in range(late + 1)], late + 1)
+        self.history: list[tuple[float, float]] = []  # way [m or rad] and side force [N] after each period
         self._sent = deque([grasp.copy() for _ in range(late + 2)], late + 2)
 
     @property
@@ -87,45 +105,58 @@ class DrawerPhysics:
 
     @property
     def way(self) -> float:
-        """How far the drawer is open [m]."""
+        """How far the mechanism's last joint has moved: a drawer's opening [m], a door's angle [rad]."""
         return float(self._data.qpos[-1])
 
     @property
     def force(self) -> Float[np.ndarray, " 3"]:
-        """Force of the grip on the drawer [N], base frame."""
+        """Force of the hand on what it holds [N], base frame."""
         data = self._data
         rows = (data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY) & (data.efc_id == self._grip)
-        return -data.efc_force[rows]
+        return -data.efc_force[rows][:3] if rows.any() else np.zeros(3)
 
     @property
     def side_force(self) -> float:
-        """Its part across the slide [N]."""
+        """Its part across the axis of a drawer [N]; of other mechanisms the whole."""
         force = self.force
-        return float(np.linalg.norm(force - (force @ self._axis) * self._axis))
+        if isinstance(self._mechanism, Slide):
+            force = force - (force @ self._mechanism.axis) * self._mechanism.axis
+        return float(np.linalg.norm(force))
 
-    def measured(self) -> tuple[Float[np.ndarray, " nv"], float]:
-        """Newest state that has arrived: joint positions [rad] with encoder noise, and when they were measured [s]."""
-        return self._measured[0]
+    def read(self) -> tuple[Float[np.ndarray, " nv"], None, None]:
+        """Newest state that has arrived: joint positions [rad] with encoder noise; no rates, no efforts."""
+        return self._measured[0], None, None
 
-    def send(self, position: Float[np.ndarray, " nv"] | None) -> None:
+    def command(self, q: Float[np.ndarray, " nv"], u: Float[np.ndarray, " nv"] | None = None) -> None:
         """Command the servos and let one period pass.
 
         Args:
-            position: shape (nv,), commanded joint positions [rad]; they arrive late. None repeats the last ones.
+            q: shape (nv,), commanded joint positions [rad]; they arrive late.
+            u: Not used: these are position servos.
         """
         data, n = self._data, self._n
-        self._sent.append(self._sent[-1] if position is None else position)
+        self._sent.append(q)
         start, end = self._sent[0], self._sent[1]
         rate, steps = (end - start) / PERIOD, round(PERIOD / TIMESTEP)
+        pull = np.zeros((3, self._model.nv))
         for k in range(steps):
             goal = start + (k / steps) * (end - start)  # drives interpolate between commands
-            q, u = data.qpos[:n], data.qvel[:n]
-            data.qfrc_applied[:n] = self._stiffness * (goal - q) + self._damping * (rate - u)
+            at, moving = data.qpos[:n], data.qvel[:n]
+            mujoco.mj_jacSite(self._model, data, pull, None, self._tip)
+            data.qfrc_applied[:n] = (
+                self._stiffness * (goal - at) + self._damping * (rate - moving) + (self._weight @ pull)[:n]
+            )
             mujoco.mj_step(self._model, data)
-        self._measured.append((self._encoders(), data.time))
+        self._measured.append(self._encoders())
+        self.history.append((self.way, self.side_force))
 
     def _encoders(self) -> Float[np.ndarray, " nv"]:
         return self._data.qpos[: self._n] + self._rng.normal(0.0, ENCODER_NOISE, self._n)
+
+
+def drawer(handle: Float[np.ndarray, " 3"], axis: Float[np.ndarray, " 3"]) -> Slide:
+    """A drawer whose handle is at a point [m] and that slides along a unit vector, base frame."""
+    return Slide(handle, np.empty((0, 3)), np.array([0.3]), axis)
 
 
 def draw(signals: Mapping[str, Float[np.ndarray, "T 4"]], path: str) -> Path:

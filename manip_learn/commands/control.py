@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from manip_learn.commands.robot_loading import robot_of_constraint
 from manip_learn.commands.robot_options import RobotOptions
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import MechanismRows
+from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.control.policies.manipulability_ascent import ASCENT_GAIN
@@ -184,7 +184,7 @@ def control(
         angle = None if turn is None else math.radians(turn)
         rate = speed if turn is None or speed is None else math.radians(speed)
         task = motion(constraint, along, angle, direction=direction, speed=rate, keep_orientation=keep_orientation)
-    elif target is not None and rows == "all" and isinstance(constraint.features, MechanismRows):
+    elif target is not None and rows == "all" and isinstance(constraint.features, WeighedVelocity):
         task = motion_to(constraint, target, q0, speed=speed, keep_orientation=keep_orientation)
     elif target is not None:
         task = PointAttractor(target, task_gain, speed, driven="all" if rows == "all" else "held")

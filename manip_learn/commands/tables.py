@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # so that printing one command's answer does not load the oth
     from manip_learn.commands.learn import Learnt
     from manip_learn.commands.reproduce import Reproduction
     from manip_learn.commands.robots import KnownRobots
+    from manip_learn.commands.warm_up import Warmed
     from manip_learn.playback import ReplayResult
     from manip_learn.robot.robot_summary import RobotSummary
 
@@ -63,7 +64,7 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> Non
 
 def _learnt_facts(learnt: Learnt) -> list[tuple[str, str | None, str]]:
     """What each fact is called, the fact or nothing, and the term that explains it."""
-    from manip_learn.learning.estimators.estimate import CLEAR_GAP
+    from manip_learn.learning.deciding import CLEAR_GAP
 
     report = learnt.report
     rank = f"{CLEAR_GAP:g} is clear" if report.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
@@ -90,6 +91,7 @@ def _learnt_facts(learnt: Learnt) -> list[tuple[str, str | None, str]]:
             f"strength {strengths}{p_value} (recombination test)" if report.row_evidence else "",
             "strength",
         ),
+        ("effort", None if report.effort is None else report.effort.sentence(), ""),
         ("mechanism", report.mechanism_in_words(), ""),
         ("learnt from", f"{source} in {report.seconds:.2g} s", ""),
     ]
@@ -119,6 +121,16 @@ def print_robots(console: Console, listed: KnownRobots) -> None:
         console.print(f"{escape(robot.name):24} {joints}{origin}", highlight=False)
     if not listed.extra:
         console.print("more with: pip install 'manip_learn[robots]'", highlight=False, markup=False)
+
+
+def print_warm_up(console: Console, warmed: Warmed) -> None:
+    """What is compiled now."""
+    words = (
+        f"control steps are compiled ({warmed.seconds:.1f} s)"
+        if warmed.compiled
+        else ("nothing to compile: control steps run in Python, install the extra 'fast' to compile them")
+    )
+    console.print(words, highlight=False, markup=False)
 
 
 def print_robot(console: Console, summary: RobotSummary) -> None:

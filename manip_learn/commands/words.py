@@ -35,7 +35,7 @@ WORDS: dict[str, tuple[str, str]] = {
         "answer depends on which recordings there are, not whether they are of the right task.",
     ),
     "strength": (
-        "growth of a row's motion when joints are exchanged; from 5 on held",
+        "growth of a row's motion when joints are exchanged; 1 or less: free",
         "Joints are exchanged between recordings, so that nothing is held any more (recombination test). A row that "
         "the world holds then moves far more; a row that nobody tried does not. Strength is the ratio, p the chance "
         "of it.",

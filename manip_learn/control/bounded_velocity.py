@@ -12,6 +12,7 @@ from jaxtyping import Float
 from manip_learn.constraint.small_matrices import svd
 from manip_learn.control.limits import Bounds
 from manip_learn.control.polytope_projection import Projection
+from manip_learn.control.tip_speed import Barrier
 
 # weight of the task's scale against the null-space policy, in multiples of the task part
 TASK_WEIGHT = 100.0
@@ -60,7 +61,7 @@ def bounded_velocity(
     null: Float[np.ndarray, "nv k"],
     bounds: Bounds,
     fastest: Float[np.ndarray, " nv"],
-    barrier: tuple[Float[np.ndarray, " nv"], float] | None,
+    barrier: Barrier | None,
     project: Projection,
     slide: float = 0.0,
     damping: float = 0.05,
@@ -90,7 +91,8 @@ def bounded_velocity(
         null: Z with Z Z^T = N, or the projector N itself, which serves as well.
         bounds: Lowest and highest velocities allowed.
         fastest: Velocity limits.
-        barrier: (g, least) for the constraint g u >= least on the approach to a singularity; None without.
+        barrier: (G, least) for the constraints G u >= least, on the approach to a singularity first, where there is
+            one, then on the speeds of frames; None without.
         project: Solver of the quadratic program.
         slide: 0 keeps the task's direction, 1 slides along what blocks it; in between their mean.
         damping: Singular value of A below which sliding is damped.
@@ -99,9 +101,10 @@ def bounded_velocity(
     nv = null.shape[0]
     for barred in (barrier, None) if barrier is not None else (None,):
         # rows of the programs: joints, barrier, and the task's scale
-        m, least, most = (nv + 1, (0.0,), (1.0,)) if barred is None else (nv + 2, (barred[1], 0.0), (math.inf, 1.0))
-        low = np.fromiter([*bounds.low, *least], np.float64, m)
-        high = np.fromiter([*bounds.high, *most], np.float64, m)
+        least = [] if barred is None else barred[1].tolist()
+        m = nv + len(least) + 1
+        low = np.fromiter([*bounds.low, *least, 0.0], np.float64, m)
+        high = np.fromiter([*bounds.high, *[math.inf] * len(least), 1.0], np.float64, m)
         found = _bounded(A, desired, null, low, high, fastest, barred, project, slide, damping, decomposition)
         if found is not None:
             reached = found.velocity.tolist()
@@ -121,7 +124,7 @@ def _bounded(
     low: np.ndarray,
     high: np.ndarray,
     fastest: np.ndarray,
-    barrier: tuple[np.ndarray, float] | None,
+    barrier: Barrier | None,
     project: Projection,
     slide: float,
     damping: float,
@@ -155,15 +158,15 @@ def _bounded(
     return BoundedVelocity(u, s / too_fast, null_part)
 
 
-def approach_scale(v: np.ndarray, rest: np.ndarray, barrier: tuple[np.ndarray, float] | None) -> float:
-    """Largest factor on v, 0 to 1, with which `v + rest` approaches a singularity no faster than the barrier allows."""
-    if barrier is None:
-        return 1.0
-    approach = -float(barrier[0].dot(v))
-    if approach <= 0.0:
-        return 1.0
-    room = float(barrier[0].dot(rest)) - barrier[1]
-    return min(1.0, max(0.0, room / approach))
+def approach_scale(v: np.ndarray, rest: np.ndarray, barrier: Barrier | None) -> float:
+    """Largest factor on v, 0 to 1, with which `v + rest` is no faster than the barrier allows."""
+    scale = 1.0
+    if barrier is not None:
+        for g, least in zip(*barrier, strict=True):
+            approach = -float(g.dot(v))
+            if approach > 0.0:
+                scale = min(scale, max(0.0, (float(g.dot(rest)) - least) / approach))
+    return scale
 
 
 def _along(
@@ -174,7 +177,7 @@ def _along(
     Z: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
-    barrier: tuple[np.ndarray, float] | None,
+    barrier: Barrier | None,
     project: Projection,
 ) -> tuple[np.ndarray, float] | None:
     """The first program: (u, s), or None if the bounds allow no s >= 0."""
@@ -194,7 +197,7 @@ def _along(
     if e is not None and escapes:
         basis[:, -1], start[-1] = e / speed, speed
     if barrier is not None:
-        C[nv] = barrier[0].dot(basis)
+        C[nv : nv + barrier[0].shape[0]] = barrier[0].dot(basis)
     y = project(start, C, low[:rows], high[:rows])
     if y is None and moves:  # too fast to brake: farther along b is better than beside it
         high[-1] = math.inf
@@ -210,16 +213,16 @@ def _nearest(
     damping: float,
     low: np.ndarray,
     high: np.ndarray,
-    barrier: tuple[np.ndarray, float] | None,
+    barrier: Barrier | None,
     project: Projection,
 ) -> np.ndarray | None:
     """The second program: the velocity within the bounds that is nearest to `wish`, mostly in the rows decomposed."""
     _, sigma, Vt = decomposition
     nv, scale = Vt.shape[0], 1.0 / max(damping, 1e-300)
     root = np.array([math.hypot(1.0, scale * x) for x in sigma.tolist()] + [1.0] * (nv - sigma.shape[0]))
-    rows = np.empty((nv + (barrier is not None), nv))
+    rows = np.empty((nv + (0 if barrier is None else barrier[0].shape[0]), nv))
     C = np.divide(Vt.T, root, out=rows[:nv])  # u = C x
     if barrier is not None:
-        rows[nv] = barrier[0].dot(C)
+        rows[nv:] = barrier[0].dot(C)
     x = project(root * Vt.dot(wish), rows, low, high)
     return None if x is None else C.dot(x)

@@ -47,7 +47,8 @@ class CompiledRollout(NamedTuple):
 class CompiledController:
     """The commands of a `ResolvedRateController`, computed by compiled code.
 
-    For rows of a frame's Jacobian, a chain of revolute, continuous and prismatic joints, the tasks `Hold` and
+    For rows of a frame's Jacobian and for doors, tethers, screws and all that `MechanismRows` and `PlaceRows` hold, a
+    chain of revolute, continuous and prismatic joints, the tasks `Hold` and, for rows of a frame's Jacobian,
     `PointAttractor` (positions, poses and whole rotations, along the axes of the base or of the frame), and a
     `ManipulabilityAscent` of the same constraint, a `JointAttractor` or no policy; in every state, at limits and at
     singularities too. (For all others there is the original's solver `"compiled"`.) The original controller computes

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.bounded_velocity import bounded_velocity
+from manip_learn.control.bounded_velocity import BoundedVelocity, bounded_velocity
 from manip_learn.control.command import Command
 from manip_learn.control.compiled_limits import CompiledLimits
 from manip_learn.control.limits import Limits
@@ -21,11 +21,14 @@ from manip_learn.control.outcome import Law, bounded_command, plain_command
 from manip_learn.control.policies import (
     NullSpacePolicy,
     ZeroPolicy,
+    climbing,
 )
 from manip_learn.control.polytope_projection import Solver, projection_by
 from manip_learn.control.resolved_rate_law import ResolvedRateLaw
 from manip_learn.control.singularity import approach_bound
+from manip_learn.control.status import Status
 from manip_learn.control.tasks import Hold, Task
+from manip_learn.control.tip_speed import Barrier
 from manip_learn.errors import ConfigurationError, ConstraintError, advice, an
 from manip_learn.linalg import Inverse
 from manip_learn.robot.frame_kinematics import is_plain
@@ -154,6 +157,21 @@ class ResolvedRateController:
         """Distance to the task's goal along the constrained rows [m or rad]."""
         return self.task.error(self.constraint, np.asarray(q, dtype=np.float64), t)
 
+    def with_task(self, task: Task, constraint: Constraint) -> ResolvedRateController:
+        """The same controller with another task along the rows of another constraint.
+
+        A null-space ascent of the constraint, or of the rows driven, becomes one of the new.
+        """
+        rows, policy = task.rows(constraint), self.null_policy
+        for before, after in ((self.constraint, rows), (self.learnt, constraint)):
+            if before is not after:
+                policy = climbing(policy, before, after)
+        settings = {"threshold": self.threshold, "damping": self.damping, "dt": self.dt, "solver": self.solver}
+        limits = self.limits or False
+        return ResolvedRateController(
+            constraint, task, policy, self.inverse, limits=limits, robot=self.robot, **settings
+        )
+
     def with_limits(self, limits: Limits) -> ResolvedRateController:
         """The same controller with other limits."""
         other = copy.copy(self)
@@ -180,7 +198,7 @@ class ResolvedRateController:
 
     def _compiled_limits(self, report: Callable[[str], object] | None = None) -> CompiledLimits | None:
         wide = self.constraint.n_constraints > self.constraint.nv
-        if self.solver != "compiled" or self.limits is None or wide:
+        if self.solver != "compiled" or self.limits is None or wide or self.limits.tip is not None:
             return None
         return CompiledLimits(self.limits, self.inverse, self.threshold, self.damping, report)
 
@@ -213,13 +231,17 @@ class ResolvedRateController:
         if limits is None:
             return plain_command(law, velocity, damped)
         slope, far = self._law.approach(q, dt, law, velocity), previous is None and limits.far(q, dt, velocity)
-        if far and slope is None:
+        tip, jacobians, fast = limits.tip, [], None
+        if tip is not None:
+            jacobians = tip.jacobians(q)
+            fast = tip.rows(jacobians, velocity)
+        if far and slope is None and fast is None:
             return plain_command(law, velocity, damped)
         if self._compiled is not None:
             return self._compiled(q, dt, law, velocity, slope, previous, slide)
-        barrier, slow = None, True
+        barrier, slow = None, fast is None
         if slope is not None and (bound := approach_bound(law.smallest, slope, limits.acceleration, dt)) < math.inf:
-            barrier, slow = (slope, -bound), -float(slope.dot(velocity)) <= bound
+            barrier, slow = (slope[None], np.array([-bound])), slow and -float(slope.dot(velocity)) <= bound
         if far and slow:
             return plain_command(law, velocity, damped)
         bounds = limits.bounds(q, dt, previous)
@@ -227,11 +249,17 @@ class ResolvedRateController:
             return plain_command(law, velocity, damped, bounds.outside)
         # an explicit step of dt follows sliding that is damped that much
         blur = 0.0 if slide == 0.0 else max(self.damping, math.sqrt(2.0 * dt * math.sqrt(law.b.dot(law.b))))
-        found = bounded_velocity(
-            *(law.A, law.desired, law.null_space(), bounds, limits.velocity, barrier, self._project, slide, blur),
-            decomposition=law.decomposition,
-        )
-        return bounded_command(law, wish, found, bounds, damped)
+
+        def within(rows: Barrier | None) -> BoundedVelocity:
+            return bounded_velocity(
+                *(law.A, law.desired, law.null_space(), bounds, limits.velocity, rows, self._project, slide, blur),
+                decomposition=law.decomposition,
+            )
+
+        found = within(barrier) if tip is None else tip.bounded(jacobians, velocity, barrier, within)
+        command = bounded_command(law, wish, found, bounds, damped)
+        held_back = fast is not None and not damped and command.status is Status.DAMPED
+        return command._replace(status=Status.VELOCITY_LIMITED) if held_back else command
 
     def __repr__(self) -> str:
         return (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from operator import le, neg
 from typing import NamedTuple, final
 
@@ -12,6 +13,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.control.approach import Approach, approach_of
+from manip_learn.control.tip_speed import TipSpeed
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
@@ -101,8 +103,12 @@ class Limits:
         jerk: shape (nv,) or a number [rad/s3 or m/s3]; None for none. A `ServoLoop` keeps it.
         position: False ignores the position limits.
         margin: Distance to keep from the position limits [rad or m].
+        tip_speed: Largest speed of the frames' origins [m/s], e.g. 0.25 beside people; None for none. A row of the same
+            program (see `TipSpeed`), which is then solved in Python.
+        frames: Name or names of these frames; by default the robot's likeliest tip.
 
     Attributes:
+        tip: The limit on the speed of frames, or None.
         velocity: shape (nv,) [rad/s or m/s].
         acceleration: shape (nv,) [rad/s2 or m/s2].
         jerk: shape (nv,) [rad/s3 or m/s3], or None.
@@ -112,6 +118,7 @@ class Limits:
 
     Raises:
         ConfigurationError: A limit that is not positive or has the wrong size, or a margin that leaves no room.
+        UnknownNameError: No such frame.
     """
 
     def __init__(
@@ -123,6 +130,8 @@ class Limits:
         jerk: ArrayLike | None = None,
         position: bool = True,
         margin: float = 0.0,
+        tip_speed: float | None = None,
+        frames: str | Sequence[str] | None = None,
     ):
         self.robot = robot
         names = robot.joint_names
@@ -134,6 +143,7 @@ class Limits:
         self.jerk = None if jerk is None else _positive("jerk", jerk, names)
         if not (math.isfinite(margin) and margin >= 0.0):
             raise ConfigurationError(f"margin must be a distance of at least 0, got {margin!r}")
+        self.tip = None if tip_speed is None else TipSpeed(robot, tip_speed, frames)
         self.position, self.margin = bool(position), float(margin)
         infinite = np.full(robot.nv, np.inf)
         self.lower = robot.position_lower + margin if position else -infinite
@@ -252,6 +262,14 @@ class Limits:
                 up, down = (upper - y) / abs(speed), (y - lower) / abs(speed)
                 ahead, behind = min(ahead, up if speed > 0.0 else down), min(behind, down if speed > 0.0 else up)
         return direction if fastest == 0.0 or ahead >= min(behind, ROOM_TO_LEAVE / fastest) else -direction
+
+
+def bound_changes(
+    bounds: Bounds, previous: Float[np.ndarray, " nv"], acceleration: Float[np.ndarray, " nv"], dt: float
+) -> Bounds:
+    """The same bounds, narrowed to what acceleration limits allow in dt [s] after a velocity."""
+    _bound_changes(bounds, previous.tolist(), acceleration.tolist(), dt)
+    return bounds
 
 
 def _bound_changes(bounds: Bounds, previous: list[float], accelerations: list[float], dt: float) -> None:

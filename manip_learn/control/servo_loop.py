@@ -9,20 +9,42 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Command, Controller
 from manip_learn.control.compiled_controller import CompiledController
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.following import FollowingError
+from manip_learn.control.following import STIFFNESS, FollowingError
+from manip_learn.control.limits import Bounds, bound_changes
 from manip_learn.control.moving_average import MovingAverage
 from manip_learn.control.outcome import next_slide
-from manip_learn.control.servo_settings import is_number, limits_of, robot_of, task_of, with_limits
-from manip_learn.control.status import Status
+from manip_learn.control.servo_period import Period, Return
+from manip_learn.control.servo_settings import (
+    aimed_at,
+    constraint_of,
+    exchanged,
+    frame_of,
+    is_number,
+    limits_of,
+    robot_of,
+    task_of,
+    with_limits,
+)
+from manip_learn.control.status import STATUSES, Status
+from manip_learn.control.tasks import Task
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
 # [s] time by which a measurement may lag behind the command that it is compared with
 LATENCY = 0.01
+# [1/s] rate at which an arm that was blocked lets go: from 30 N to 5 N in 0.4 s
+UNLOADING_RATE = 5.0
+# [rad/s or m/s] speed below which it does not fall on the way, and [rad or m] distance at which it has arrived
+SLOWEST, ARRIVED = 1e-3, 1e-9
+# [rad or m] no joint is farther beyond its limits than encoders count a turn too much, and none without is so far away
+TURN, LARGEST_POSITION = 2.0 * math.pi, 1e6
+JITTER = 0.01  # share of the period by which calls may be early or late without being told from regular ones
 LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
+GRAVEST = STATUSES.index
 STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
 
 
@@ -44,9 +66,10 @@ class ServoLoop:
 
     The arm brakes within the acceleration limits and stands while there is a reason to: input that is no posture or no
     time (`Status.INVALID_INPUT`), a state that has not been new for `stale_after` (`Status.STALE`), a call of `stop`
-    (`Status.STOPPED`). It starts again by itself when the reason is gone. Where the measured posture is farther from
-    the commanded one than `following_error_limit` (a collision, a jammed drawer, a servo that is off), it stands until
-    `reset` is called (`Status.FOLLOWING_ERROR`), and brakes without regard to the jerk limits.
+    (`Status.STOPPED`). It starts again by itself when the reason is gone. Where the measured posture says that the arm
+    is blocked (a collision, a jammed drawer, a servo that is off), it brakes without regard to the jerk limits, lets
+    go by going slowly to where it was measured when that was found, and stands until `reset` is called
+    (`Status.FOLLOWING_ERROR`); `stopped_by` says which row of the constraint was blocked, and by how much.
 
     Args:
         controller: A `ResolvedRateController`, a `CompiledController`, or any `(q, t, dt) -> Command`.
@@ -55,9 +78,15 @@ class ServoLoop:
         jerk_limit: shape (nv,) or a number [rad/s3 or m/s3]; by default those of the controller's `Limits`, or none.
             The commands are averaged over 2 max_j(a_j / jerk_j), which delays them by half of that time.
         stale_after: Time without a new state after which the arm brakes [s].
-        following_error_limit: shape (nv,) or a number [rad or m]; by default 0.1 rad, and 0.02 m for a prismatic joint.
-            A servo of stiffness k gives way by F r / k to a force F at a lever r, and by torque / k to friction: choose
-            it above the latter. The force goes on rising while the arm brakes.
+        following_error_limit: shape (nv,) or a number [rad or m]: how far a joint may be from where it was commanded,
+            e.g. what `manip_learn.following_error_limit` gives. By default what counts is a force of 15 N on the hand,
+            as the distances mean it on servos of this `stiffness`, beside a weight of up to 2 kg and the inertia that
+            the robot's description states (see `FollowingError`). The force goes on rising while the arm brakes.
+        stiffness: shape (nv,) or a number [N m/rad or N/m], of the arm's position servos. On stiffer ones the forces
+            are as much larger; on softer ones the loop stops too early.
+        correction_time: Time [s] in which `position` comes to make up for what servos give way to steadily, as to a
+            payload that their drives do not know; None for never. By no more than the limits of the following error,
+            while the arm moves or holds.
         latency: Time by which a measurement may lag behind the command that it is compared with [s].
         robot: Whose limits count; the controller's own by default.
         compiled: None compiles the controller where numba is installed and it can be (see `CompiledController`), and
@@ -68,6 +97,8 @@ class ServoLoop:
         acceleration_limit: shape (nv,) [rad/s2 or m/s2], in force.
         jerk_limit: shape (nv,) [rad/s3 or m/s3], in force, or None.
         dt: [s].
+        measured: shape (n,), the newest measured posture that was one; None before the first.
+        stopped_by: What last stopped the arm, in words; None where nothing has.
 
     Raises:
         ConfigurationError: A setting that is not positive, or a controller that has no robot where none is given.
@@ -96,6 +127,8 @@ class ServoLoop:
         stale_after: float = 0.1,
         *,
         following_error_limit: ArrayLike | None = None,
+        stiffness: ArrayLike = STIFFNESS,
+        correction_time: float | None = None,
         latency: float = LATENCY,
         robot: Robot | None = None,
         compiled: bool | None = None,
@@ -108,12 +141,25 @@ class ServoLoop:
         self.controller = with_limits(controller, self.limits, compiled)
         self.acceleration_limit, self.jerk_limit = self.limits.acceleration, self.limits.jerk
         self._keeps_limits = isinstance(self.controller, ResolvedRateController | CompiledController)
-        self._following = FollowingError(self.robot, following_error_limit, float(latency))
+        frame = frame_of(controller)
+        self._following = FollowingError(self.robot, following_error_limit, float(latency), self.dt, stiffness, frame)
+        if not (correction_time is None or (is_number(correction_time) and 0.0 < correction_time < math.inf)):
+            raise ConfigurationError(f"correction_time must be a positive number of seconds, got {correction_time!r}")
+        self._correction_rate = 0.0 if correction_time is None else 1.0 / float(correction_time)
         self._average = MovingAverage(self.limits, self.dt)
+        farthest = np.maximum(np.abs(self.robot.position_lower), np.abs(self.robot.position_upper)) + TURN
+        bounded = self.robot.nq == self.robot.nv and bool(np.all(np.isfinite(farthest)))
+        self._impossible = farthest if bounded else LARGEST_POSITION
+        self._compiled = compiled
+        self._period = Period(self.dt)
+        self._return: Return | None = None
         self.reset()
 
     def reset(self, q: ArrayLike | None = None) -> None:
         """Stand still and forget the past, after a following error or before another motion.
+
+        After a following error `position` first goes back to the measured posture within the velocity and acceleration
+        limits, while the commanded velocity is zero and the status stays `Status.FOLLOWING_ERROR`.
 
         Args:
             q: Posture to start from, that at which the servos hold the arm; None takes the next measured one, with
@@ -123,14 +169,22 @@ class ServoLoop:
             ConfigurationError: q has the wrong size or is not finite.
         """
         nv = self.robot.nv
+        # a position servo holds the arm there still
+        if q is not None or self._following.tripped:
+            sent = None if q is not None else self.position
+            self._return = None if sent is None else Return(self.limits, sent)
         # where the controller is, and where the arm is sent: the same but for the average
         self._reference = self._output = None if q is None else np.array(self.robot.checked_posture(q))
         self._velocity, self._sent = np.zeros(nv), np.zeros(nv)
         self._average.forget()
         self._following.forget()
-        self._time, self._origin = -math.inf, math.nan  # of the newest state, and of the first
+        self._relief: np.ndarray | None = None  # posture to go to after a following error
+        self._correction = np.zeros(nv)  # what `position` adds to the commanded posture
+        self.measured, self.stopped_by = None, None
+        self._time = -math.inf  # of the newest state
         self._earlier = math.nan  # of a state that was refused, being older than the newest
-        self._advanced = 0.0  # time by which the commanded posture has moved on since `_origin`
+        self._ahead = 0.0  # time by which the commanded posture has moved on since the newest state
+        self._behind = 0.0  # time by which the clock of a task that waits for the arm is behind
         self._waited = 0.0  # periods since the newest state
         self._stopping = False
         self._slide = 0.0
@@ -147,10 +201,56 @@ class ServoLoop:
         """Move again after `stop`."""
         self._stopping = False
 
+    def set_task(self, task: Task) -> None:
+        """Another task, in motion: the velocity goes over into that of the new task within the acceleration limits.
+
+        A `ManipulabilityAscent` of the rows driven so far climbs those driven from now on. What is compiled is made
+        anew, in milliseconds.
+
+        Raises:
+            ConfigurationError: The controller is no `ResolvedRateController`.
+            ManipLearnError: The task does not fit the constraint.
+        """
+        self._exchange(exchanged(self.controller, task=task))
+
+    def set_target(self, target: ArrayLike) -> None:
+        """Another target of a `PointAttractor`, in motion, as for `set_task`.
+
+        Raises:
+            ConfigurationError: The task is another one.
+            TargetError: The target does not fit the constraint.
+        """
+        self._exchange(exchanged(self.controller, task=aimed_at(task_of(self.controller), target)))
+
+    def set_constraint(self, constraint: Constraint) -> None:
+        """Another constraint for the same task, in motion, as for `set_task`.
+
+        Raises:
+            ConfigurationError: The controller is no `ResolvedRateController`.
+            ManipLearnError: The task does not fit the constraint, or it belongs to another robot.
+        """
+        self._exchange(exchanged(self.controller, constraint=constraint))
+
+    def _exchange(self, law: ResolvedRateController) -> None:
+        """Go on with another law from the posture and the velocity of now."""
+        if self._reference is not None:
+            law(self._reference, 0.0, self.dt)  # what does not fit is refused while the old law is still there
+            law.task.reset()
+        self.controller = with_limits(law, self.limits, self._compiled)
+        self._keeps_limits, self._slide, self._behind = True, 0.0, 0.0
+
     @property
     def position(self) -> Float[np.ndarray, " n"] | None:
-        """The commanded posture at the end of the period, for a position servo; None before the first state."""
-        return None if self._output is None else self._output.copy()
+        """The commanded posture at the end of the period, for a position servo; None before the first state.
+
+        From one call to the next it moves by no more than the velocity limits allow in `dt`, or in the time between
+        the calls where that is shorter: after a gap, a position servo goes on from where it stands.
+        """
+        if self._return is not None:
+            return self._return.posture.copy()
+        if self._output is None or not self._correction.any():
+            return None if self._output is None else self._output.copy()
+        return np.array(self.robot.integrate(self._output, self._correction))
 
     def update(self, q: Any, t: Any) -> Command:
         """The command of the next period. Never raises.
@@ -180,30 +280,39 @@ class ServoLoop:
         if measured is None or not time >= self._time:
             self._earlier = time if measured is not None and time < self._time else math.nan
             self._waited += self.dt
+            self.stopped_by = f"no posture: {q!r:.200}" if measured is None else f"no time: {t!r:.40}"
             return self._braked(Status.INVALID_INPUT)
-        held = self._accept_time(time)
+        self.measured = measured
+        held = self._accept_time(time, measured)
         if self._reference is None or self._output is None:
             self._reference = self._output = measured
+        if self._return is not None:
+            self._return = self._return.step(measured, held or self.dt)
+            self._reference = self._output = measured
+            return self._braked(Status.FOLLOWING_ERROR)
         if self._waited == 0.0:  # a state that is not new says nothing of the commands since
-            self._following.compare(self._output, measured, self._sent, self.limits.acceleration)
+            self._following.compare(self._output, measured, self._correction)
         if self._following.tripped:
             # the average would go on pressing for its own length
             self._reference, self._velocity = self._output, self._sent
-            return self._braked(Status.FOLLOWING_ERROR)
+            return self._unloading(self._output, measured)
         if held is None or self._waited > self.stale_after:
             return self._braked(Status.STALE)
+        if self._correction_rate and self._waited == 0.0:
+            slow = min(1.0, self._correction_rate * held) * self._following.distance
+            self._correction = np.clip(self._correction - slow, -self._following.limit, self._following.limit)
         if self._stopping:
             return self._braked(Status.STOPPED)
         if self._waited > 0.0 and self._last is not None:
             return self._held(self._last)
-        return self._sent_on(self._command(self._reference, time, held))
+        return self._sent_on(self._command(self._reference, self._clock(time), held), held)
 
     def _held(self, last: Command) -> Command:
         """Nothing new: the last command, as long as that stays within the limits."""
         if last.status in STANDING:
             return self._braked(last.status)
         if self._reference is not None:
-            bounds = self.limits.bounds(self._reference, self.dt, self._velocity)
+            bounds = self._bounds(self._reference, self.dt)
             if not bounds.admit(self._velocity):
                 slower = np.clip(self._velocity, bounds.low, bounds.high)
                 return self._sent_on(last._replace(velocity=slower, status=Status.POSITION_LIMITED))
@@ -223,39 +332,86 @@ class ServoLoop:
             return None
         try:
             q = self.robot.checked_posture(q)
+            if not np.all(np.abs(q) < self._impossible):
+                return None
             # (cos, sin) of any length but 0
             return np.array(q) if q.shape[0] == self.robot.nv else np.array(self.robot.configuration(q))
         except ConfigurationError:
             return None
 
-    def _accept_time(self, time: float) -> float | None:
-        """Take the time of a state; returns the time since the last command, None after a gap [s]."""
-        dt, since = self.dt, time - self._time
+    def _accept_time(self, time: float, measured: np.ndarray) -> float | None:
+        """Take the time of a state; returns the time for which the next command counts, None after a gap [s].
+
+        That is the period, and less if the state comes earlier: what a late call has left out is not made up for.
+        """
+        since, ahead = time - self._time, self._ahead
         if since <= 0.0:
-            self._waited += dt
-            return dt
-        self._time, self._waited = time, 0.0
-        if math.isinf(since) or since > self.stale_after:  # the first state, or the first after a gap
-            self._origin, self._advanced = time, 0.0
-            return dt if math.isinf(since) else None
-        late = (time - self._origin) - self._advanced
-        if abs(late) > 0.01 * dt and self._reference is not None:  # periods of another length than dt
-            self._advance(late, self._sent)
-        # calls without a new state have moved on in steps of dt: the change of velocity that they left out is lost
-        return dt * max(1, math.floor(late / dt + 1.25)) if late > -0.25 * dt else max(dt + late, 0.1 * dt)
+            self._waited += self.dt
+            return self.dt
+        self._time, self._waited, self._ahead = time, 0.0, 0.0
+        if math.isinf(since):
+            return self.dt
+        stood = self._last is None or self._last.status in STANDING
+        late = since - ahead
+        if since > self.stale_after:
+            self._behind += since if stood else late
+            return None
+        moved = 0.0
+        if abs(late) > JITTER * self.dt:  # periods of another length than the one for which the command counted
+            moved = late * self._followed(late, measured)
+            self._advance(moved, self._sent)
+            self._ahead = 0.0
+        if stood:
+            self._behind += since
+        elif abs(late) > JITTER * self.dt:
+            self._behind += late - moved
+        return self._period.step(since)
+
+    def _followed(self, late: float, measured: np.ndarray) -> float:
+        """Which share of the motion that the last velocity makes in a time the arm has made [0, 1].
+
+        A velocity servo goes on moving until the next command comes; a position servo stands where it was sent.
+        """
+        square = float(self._sent.dot(self._sent))
+        if self._output is None or square == 0.0:
+            return 0.0
+        along = float(self.robot.difference(self._output, measured).dot(self._sent)) / (late * square)
+        return min(1.0, max(0.0, along))
+
+    def _clock(self, time: float) -> float:
+        """Time for the controller: that of the state, less that for which a task that waits for the arm has waited."""
+        task = task_of(self.controller)
+        return time - self._behind if task is not None and task.waits else time
+
+    def _bounds(self, q: np.ndarray, held: float) -> Bounds:
+        """Bounds on the velocity that follows; where periods vary, a joint can stop however late the calls are.
+
+        In a call that is late by a time T, a velocity servo brakes by a dt only: the deceleration is a dt / T.
+        """
+        late = self._period.longest
+        if late == self._period.usual:
+            return self.limits.bounds(q, held, self._velocity)
+        share = self._period.usual / late
+        careful = self.limits.with_rates(share * self.limits.acceleration, None).bounds(q, late, None)
+        return bound_changes(careful, self._velocity, self.limits.acceleration, held)
 
     def _command(self, q: np.ndarray, time: float, held: float) -> Command:
         """The controller's command, within the limits."""
         if self._keeps_limits:
             command = self.controller(q, time, held, self._velocity, self._slide)  # type: ignore[call-arg]
             self._slide = next_slide(self._slide, command, held)
-            return command
+            if self._period.longest == self._period.usual or (bounds := self._bounds(q, held)).admit(command.velocity):
+                return command
+            slower = np.clip(command.velocity, bounds.low, bounds.high)
+            return command._replace(velocity=slower, status=min(command.status, Status.POSITION_LIMITED, key=GRAVEST))
         # the user's own controller may write into what it is given, and give the same array every time
         command = self.controller(q.copy(), time, held)
         wish = np.array(command.velocity, dtype=np.float64)
         if wish.shape != self._velocity.shape or not np.all(np.isfinite(wish)):
             raise ConfigurationError(f"the controller's velocity is not {self.robot.nv} finite numbers: {wish}")
-        bounds = self.limits.bounds(q, held, self._velocity)
+        if self.limits.tip is not None:
+            wish = self.limits.tip.slowed(q, wish)
+        bounds = self._bounds(q, held)
         if bounds.admit(wish):
             return command._replace(velocity=wish)
         status = Status.OUTSIDE_LIMITS if bounds.outside > 0.0 else Status.ACCELERATION_LIMITED
@@ -271,21 +427,43 @@ class ServoLoop:
         else:  # a joint that stops at once waits for none that cannot
             u = np.sign(u) * np.maximum(np.abs(u) - self.limits.acceleration * dt, 0.0)
         if hardest > 0.0 and self._reference is not None:
-            bounds = self.limits.bounds(self._reference, dt, self._velocity)
+            bounds = self._bounds(self._reference, dt)
             # slower towards a limit, but at rest outside one
             u = np.clip(u, np.minimum(bounds.low, 0.0), np.maximum(bounds.high, 0.0))
+        return self._beside_the_law(u, status)
+
+    def _unloading(self, commanded: np.ndarray, measured: np.ndarray) -> Command:
+        """The arm lets go of what blocks it: it goes slowly to where it was measured when that was found."""
+        if self._relief is None:
+            self._relief = self.robot.integrate(commanded, self._following.relief())
+            self.stopped_by = self._following.sentence(constraint_of(self.controller), measured)
+        left = self.robot.difference(commanded, self._relief)
+        farthest = float(np.abs(left).max(initial=0.0))
+        if farthest < ARRIVED and not self._velocity.any():
+            return self._braked(Status.FOLLOWING_ERROR)
+        wish = left * min(1.0 / self.dt, max(UNLOADING_RATE, SLOWEST / max(farthest, ARRIVED)))
+        bounds = self._bounds(commanded, self.dt)
+        return self._beside_the_law(self.limits.towards(wish, self._velocity, bounds, self.dt), Status.FOLLOWING_ERROR)
+
+    def _beside_the_law(self, u: np.ndarray, status: Status) -> Command:
         last, zero = self._last, np.zeros(self.robot.nv)
         mu, b, smallest = 0.0, zero[:0], 0.0
         if last is not None:
             mu, b, smallest = last.manipulability, last.task_velocity, last.smallest_singular_value
         return self._sent_on(Command(*(u, status, mu, b, u, zero, 0.0, 0.0, smallest), progress=0.0))
 
-    def _sent_on(self, command: Command) -> Command:
+    def _sent_on(self, command: Command, held: float | None = None) -> Command:
         """Average the velocity, and move the commanded posture on by one period."""
+        held = self.dt if held is None else held
         # arrays of the loop's own: what the caller does to those of the command is his
+        before, sent = self._velocity, self._sent
         self._last, self._velocity, error = command, command.velocity.copy(), self._following.largest
-        self._sent = self._velocity.copy() if self._following.tripped else self._average.of(self._velocity)
-        self._advance(self.dt, self._velocity)
+        self._sent = self._velocity.copy() if self._following.tripped else self._average.of(self._velocity, held)
+        moved = self._velocity
+        if self._average.averages and not self._following.tripped:
+            # joined by straight lines, as in the average; what holding the mean adds to its own line is not lost
+            moved = 0.5 * (before + moved + self._sent - sent)
+        self._advance(held, moved)
         b, task, null = (np.array(part) for part in (command.task_velocity, command.task_part, command.null_part))
         return command._replace(
             velocity=self._sent.copy(), task_velocity=b, task_part=task, null_part=null, following_error=error
@@ -295,16 +473,17 @@ class ServoLoop:
         """Move the commanded posture on by a time [s]."""
         if self._reference is None or self._output is None:
             return
-        self._advanced += time
+        self._following.moved(self._output, time, self._sent)
+        self._ahead += time
         if velocity.any() or self._sent.any():
-            together = self._output is self._reference and self._average.length == 1
+            together = self._output is self._reference and not self._average.averages
             self._reference = self.robot.integrate(self._reference, time * velocity)
             self._output = self._reference if together else self.robot.integrate(self._output, time * self._sent)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]; NaN if the controller knows none."""
         error = getattr(self.controller, "task_error", None)
-        return math.nan if error is None else float(error(q, t))
+        return math.nan if error is None else float(error(q, self._clock(t)))
 
     def __repr__(self) -> str:
         return f"ServoLoop({self.controller!r}, dt={self.dt:g})"

@@ -10,15 +10,13 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.constraint.features.mechanism_rows import MechanismRows
-from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.control.command import Command, Controller, TaskController
 from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.integration import Method, next_posture
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
+from manip_learn.control.servo_settings import constraint_of, frame_of, law_of, task_of
 from manip_learn.errors import ConfigurationError, an
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.batch.postures import checked_postures, positions_of
@@ -175,7 +173,7 @@ def _integrated(
         errors,
         robot=None if robot is None else RobotIdentity.of(robot),
         following_error=_following(commands) if isinstance(controller, ServoLoop) else None,
-        **_guided(controller),
+        **guided(controller),
     )
 
 
@@ -188,8 +186,8 @@ def _loop_of(
             raise ConfigurationError("a ServoLoop holds each command for its period: simulate it with method='euler'")
         controller.reset(start)
         return controller.update
-    law = controller.controller if isinstance(controller, CompiledController) else controller
-    if method == "euler" and isinstance(law, ResolvedRateController) and law.limits is not None:
+    law = law_of(controller)
+    if method == "euler" and law is not None and law.limits is not None:
         return ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt), compiled=False).step
     return lambda q, t: controller(q, t, dt)
 
@@ -228,18 +226,16 @@ def _compiled_rollout(
     run = controller.rollout(positions_of(robot, start[None])[0], steps, dt, method)
     q = run.q if start.shape[0] == robot.nv else np.array([robot.configuration(x) for x in run.q])
     numbers = np.arange(steps + 1) * dt, q, run.u, run.mu, run.status, robot.joint_names, run.error
-    return Rollout(*numbers, robot=RobotIdentity.of(robot), **_guided(controller))
+    return Rollout(*numbers, robot=RobotIdentity.of(robot), **guided(controller))
 
 
-def _guided(controller: Controller) -> dict[str, Any]:
+def guided(controller: Controller | ServoLoop) -> dict[str, Any]:
     """What guided a rollout: the frame, the target and the constraint, as far as they are known."""
     law = controller.controller if isinstance(controller, ServoLoop) else controller
-    law = law.controller if isinstance(law, CompiledController) else law
-    if not isinstance(law, ResolvedRateController):
+    task, constraint = task_of(law), constraint_of(law)
+    if task is None or constraint is None:
         return {}
-    features = law.constraint.features
-    frame = features.frame.name if isinstance(features, FrameJacobian | RelativeFrameJacobian | MechanismRows) else ""
-    return {"frame": frame, "target": law.task.goal(), "constraint": written_constraint(law.constraint)}
+    return {"frame": frame_of(law) or "", "target": task.goal(), "constraint": written_constraint(constraint)}
 
 
 def _following(commands: Sequence[Command]) -> Float[np.ndarray, " T"]:

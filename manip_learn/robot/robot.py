@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, final
 
@@ -470,6 +471,19 @@ class Robot:
             return Jc @ lift, lift.T @ (H @ lift)
         return Jc, H
 
+    def inertial_effort(self, q: ArrayLike, acceleration: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
+        """M(q) a: what the joints must exert to accelerate the links from rest, gravity aside [N m or N].
+
+        Zero for a description without masses.
+        """
+        model, data = self._model, self._data
+        lift = None if self._coupling is None else self._coupling.lift
+        M = pin.crba(model, data, self.pinocchio_configuration(q))  # its upper triangle
+        a = acceleration if lift is None else lift @ acceleration
+        upper = M * _upper_triangle(model.nv)
+        effort = upper.dot(a) + a.dot(upper) - M.diagonal() * a
+        return effort if lift is None else lift.T @ effort
+
     # ---- internals -------------------------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
@@ -507,6 +521,11 @@ class Robot:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._local = threading.local()
+
+
+@cache
+def _upper_triangle(size: int) -> Float[np.ndarray, "n n"]:
+    return np.triu(np.ones((size, size)))
 
 
 def _float_vector(values: ArrayLike, what: str) -> np.ndarray:

@@ -59,7 +59,7 @@ def barrier(constants, A, Ut, sigma, Vt, weights, dt, u, space, work):
             if sigma[0] < 0.0:
                 decompose(A, s, Ut, sigma, Vt)
             outer_product(Ut[s - 1], Vt[s - 1], weights)
-        vjp(constants, dofs + nv, s, joints, weights, work, MATRICES + 3 * s, gradient)
+        vjp(constants, s, joints, weights, work, MATRICES + 3 * s, gradient)
     return bounded_approach(constants, smallest, dt, space)
 
 

@@ -1,10 +1,11 @@
-"""Rows of a frame's Jacobian and their derivative, as loops over plain numbers."""
+"""The constrained rows of a controller and their derivative, as loops over plain numbers."""
 
 from __future__ import annotations
 
 import math
 
-from manip_learn.control.compiled.step_table import CHAIN
+from manip_learn.constraint.compiled_rows import joint_weights, rows_vjp
+from manip_learn.control.compiled.step_table import CHAIN, FORM
 from manip_learn.robot.batch.compiled_kinematics import (
     JOINTS,
     LARGEST_ANGLE,
@@ -16,7 +17,7 @@ from manip_learn.robot.batch.compiled_kinematics import (
     TARGET,
     sine_and_cosine,
 )
-from manip_learn.robot.batch.compiled_vjp import GRADIENT, SLIDE, WEIGHTS, jacobian_vjp
+from manip_learn.robot.batch.compiled_vjp import GRADIENT, SLIDE
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 
@@ -35,30 +36,36 @@ def turn_joints(constants, joints, q, work, base):
 
 
 @compiled_inside
-def chain_vjp(constants, rows, s, joints, weights, work, base):
-    """sum_ij weights_ij dA_ij / dq_k for weights in columns of the chain, into the joints' entries GRADIENT."""
-    for j in range(joints):
-        for k in range(6):
-            total = 0.0
-            for i in range(s):
-                total += weights[i, j] * constants[rows + i, k]
-            work[base + j, WEIGHTS + k] = total
-    jacobian_vjp(work, base, joints, constants[CHAIN + 1, LOCAL] != 0.0)
+def mix_at(s, joints, base):
+    """Row of the work space where the weights of (v, w) begin, see `compiled_rows`: behind a pose's error."""
+    return base + joints + s + 2
 
 
 @compiled_inside
-def vjp(constants, rows, s, joints, weights, work, base, gradient):
+def form_of(constants):
+    """How Lambda's weights depend on the place, see `compiled_rows`."""
+    return int(constants[CHAIN + 1, FORM])
+
+
+@compiled_inside
+def chain_vjp(constants, s, joints, weights, work, base):
+    """sum_ij weights_ij dA_ij / dq_k for weights in columns of the chain, into the joints' entries GRADIENT."""
+    form, at = form_of(constants), mix_at(s, joints, base)
+    for j in range(joints):
+        joint_weights(s, form, weights, j, work, base + j, at)
+    rows_vjp(s, form, joints, constants[CHAIN + 1, LOCAL] != 0.0, work, base, at)
+
+
+@compiled_inside
+def vjp(constants, s, joints, weights, work, base, gradient):
     """sum_ij weights_ij dA_ij / dq_k into `gradient`, weights (s, nv) and gradient (nv,) in public columns."""
+    form, at = form_of(constants), mix_at(s, joints, base)
     for k in range(gradient.shape[0]):
         gradient[k] = 0.0
     for j in range(joints):
         column, place = places(constants, j)
-        for k in range(6):
-            total = 0.0
-            for i in range(s):
-                total += weights[i, column] * constants[rows + i, k]
-            work[base + place, WEIGHTS + k] = total
-    jacobian_vjp(work, base, joints, constants[CHAIN + 1, LOCAL] != 0.0)
+        joint_weights(s, form, weights, column, work, base + place, at)
+    rows_vjp(s, form, joints, constants[CHAIN + 1, LOCAL] != 0.0, work, base, at)
     for j in range(joints):
         column, place = places(constants, j)
         gradient[column] = work[base + place, GRADIENT]

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from manip_learn.control.compiled.constrained_rows import chain_vjp, places, turn_joints
+from manip_learn.constraint.compiled_rows import mix_rows
+from manip_learn.control.compiled.constrained_rows import chain_vjp, form_of, mix_at, places, turn_joints
 from manip_learn.control.compiled.joint_limits import admitted
 from manip_learn.control.compiled.near_singularity import smallest_weights
 from manip_learn.control.compiled.null_policy import policy_velocity
@@ -66,7 +67,9 @@ def free_step(constants, q, dt, previous, parts, work):
     rows, base, facts, posed = dofs + nv, MATRICES + 3 * s, work[FACTS], constants[0, TASK] == POSE
     turn_joints(constants, joints, q, work, base)
     p0, p1, p2 = columns_of(constants, CHAIN, joints, work, base, SLIDE, 1, work, base)
-    chain_rows(constants, rows, s, joints, work, base)
+    mix = mix_at(s, joints, base)
+    mix_rows(constants, rows, s, form_of(constants), p0, p1, p2, work, mix)
+    chain_rows(work, mix, s, joints, work, base)
     if posed:
         facts[ERROR] = pose_velocity(constants, rows, s, p0, p1, p2, work, base + joints, parts[TASK_VELOCITY])
     else:
@@ -82,7 +85,7 @@ def free_step(constants, q, dt, previous, parts, work):
     damps = int(constants[0, INVERSE]) == DAMPED
     if volume == 0.0 or (damps and not posed and smallest < constants[0, THRESHOLD]):
         return ILL_CONDITIONED
-    policy_velocity(constants, dofs, rows, nv, joints, s, q, dt, volume, X, work, base)
+    policy_velocity(constants, dofs, nv, joints, s, q, dt, volume, X, work, base)
     if posed:  # the policy is that of A; those of the error take its place
         chain_rows(work, base + joints + 1, s, joints, work, base)
         volume, facts[SMALLEST] = row_inverse(A, X, G, L)
@@ -101,15 +104,17 @@ def free_step(constants, q, dt, previous, parts, work):
         # |grad sigma| is about as large as A itself: slow enough to stop at a singularity
         rate = min(APPROACH_RATE, 0.5 / dt) * smallest
         if square * size >= min(2.0 * BRAKING_SHARE * weakest * math.sqrt(size) * smallest, rate * rate):
-            if s > 2 or _approaches(constants, rows, s, joints, A, X, smallest, weakest, rate, parts, work, base):
+            if s > 2 or _approaches(constants, s, joints, A, X, smallest, weakest, rate, parts, work, base):
                 return LIMITED
     return OK if admitted(constants, dofs, nv, q, dt, parts[VELOCITY], previous) else LIMITED
 
 
 @compiled_inside
 def scratch(joints, nv, s):
-    """The work space of a step: numbers, A, its inverse, two squares, the joints, the chain's end, a pose's error."""
-    return np.empty((MATRICES + 3 * s + joints + 1 + s + 1, max(LEAST_WIDTH, nv, 2 * s)))
+    """The work space of a step: numbers, A, its inverse, two squares, the joints, the chain's end, a pose's error, and
+    the weights of (v, w).
+    """
+    return np.empty((mix_at(s, joints, MATRICES + 3 * s) + s + 1, max(LEAST_WIDTH, nv, 2 * s)))
 
 
 @compiled_inside
@@ -140,13 +145,13 @@ def task_velocity(constants, rows, s, p0, p1, p2, b):
 
 
 @compiled_inside
-def _approaches(constants, rows, s, joints, A, X, smallest, weakest, rate, parts, work, base):
+def _approaches(constants, s, joints, A, X, smallest, weakest, rate, parts, work, base):
     """Whether a singularity is approached faster than the weakest joint could brake before it, for one or two rows.
 
     `singularity.approach_bound` allows no less. X is scratch.
     """
     smallest_weights(A, smallest, X)
-    chain_vjp(constants, rows, s, joints, X, work, base)
+    chain_vjp(constants, s, joints, X, work, base)
     approach = square = 0.0
     for j in range(joints):
         column, place = places(constants, j)

@@ -188,7 +188,7 @@ def outer_sum(Ut, factors, Vt, s, weights):
 
 
 @compiled_inside
-def lost_rates(constants, rows, s, joints, Ut, first, Vt, null, weights, work, base, M):
+def lost_rates(constants, s, joints, Ut, first, Vt, null, weights, work, base, M):
     """M, the rates of u_i^T A v_k, i from `first` on and k from `null` on, one pair a row (`steepest_ascent`)."""
     nv, row = Vt.shape[1], 0
     for i in range(first, s):
@@ -196,17 +196,17 @@ def lost_rates(constants, rows, s, joints, Ut, first, Vt, null, weights, work, b
             for r in range(s):
                 for j in range(nv):
                     weights[r, j] = Ut[i, r] * Vt[k, j]
-            vjp(constants, rows, s, joints, weights, work, base, M[row])
+            vjp(constants, s, joints, weights, work, base, M[row])
             row += 1
 
 
 @compiled_inside
-def steepest_ascent(constants, rows, s, joints, Ut, sigma, Vt, weights, work, base, direction):
+def steepest_ascent(constants, s, joints, Ut, sigma, Vt, weights, work, base, direction):
     """`singularity.steepest_ascent` into `direction`: how the lost singular values grow fastest."""
     nv, rank = Vt.shape[1], rank_of(sigma, SINGULAR_RATIO * sigma[0])
     k = nv - rank
     M, inside, along = np.empty(((s - rank) * k, nv)), np.empty(((s - rank) * k, k)), np.empty(k)
-    lost_rates(constants, rows, s, joints, Ut, rank, Vt, rank, weights, work, base, M)
+    lost_rates(constants, s, joints, Ut, rank, Vt, rank, weights, work, base, M)
     square = 0.0
     for i in range(M.shape[0]):
         for c in range(k):

@@ -49,7 +49,7 @@ def bounded_gain(constants, steepness, dt):
 
 
 @compiled_inside
-def policy_velocity(constants, dofs, rows, nv, joints, s, q, dt, volume, X, work, base):
+def policy_velocity(constants, dofs, nv, joints, s, q, dt, volume, X, work, base):
     """Write the null-space policy's velocity pi, away from singularities, into the work space.
 
     Manipulability ascent is equation (13), grad mu = mu A^{+T} : dA/dq, or grad log mu without the factor mu.
@@ -60,7 +60,7 @@ def policy_velocity(constants, dofs, rows, nv, joints, s, q, dt, volume, X, work
         return
     for j in range(nv):
         work[PI, j] = 0.0
-    chain_vjp(constants, rows, s, joints, X, work, base)
+    chain_vjp(constants, s, joints, X, work, base)
     scale = constants[0, POLICY_GAIN] * volume
     if policy == LOG_ASCENT:
         steepness = 0.0
@@ -73,7 +73,7 @@ def policy_velocity(constants, dofs, rows, nv, joints, s, q, dt, volume, X, work
 
 
 @compiled_inside
-def ascent_near_singularity(constants, rows, s, joints, Ut, sigma, Vt, dt, weights, work, base, climb, pi):
+def ascent_near_singularity(constants, s, joints, Ut, sigma, Vt, dt, weights, work, base, climb, pi):
     """`ManipulabilityAscent.from_decomposition` into pi; Vt is complete where a direction is lost. False: Python's.
 
     grad log mu, or grad mu for the policy that is not logarithmic, goes into `climb`.
@@ -81,7 +81,7 @@ def ascent_near_singularity(constants, rows, s, joints, Ut, sigma, Vt, dt, weigh
     nv, smallest, edge = Vt.shape[1], sigma[s - 1], SINGULAR_RATIO * sigma[0]
     logarithmic = int(constants[0, POLICY]) == LOG_ASCENT
     if logarithmic and constants[0, LONGEST] < math.inf and smallest <= edge:
-        steepest_ascent(constants, rows, s, joints, Ut, sigma, Vt, weights, work, base, pi)
+        steepest_ascent(constants, s, joints, Ut, sigma, Vt, weights, work, base, pi)
         for j in range(nv):
             pi[j] *= min(constants[0, LONGEST], SEED_SPEED)
         return True
@@ -97,13 +97,13 @@ def ascent_near_singularity(constants, rows, s, joints, Ut, sigma, Vt, dt, weigh
             factors[i] /= sigma[i]
     if smallest <= edge:  # steepest ascent of the cone, `manipulability._cone_ascent`
         M = np.empty((nv - s + 1, nv))
-        lost_rates(constants, rows, s, joints, Ut, s - 1, Vt, s - 1, weights, work, base, M)
+        lost_rates(constants, s, joints, Ut, s - 1, Vt, s - 1, weights, work, base, M)
         rate = factors[s - 1] * leading(M, climb)
         for j in range(nv):
             climb[j] *= rate
     else:
         outer_sum(Ut, factors, Vt, s, weights)
-        vjp(constants, rows, s, joints, weights, work, base, climb)
+        vjp(constants, s, joints, weights, work, base, climb)
     scale = bounded_gain(constants, norm(climb), dt) if logarithmic else constants[0, POLICY_GAIN]
     for j in range(nv):
         pi[j] = scale * climb[j]

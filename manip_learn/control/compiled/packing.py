@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.pose_error import goal_rotation
+from manip_learn.constraint.features.weighed_velocity import WeighedVelocity, compiled_form
 from manip_learn.control.compiled import step_table as table
 from manip_learn.control.compiled.limits_table import packed_limits
 from manip_learn.control.controller import ResolvedRateController
@@ -24,8 +25,8 @@ def why_not(controller: ResolvedRateController) -> str | None:
     """
     constraint, task, policy = controller.constraint, controller.task, controller.null_policy
     features = constraint.features
-    if type(features) is not FrameJacobian:
-        return f"the features are {type(features).__name__}, not FrameJacobian"
+    if type(features) is not FrameJacobian and not isinstance(features, WeighedVelocity):
+        return f"the features are {type(features).__name__}, not rows of one frame seen from the base or from itself"
     kinematics = batch_kinematics(features.robot, features.frame)
     if not kinematics.fast or kinematics.public_columns is None:
         return (
@@ -33,13 +34,18 @@ def why_not(controller: ResolvedRateController) -> str | None:
         )
     if controller.robot is not features.robot:
         return "its limits are those of another robot"
+    if controller.limits is not None and controller.limits.tip is not None:
+        return "the speed of frames is limited"
     if any(b.kind in ("floating", "planar", "other") for b in features.robot.blocks):
         return "the robot's base moves"
     if constraint.n_constraints > len(kinematics.public_columns):
         return "it has more rows than joints"
-    reaches = type(task) is PointAttractor and _is_packed(features, constraint.n_constraints, task.target)
-    if not (reaches or type(task) is Hold):
-        return f"the task is {task!r} with rows {' '.join(features.row_names)} ({features.reference})"
+    known = type(task) is Hold
+    if type(task) is PointAttractor and isinstance(features, FrameJacobian):
+        known = _is_packed(features, constraint.n_constraints, task.target)
+    if not known:
+        reference = getattr(features, "reference", type(features).__name__)
+        return f"the task is {task!r} with rows {' '.join(features.row_names)} ({reference})"
     if type(policy) is ManipulabilityAscent:
         return None if policy.constraint is constraint else "the policy climbs another constraint's mu"
     if type(policy) is JointAttractor:
@@ -53,10 +59,10 @@ def packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
     from manip_learn.robot.batch.compiled_kinematics import JOINTS  # and with it numba
 
     constraint, task = controller.constraint, controller.task
-    features: FrameJacobian = constraint.features  # type: ignore[assignment]
-    chain = batch_kinematics(features.robot, features.frame).chain_table(features.reference)
-    rows = np.zeros((constraint.n_constraints, chain.shape[1]))
-    rows[:, :6] = features.padded(constraint.selection)
+    features: FrameJacobian = constraint.features  # type: ignore[assignment]  # or rows weighed by the place
+    rows, form, reference = compiled_form(features, constraint.selection)  # type: ignore[misc]  # `why_not` has asked
+    chain = batch_kinematics(features.robot, features.frame).chain_table(reference)
+    chain[1, table.FORM] = form
     header, dofs = packed_limits(controller.limits, constraint.nv, controller.inverse, controller.threshold)
     header[0, table.N_JOINTS] = chain.shape[0] - JOINTS
     header[0, table.NV], header[0, table.N_CONSTRAINTS] = constraint.nv, constraint.n_constraints

@@ -64,7 +64,7 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, slope, parts, wo
     s, nv = A.shape
     joints, posed = int(constants[0, N_JOINTS]), constants[0, TASK] == POSE
     dofs = CHAIN + JOINTS + joints
-    rows, base = dofs + nv, MATRICES + 3 * s
+    base = MATRICES + 3 * s
     along, climb, facts, pi = np.empty(s), np.empty(nv), work[FACTS], work[PI, :nv]
     decompose(A, s, Ut, sigma, Vt)
     singular = sigma[s - 1] <= SINGULAR_RATIO * sigma[0]
@@ -87,7 +87,7 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, slope, parts, wo
     near = not singular and escapes and sigma[s - 1] < constants[1, ESCAPE_WIDTH]
     if pressed > 0.0 or near:
         outer_product(Ut[s - 1], Vt[s - 1], weights)
-        vjp(constants, rows, s, joints, weights, work, base, slope)
+        vjp(constants, s, joints, weights, work, base, slope)
     if pressed > 0.0:
         damping = pressed_damping(constants[1, DAMPING], pressed, slope, norm(slope), parts[TASK_PART])
         task_part(constants, sigma, along, damping, Vt, parts[TASK_PART])
@@ -135,8 +135,7 @@ def _policy(constants, q, dt, Ut, sigma, Vt, weights, work, climb, pi):
     s, nv, joints = sigma.shape[0], Vt.shape[1], int(constants[0, N_JOINTS])
     dofs, base, policy = CHAIN + JOINTS + joints, MATRICES + 3 * s, int(constants[0, POLICY])
     if policy == ASCENT or policy == LOG_ASCENT:
-        rows = dofs + nv
-        return ascent_near_singularity(constants, rows, s, joints, Ut, sigma, Vt, dt, weights, work, base, climb, pi)
+        return ascent_near_singularity(constants, s, joints, Ut, sigma, Vt, dt, weights, work, base, climb, pi)
     rest_velocity(constants, dofs, nv, q, pi)
     return True
 

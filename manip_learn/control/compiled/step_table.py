@@ -5,13 +5,13 @@ from __future__ import annotations
 from manip_learn.control.status import STATUSES, Status
 
 # The constants of a controller are one table of twelve columns: two rows of settings, the chain's table, one row per
-# degree of freedom (velocity limit, lower, upper, rest posture, whether it wraps, acceleration limit), and one per row
-# of Lambda (padded to six).
+# degree of freedom (velocity limit, lower, upper, rest posture, whether it wraps, acceleration limit), and Lambda's
+# table (`compiled_form`).
 WIDTH = 12
 N_JOINTS, NV, N_CONSTRAINTS, POLICY, POLICY_GAIN, INVERSE, THRESHOLD, LIMITS, TASK, GAIN, MAX_SPEED, LONGEST = range(12)
 DAMPING, ESCAPES, ESCAPE_WIDTH, GOAL = range(4)  # columns of the second row, the last of them nine of a rotation
 CHAIN = 2
-TARGET_POINT = 6  # column of the chain's second row, after the tool's position, sign and reference
+TARGET_POINT, FORM = 6, 9  # columns of the chain's second row, after the tool's position, sign and reference
 LIMIT, LOWER, UPPER, REST_AT, WRAPS, ACCELERATION = range(6)
 HOLD, POINT, POSE = range(3)  # kinds of tasks
 NO_POLICY, ASCENT, LOG_ASCENT, REST = range(4)
@@ -23,7 +23,7 @@ VELOCITY, TASK_PART, NULL_PART, ESCAPE_PART, TASK_VELOCITY, PARTS = range(6)
 # Rows of the work space: numbers of the command, then scratch.
 FACTS, PI, MATRICES = range(3)
 MU, SMALLEST, ERROR, TASK_SCALE, NULL_SCALE, PROGRESS, OUTSIDE, LIMITING_JOINT, HAS_ESCAPE, N_FACTS = range(10)
-LEAST_WIDTH = 19  # columns of a joint's row of scratch, up to `compiled_vjp.GRADIENT`; imported from there comes numba
+LEAST_WIDTH = 30  # columns of a row of scratch, `compiled_rows.MIX_WIDTH`; imported from there comes numba
 
 # what `free_step` may return instead of a status: a limit binds, or A or the rows of a pose's error are ill-conditioned
 LIMITED, ILL_CONDITIONED, ILL_POSED = -2, -3, -4

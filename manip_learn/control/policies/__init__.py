@@ -6,7 +6,7 @@ from manip_learn.control.policies.manipulability_ascent import ManipulabilityAsc
 from manip_learn.control.policies.penalised_ascent import PenalisedManipulabilityAscent
 from manip_learn.control.policies.policy import NullSpacePolicy, SampledPolicy, ZeroPolicy
 from manip_learn.control.policies.self_collision_avoidance import SelfCollisionAvoidance
-from manip_learn.control.policies.weighted_policies import WeightedPolicies
+from manip_learn.control.policies.weighted_policies import WeightedPolicies, climbing
 
 __all__ = [
     "JointAttractor",
@@ -18,4 +18,5 @@ __all__ = [
     "SelfCollisionAvoidance",
     "WeightedPolicies",
     "ZeroPolicy",
+    "climbing",
 ]

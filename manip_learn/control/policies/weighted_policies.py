@@ -73,3 +73,13 @@ class WeightedPolicies(SampledPolicy):
     def __repr__(self) -> str:
         terms = " + ".join(f"{w:g} {policy!r}" for w, policy in zip(self.weights, self.policies, strict=True))
         return f"WeightedPolicies({terms})"
+
+
+def climbing(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> NullSpacePolicy:
+    """The same policy, its ascents of one constraint climbing the manipulability of another."""
+    if isinstance(policy, ManipulabilityAscent) and policy.constraint is before:
+        speed = policy.max_speed
+        return ManipulabilityAscent(after, policy.gain, logarithmic=policy.logarithmic, max_speed=speed)
+    if isinstance(policy, WeightedPolicies):
+        return WeightedPolicies([climbing(part, before, after) for part in policy.policies], policy.weights)
+    return policy

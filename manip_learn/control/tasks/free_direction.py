@@ -79,6 +79,7 @@ class FreeDirection(Task):
     """
 
     slides = False  # beside the way is what the constraint holds: an arm that cannot go on stands
+    waits = True  # the way goes on where it was interrupted
 
     def __init__(
         self,
@@ -100,9 +101,8 @@ class FreeDirection(Task):
         for name, value in numbers.items():
             numbers[name] = _number(name, value, positive=name != "distance")
         self.learnt = constraint
-        is_mechanism = isinstance(constraint.features, MechanismRows)
-        motion_of = MechanismMotion if is_mechanism else StraightMotion
-        held = constraint.with_orientation() if keep_orientation else constraint
+        held = constraint.with_orientation() if keep_orientation else constraint.about_its_mechanism()
+        motion_of = MechanismMotion if isinstance(held.features, MechanismRows) else StraightMotion
         self._motion: DrivenMotion = motion_of(held, direction, unit, straight)
         self._n_held = constraint.n_constraints
         self.pause = _number("pause", pause, positive=True) if pause else 0.0

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
-from manip_learn.constraint.features.place_fields import Geometry
+from manip_learn.constraint.features.place_fields import Place
 from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint, Unit, nearest_turn
 from manip_learn.errors import ConstraintError, TargetError, advice
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector, skew
@@ -66,12 +66,7 @@ class MechanismMotion(DrivenMotion):
             driven = _chosen(held, firm, direction, unit)
         beside = _beside(held, driven) if straight and not firm else ()
         self._rows = MechanismRows(
-            rows.robot,
-            rows.frame.name,
-            (*held, *beside, driven),
-            axis=axis,
-            point=rows.geometry.point,
-            pitch=rows.geometry.pitch,
+            rows.robot, rows.frame.name, (*held, *beside, driven), axis=axis, point=g.point, pitch=g.pitch
         )
         self.constraint = Constraint(np.eye(self._rows.n_rows), self._rows, constraint.provenance)
         self.unit = "rad" if driven in ("turn", "tangential") else "m"
@@ -127,7 +122,7 @@ class MechanismMotion(DrivenMotion):
         return out | _hand(origin, pose, g, near) if self._turns else out
 
 
-def place_about(d0: np.ndarray, d: np.ndarray, g: Geometry, near: float) -> dict[str, float]:
+def place_about(d0: np.ndarray, d: np.ndarray, g: Place, near: float) -> dict[str, float]:
     """Of the frame's origin, from its places about the point of the axis at the start and now."""
     a = g.axis
     z0, z = float(a @ d0), float(a @ d)
@@ -145,7 +140,7 @@ def place_about(d0: np.ndarray, d: np.ndarray, g: Geometry, near: float) -> dict
     }
 
 
-def _hand(start: np.ndarray, pose: np.ndarray, g: Geometry, near: float) -> dict[str, float]:
+def _hand(start: np.ndarray, pose: np.ndarray, g: Place, near: float) -> dict[str, float]:
     """Of the hand as a whole, from its poses at the start and now."""
     Q, a = pose[:3, :3] @ start[:3, :3].T, g.axis
     r = rotation_vector(Q)

@@ -108,7 +108,7 @@ def motion_to(
         TargetError: Not three finite numbers, a hand that is not on the mechanism or next to the point already.
         ConstraintError: A mechanism that does not turn about an axis.
     """
-    rows, known = constraint.features, constraint.mechanism
+    rows, known = constraint.about_its_mechanism().features, constraint.mechanism
     if not isinstance(rows, MechanismRows) or known is None or known.type not in ("hinge", "screw"):
         raise ConstraintError(
             "what was learnt turns about no one axis, towards a point: say how far to go"

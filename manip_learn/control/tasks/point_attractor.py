@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.control.tasks.task import Task
 from manip_learn.errors import TargetError, advice
 
@@ -63,6 +63,15 @@ class PointAttractor(Task):
         self.target.setflags(write=False)
         self.gain = float(gain)
         self.max_speed = max_speed
+        self._fixed = True
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name in ("target", "gain", "max_speed", "driven") and getattr(self, "_fixed", False):
+            raise TargetError(
+                f"the {name} of a task cannot be changed, a controller may have compiled it: make another task, "
+                "loop.set_task(...) or loop.set_target(...)"
+            )
+        super().__setattr__(name, value)
 
     def rows(self, constraint: Constraint) -> Constraint:
         """The constraint's rows, or all rows of its features.
@@ -73,7 +82,7 @@ class PointAttractor(Task):
         if self.driven == "held":
             return constraint
         names = constraint.features.row_names
-        if self.target.shape not in ((len(names),), (4, 4)) or isinstance(constraint.features, MechanismRows):
+        if self.target.shape not in ((len(names),), (4, 4)) or isinstance(constraint.features, WeighedVelocity):
             raise TargetError(
                 f"the target must have {len(names)} numbers ({', '.join(names)}), got shape {self.target.shape}: "
                 + advice("a number per row of Lambda needs {}", "driven='held'", "--rows held")

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.pose_error import pose_error
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
@@ -235,4 +236,4 @@ def free_directions(projector: Float[np.ndarray, "p p"], number: int) -> Float[n
 
 def in_words(row: Float[np.ndarray, " p"], names: tuple[str, ...]) -> str:
     """A direction as a sum of rows, e.g. "+0.6 x +0.8 y"."""
-    return " ".join(f"{c:+.3g} {n}" for c, n in zip(row, names, strict=True) if abs(c) > 1e-3)
+    return sum_in_words(row, names, "+.3g", 1e-3)

@@ -16,6 +16,8 @@ class Task(ABC):
 
     # whether an arm that limits keep from going on may leave the task's direction, to come as near as it can
     slides: bool = True
+    # whether the task's time stands still while a `ServoLoop` does, and goes on as the commanded posture does
+    waits: bool = False
 
     @abstractmethod
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:

@@ -30,6 +30,7 @@ PACKAGE = Path(__file__).resolve().parents[2]
 KERNEL_FILES = (
     "robot/batch/compiled_kinematics.py",
     "robot/batch/compiled_vjp.py",
+    "constraint/compiled_rows.py",
     "constraint/compiled_manipulability.py",
     "control/compiled/row_inverse.py",
     "control/compiled/step_table.py",
@@ -53,6 +54,7 @@ KERNEL_FILES = (
 CONSTANT_FILES = (
     "robot/rotations.py",
     "linalg.py",
+    "constraint/features/weighed_velocity.py",
     "constraint/small_matrices.py",
     "control/status.py",
     "control/approach.py",

@@ -1,0 +1,332 @@
+"""An arm behind a small protocol, and the cycle that runs a servo loop on it."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import math
+import signal
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Protocol, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.control.command import Command
+from manip_learn.control.rollout import Rollout
+from manip_learn.control.servo_loop import ServoLoop
+from manip_learn.control.simulation import guided
+from manip_learn.control.status import Status
+from manip_learn.errors import ConfigurationError
+from manip_learn.robot.identity import RobotIdentity
+from manip_learn.robot.robot import Robot
+
+SPIN = 2e-4  # [s] before a cycle begins, from which on it is waited for awake: sleeping may wake up late
+LATE = 0.5  # share of a period by which a cycle begins late to be counted
+SAMPLES = 100_000  # of a record at most: a longer run keeps every second, fourth, ... cycle
+LONGEST_STOP = 10.0  # [s] for braking and letting go, after which a run ends in any case
+SLOW_AFTER = 1.0  # [s] in which more than half of the periods were missed: the period cannot be held
+_LOGGER = logging.getLogger("manip_learn")
+
+
+class Driver(Protocol):
+    """An arm as `run` sees it.
+
+    It may also have `joint_names`, its own order of joints, from which and to which `run` maps (further joints, as of a
+    gripper, are sent where they were first measured); and `simulated`, True for an arm whose clock is the number of
+    commands, which is then not waited for.
+
+    Attributes:
+        period: Between two commands [s].
+    """
+
+    period: float
+
+    def read(
+        self,
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"] | None, Float[np.ndarray, " n"] | None]:
+        """The newest measured joint positions [rad or m], velocities and efforts, or None where there are none.
+
+        Each is an array in the order of the joints, or a mapping from joint names.
+        """
+        ...
+
+    def command(self, q: Float[np.ndarray, " n"], u: Float[np.ndarray, " n"]) -> object:
+        """Go to joint positions at the end of the period [rad or m], or at these velocities [rad/s or m/s]."""
+        ...
+
+
+@final
+@dataclass(frozen=True)
+class RunRecord:
+    """What `run` did.
+
+    Attributes:
+        rollout: Measured postures, commanded velocities, statuses; of a long run every second, fourth, ... cycle.
+        cycles: Number of cycles.
+        overruns: Number of cycles that began late by more than half a period.
+        longest_delay: Of the beginning of a cycle [s].
+        ended: Why it ended, a sentence.
+        ordered: Whether it ended as it was meant to: after its duration, or by Ctrl-C.
+    """
+
+    rollout: Rollout
+    cycles: int
+    overruns: int
+    longest_delay: float
+    ended: str
+    ordered: bool
+
+    def __repr__(self) -> str:
+        late = f"{self.overruns:,} late, at most {1e3 * self.longest_delay:.2g} ms"
+        return f"RunRecord({self.cycles:,} cycles, {late}; {self.ended})"
+
+
+def run(loop: ServoLoop, driver: Driver, duration: float | None = None) -> RunRecord:
+    """Run a servo loop on an arm: read, update, command, once per period.
+
+    However it ends, the arm first brakes within its limits and then stands: after the duration, by Ctrl-C, where the
+    driver raises or returns what is no posture, where the arm is blocked and has let go, where the period changes or
+    cannot be held. A reading that is wrong once brakes the arm and does not end the run. Python's garbage collector
+    rests meanwhile.
+
+    The loop begins anew, from the commanded posture where `loop.reset(q)` has given one, otherwise from the first
+    measured one.
+
+    Args:
+        loop: The loop; its `dt` is the driver's period.
+        driver: The arm, see `Driver`.
+        duration: Time after which the arm brakes [s]; None goes on until Ctrl-C.
+
+    Returns:
+        What was done and why it ended.
+
+    Raises:
+        ConfigurationError: The driver's period is not the loop's, its joints are not the robot's, or the duration is
+            no time.
+    """
+    if duration is not None and not 0.0 <= duration < math.inf:
+        raise ConfigurationError(f"duration must be a number of seconds, got {duration!r}")
+    if not math.isclose(driver.period, loop.dt, rel_tol=0.01):
+        raise ConfigurationError(
+            f"the driver's period is {1e3 * driver.period:g} ms and the loop's {1e3 * loop.dt:g} ms: "
+            f"make the loop with ServoLoop(controller, dt={driver.period:g})"
+        )
+    cycle = _Cycle(loop, driver)
+    loop.reset(loop.position)
+    with _quiet_collector(), _interrupts(cycle):
+        cycle.run(math.inf if duration is None else duration)
+    if not cycle.ordered:
+        _LOGGER.warning("the arm was stopped: %s", cycle.reason)
+    return cycle.record()
+
+
+@final
+class _Cycle:
+    """The state of a run."""
+
+    def __init__(self, loop: ServoLoop, driver: Driver):
+        self._loop, self._driver = loop, driver
+        self._joints = _Joints(loop.robot, driver)
+        self._simulated = bool(getattr(driver, "simulated", False))
+        self._samples: list[tuple[float, np.ndarray, Command]] = []
+        self._stride = 1
+        self.cycles = self.overruns = 0
+        self.longest_delay = 0.0
+        self.reason, self.ordered = "", False
+
+    def stop(self, reason: str, ordered: bool = False) -> None:
+        """Brake, and end when the arm stands; the first reason counts."""
+        if not self.reason:
+            self.reason, self.ordered = reason, ordered
+            self._loop.stop()
+
+    def run(self, duration: float) -> None:
+        """Until the arm stands after a reason to stop."""
+        period, loop = self._driver.period, self._loop
+        start = due = time.perf_counter()
+        lately, ending = 0.0, math.inf
+        while True:
+            late = 0.0 if self._simulated else _wait_until(due)
+            t = self.cycles * period if self._simulated else time.perf_counter() - start
+            self.longest_delay = max(self.longest_delay, late)
+            self.overruns += late > LATE * period
+            missed = int(max(0.0, late) / period)
+            lately += (missed / (missed + 1.0) - lately) * min(1.0, (missed + 1.0) * period / SLOW_AFTER)
+            due += period * (missed + 1)  # a period that was missed is not made up for
+            if lately > 0.5 * (1.0 - math.exp(-1.0)):
+                self.stop(f"the period of {1e3 * period:g} ms cannot be held: cycles begin {1e3 * late:.2g} ms late")
+            if self._driver.period != period:
+                self.stop(f"the driver's period changed from {1e3 * period:g} to {1e3 * self._driver.period:g} ms")
+            if t >= duration - 0.5 * period:
+                self.stop(f"the {duration:g} s were over", True)
+            command = loop.update(self._read(), t)
+            self._send(command)
+            self._note(t, command)
+            if command.status is Status.FOLLOWING_ERROR:
+                self.stop(self._frozen() + (loop.stopped_by or "the arm is blocked"))
+            self.cycles += 1
+            ending = min(ending, t + LONGEST_STOP) if self.reason else math.inf
+            if t >= ending or self._stands(command):
+                break
+        loop.start()
+
+    def _read(self) -> Any:
+        """The measured posture in the robot's order; None where there is none."""
+        try:
+            q, _, _ = self._driver.read()
+            return self._joints.measured(q)
+        except KeyboardInterrupt:
+            self.stop("Ctrl-C", True)
+        except Exception as error:  # whatever a driver raises, an arm in motion must brake
+            self.stop(f"the driver's read() failed: {type(error).__name__}: {error}")
+        return None
+
+    def _send(self, command: Command) -> None:
+        q = self._loop.position
+        if q is None:
+            return
+        robot = self._loop.robot
+        try:
+            x = q if q.shape[0] == robot.nv else robot.positions(q)
+            self._driver.command(self._joints.sent(x, self._joints.rest), self._joints.sent(command.velocity, 0.0))
+        except KeyboardInterrupt:
+            self.stop("Ctrl-C", True)
+        except Exception as error:  # likewise
+            self.stop(f"the driver's command() failed: {type(error).__name__}: {error}")
+
+    def _stands(self, command: Command) -> bool:
+        """Whether the arm stands for a reason to end; gives the reason where it is the loop's."""
+        if command.velocity.any():
+            return False
+        if not self.reason and command.status in (Status.INVALID_INPUT, Status.STALE):
+            if self.cycles * self._driver.period < self._loop.stale_after:
+                return False  # a driver that is not ready yet
+            self.stop(self._loop.stopped_by or f"the loop stands: {command.status}")
+        return bool(self.reason)
+
+    def _frozen(self) -> str:
+        """What is known of a driver that has returned the same posture for more than two periods; else nothing."""
+        past = [q for _, q, _ in self._samples[-int(max(3, 0.02 / (self._stride * self._driver.period))) :]]
+        same = len(past) > 2 and all(np.array_equal(q, past[-1]) for q in past)
+        return "the driver has gone on returning the same posture, or the arm is off: " if same else ""
+
+    def _note(self, t: float, command: Command) -> None:
+        if self.cycles % self._stride:
+            return
+        q = self._loop.measured
+        if q is not None:
+            self._samples.append((t, q, command))
+        if len(self._samples) > SAMPLES:
+            self._samples, self._stride = self._samples[::2], 2 * self._stride
+
+    def record(self) -> RunRecord:
+        """What was done."""
+        loop, rows = self._loop, self._samples
+        commands, n = [command for _, _, command in rows], loop.robot.nv
+        rollout = Rollout(
+            np.array([t for t, _, _ in rows]),
+            np.array([q for _, q, _ in rows]).reshape(len(rows), -1 if rows else n),
+            np.array([c.velocity for c in commands]).reshape(-1, n),
+            np.array([c.manipulability for c in commands]),
+            tuple(c.status for c in commands),
+            loop.robot.joint_names,
+            np.array([loop.task_error(q, t) for t, q, _ in rows]),
+            robot=RobotIdentity.of(loop.robot),
+            following_error=np.array([c.following_error for c in commands]),
+            **guided(loop),
+        )
+        return RunRecord(rollout, self.cycles, self.overruns, self.longest_delay, self.reason, self.ordered)
+
+
+@final
+class _Joints:
+    """The order of a driver's joints, and that of the robot's."""
+
+    def __init__(self, robot: Robot, driver: Driver):
+        self._names, self._driver = robot.joint_names, driver
+        self._theirs = self._given()
+        self._places: list[int] | None = None
+        self.rest: np.ndarray | float = 0.0  # where joints stay that are none of the robot's
+        if self._theirs is not None:
+            missing = [name for name in self._names if name not in self._theirs]
+            if missing or len(set(self._theirs)) < len(self._theirs):
+                raise ConfigurationError(
+                    f"the driver's joints are {', '.join(self._theirs)}: "
+                    + (f"missing {', '.join(missing)}" if missing else "one name occurs twice")
+                )
+            self._places = [self._theirs.index(name) for name in self._names]
+
+    def _given(self) -> tuple[str, ...] | None:
+        names: Sequence[str] | None = getattr(self._driver, "joint_names", None)
+        return None if names is None else tuple(names)
+
+    def measured(self, q: Any) -> Any:
+        """Joint positions in the robot's order, from the driver's or from a mapping.
+
+        Raises:
+            ConfigurationError: A name is missing, their number is another, or the driver's order has changed.
+        """
+        if isinstance(q, Mapping):
+            missing = [name for name in self._names if name not in q]
+            if missing:
+                raise ConfigurationError(f"no position of joint {', '.join(missing)}")
+            return np.array([q[name] for name in self._names], dtype=np.float64)
+        if self._places is None or self._theirs is None:
+            return np.array(q)  # the driver may go on writing into it
+        if self._given() != self._theirs:
+            raise ConfigurationError("the order of its joints has changed")
+        x = np.array(q, dtype=np.float64)
+        if x.shape != (len(self._theirs),):
+            raise ConfigurationError(f"{len(self._theirs)} joints are named, positions have shape {x.shape}")
+        if isinstance(self.rest, float) and np.all(np.isfinite(x)):
+            self.rest = x
+        return x[self._places]
+
+    def sent(self, values: Float[np.ndarray, " nv"], others: np.ndarray | float) -> Float[np.ndarray, " n"]:
+        """Numbers of the robot's joints in the driver's order, and those of its other joints."""
+        if self._places is None or self._theirs is None:
+            return values.copy()
+        out = np.array(np.broadcast_to(others, (len(self._theirs),)), dtype=np.float64)
+        out[self._places] = values
+        return out
+
+
+def _wait_until(moment: float) -> float:
+    """Sleep, then spin. Returns how late it is [s]."""
+    while (left := moment - time.perf_counter()) > 0.0:
+        if left > SPIN:
+            time.sleep(left - SPIN)
+    return -left
+
+
+@contextmanager
+def _quiet_collector() -> Iterator[None]:
+    """No garbage collection inside: one was seen to take 260 ms."""
+    ran = gc.isenabled()
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        if ran:
+            gc.enable()
+
+
+@contextmanager
+def _interrupts(cycle: _Cycle) -> Iterator[None]:
+    """Ctrl-C asks the cycle to stop, wherever it is; in other threads than the main one there is none."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, lambda *_: cycle.stop("Ctrl-C", True))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,48 @@
+"""What the motors must exert to move a robot freely: inverse dynamics, and its regressor for inertias not known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from manip_learn.robot.robot import Robot
+
+
+def has_inertias(robot: Robot) -> bool:
+    """Whether every link that a joint carries was described with a mass."""
+    return all(inertia.mass > 0.0 for inertia in list(robot.pinocchio_model.inertias)[1:])
+
+
+def inverse_dynamics(
+    robot: Robot, q: Float[np.ndarray, "T n"], u: Float[np.ndarray, "T nv"], du: Float[np.ndarray, "T nv"]
+) -> Float[np.ndarray, "T nv"]:
+    """M(q) du + C(q, u) u + g(q), by recursive Newton-Euler [N m or N]; gravity along -z of the base.
+
+    Args:
+        robot: With inertias, see `has_inertias`. Mimic joints load their leaders.
+        q: Postures.
+        u: Velocities [rad/s or m/s].
+        du: Accelerations [rad/s^2 or m/s^2].
+    """
+    model, data, lift = robot.pinocchio_model, robot.pinocchio_model.createData(), _lift(robot)
+    out = np.empty((len(u), robot.nv))
+    for i, (posture, v, a) in enumerate(zip(q, u, du, strict=True)):
+        out[i] = pin.rnea(model, data, robot.pinocchio_configuration(posture), lift @ v, lift @ a) @ lift
+    return out
+
+
+def torque_regressor(
+    robot: Robot, q: Float[np.ndarray, "T n"], u: Float[np.ndarray, "T nv"], du: Float[np.ndarray, "T nv"]
+) -> Float[np.ndarray, "T nv k"]:
+    """Y with M(q) du + C(q, u) u + g(q) = Y theta, theta the ten inertial parameters of each link."""
+    model, data, lift = robot.pinocchio_model, robot.pinocchio_model.createData(), _lift(robot)
+    rows = []
+    for posture, v, a in zip(q, u, du, strict=True):
+        Y = pin.computeJointTorqueRegressor(model, data, robot.pinocchio_configuration(posture), lift @ v, lift @ a)
+        rows.append(lift.T @ Y)
+    return np.array(rows)
+
+
+def _lift(robot: Robot) -> Float[np.ndarray, "n_all nv"]:
+    return np.eye(robot.nv) if robot.coupling is None else robot.coupling.lift

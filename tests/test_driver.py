@@ -1,0 +1,229 @@
+"""An arm behind a driver: the period, joints by name, and how a run ends whatever the driver does."""
+
+from __future__ import annotations
+
+import gc
+import os
+import re
+import signal
+import threading
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+import manip_learn as ml
+from manip_learn.errors import ConfigurationError
+
+DT, BEFORE = 0.005, 40  # [s], cycles before something goes wrong
+START = np.array([0.3, 0.8, 0.4])
+
+
+class Arm:
+    """A perfect arm whose driver goes wrong after some cycles; its clock is the number of commands."""
+
+    period: float = DT
+    simulated = True
+
+    def __init__(self, fault: str = "", joint_names: tuple[str, ...] | None = None):
+        self.q, self.fault, self.reads, self.sent = START.copy(), fault, 0, []
+        self.frozen = START
+        if joint_names is not None:
+            self.joint_names = joint_names
+
+    def read(self) -> Any:
+        """What the fault makes of the posture."""
+        self.reads += 1
+        if self.reads <= BEFORE:
+            self.frozen = self.q.copy()
+            return self.q, None, None
+        match self.fault:
+            case "nan":
+                return np.full(3, np.nan), None, None
+            case "impossible":
+                return np.full(3, 1e200), None, None
+            case "stale":
+                return self.frozen, None, None
+            case "reordered":
+                return self.q[::-1].copy(), None, None
+            case "nothing":
+                return None
+            case "shorter":
+                return self.q[:2], None, None
+            case "raises":
+                raise OSError("no cable")
+            case "period":
+                self.period = 0.7 * DT
+            case "Ctrl-C":
+                raise KeyboardInterrupt
+            case "signal" if self.reads == BEFORE + 1:
+                os.kill(os.getpid(), signal.SIGINT)
+            case "once" if self.reads == BEFORE + 1:
+                return np.full(3, np.nan), None, None
+        return self.q, None, None
+
+    def command(self, q: np.ndarray, u: np.ndarray) -> None:
+        """Go there at once."""
+        self.sent.append(u.copy())
+        if self.fault == "deaf" and self.reads > BEFORE:
+            raise OSError("bus off")
+        self.q = np.asarray(q)
+
+
+def loop_of(robot: ml.Robot, dt: float = DT) -> ml.ServoLoop:
+    """A motion of some seconds."""
+    constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+    return ml.ServoLoop(ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5])), dt, compiled=False)
+
+
+@pytest.fixture
+def planar3() -> ml.Robot:
+    """The arm."""
+    return ml.load_robot("planar3")
+
+
+def test_a_run_ends_braked_after_its_duration(planar3: ml.Robot) -> None:
+    """What is recorded is what was measured and commanded; the last velocity is zero."""
+    arm = Arm()
+    record = ml.run(loop_of(planar3), arm, 0.5)
+    assert record.ordered and "0.5 s" in record.ended
+    assert 100 <= record.cycles == len(record.rollout) <= 110 and record.overruns == 0
+    np.testing.assert_array_equal(record.rollout.u, arm.sent)
+    np.testing.assert_array_equal(record.rollout.q[0], START)
+    np.testing.assert_allclose(record.rollout.q[1:], record.rollout.q[:-1] + DT * record.rollout.u[:-1], atol=1e-12)
+    assert not record.rollout.u[-1].any() and np.abs(record.rollout.u[50]).max() > 0.1
+    assert record.rollout.status[-1] == "stopped" and record.rollout.frame == "tip"
+    assert np.isfinite(record.rollout.task_error).all()
+
+
+FAULTS = {
+    "nan": "no posture",
+    "impossible": "no posture",
+    "nothing": r"read\(\) failed: TypeError",
+    "shorter": "no posture",
+    "raises": r"read\(\) failed: OSError: no cable",
+    "deaf": r"command\(\) failed: OSError: bus off",
+    "period": "period changed from 5 to 3.5 ms",
+    "stale": "same posture, or the arm is off: row 1",
+    "reordered": "row 1 of the constraint",
+    "Ctrl-C": "^Ctrl-C$",
+    "signal": "^Ctrl-C$",
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_whatever_the_driver_does_the_arm_brakes(fault: str, planar3: ml.Robot) -> None:
+    """A braked stop within the acceleration limits, one sentence, and the collector and Ctrl-C as they were."""
+    arm, loop = Arm(fault), loop_of(planar3)
+    before = signal.getsignal(signal.SIGINT)
+    record = ml.run(loop, arm, 2.0)
+    assert re.search(FAULTS[fault], record.ended), record.ended
+    assert record.ordered == ("Ctrl-C" in FAULTS[fault])
+    changes = np.abs(np.diff(arm.sent, axis=0, prepend=np.zeros((1, 3))))
+    assert np.all(changes <= loop.acceleration_limit * DT * (1.0 + 1e-9))
+    assert np.abs(arm.sent[BEFORE - 1]).max() > 0.1 and not arm.sent[-1].any()
+    assert record.cycles < 400
+    assert gc.isenabled() and gc.get_freeze_count() == 0
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_one_wrong_reading_does_not_end_a_run(planar3: ml.Robot) -> None:
+    """The arm brakes for a period and goes on."""
+    record = ml.run(loop_of(planar3), Arm("once"), 0.5)
+    assert record.ordered and record.rollout.status.count(ml.Status.INVALID_INPUT) == 1
+
+
+def test_joints_are_mapped_by_name(planar3: ml.Robot) -> None:
+    """Another order and a gripper: the same motion, and the gripper is sent where it was."""
+    names = ("gripper", *planar3.joint_names[::-1])
+
+    class Named(Arm):
+        def read(self) -> Any:
+            q, _, _ = super().read()
+            return np.append(0.7, q[::-1]), None, None
+
+        def command(self, q: np.ndarray, u: np.ndarray) -> None:
+            assert q[0] == 0.7 and u[0] == 0.0
+            super().command(q[:0:-1], u[:0:-1])
+
+    plain, named = Arm(), Named(joint_names=names)
+    ml.run(loop_of(planar3), plain, 0.3)
+    ml.run(loop_of(planar3), named, 0.3)
+    np.testing.assert_array_equal(named.sent, plain.sent)
+    with pytest.raises(ConfigurationError, match=f"missing {planar3.joint_names[0]}"):
+        ml.run(loop_of(planar3), Arm(joint_names=planar3.joint_names[1:]), 0.1)
+
+
+def test_names_that_change_stop_the_arm(planar3: ml.Robot) -> None:
+    """A driver that sorts its joints anew is no longer believed."""
+    arm = Arm(joint_names=planar3.joint_names)
+    read = arm.read
+
+    def sorted_anew() -> Any:
+        if arm.reads == BEFORE:
+            arm.joint_names = planar3.joint_names[::-1]
+        return read()
+
+    arm.read = sorted_anew  # type: ignore[method-assign]
+    record = ml.run(loop_of(planar3), arm, 2.0)
+    assert "order of its joints has changed" in record.ended and not arm.sent[-1].any()
+
+
+def test_mappings_are_read_by_name(planar3: ml.Robot) -> None:
+    """Joint name -> position, as messages have it."""
+
+    class Messages(Arm):
+        def read(self) -> Any:
+            return dict(zip(reversed(planar3.joint_names), super().read()[0][::-1], strict=True)), None, None
+
+    plain, messages = Arm(), Messages()
+    ml.run(loop_of(planar3), plain, 0.3)
+    ml.run(loop_of(planar3), messages, 0.3)
+    np.testing.assert_array_equal(messages.sent, plain.sent)
+
+
+def test_another_period_is_refused(planar3: ml.Robot) -> None:
+    """A loop made for another period says how to make the right one."""
+    with pytest.raises(ConfigurationError, match=r"dt=0.005"):
+        ml.run(loop_of(planar3, 0.001), Arm())
+    with pytest.raises(ConfigurationError, match="duration"):
+        ml.run(loop_of(planar3), Arm(), -1.0)
+
+
+def test_the_period_is_held_and_late_cycles_are_counted(planar3: ml.Robot) -> None:
+    """On a real clock: 0.5 s take 0.5 s, and one cycle that takes 3 periods makes the next one late."""
+
+    class Slow(Arm):
+        simulated = False
+        period = 0.02
+
+        def read(self) -> Any:
+            if self.reads == 10:
+                time.sleep(0.06)
+            return super().read()
+
+    start = time.perf_counter()
+    record = ml.run(loop_of(planar3, 0.02), Slow(), 0.5)
+    assert 0.5 <= time.perf_counter() - start < 5.0
+    assert record.overruns >= 1 and record.longest_delay >= 0.03
+
+
+def test_elsewhere_than_in_the_main_thread(planar3: ml.Robot) -> None:
+    """Threads have no signal handlers, and run all the same."""
+    records: list[ml.RunRecord] = []
+    thread = threading.Thread(target=lambda: records.append(ml.run(loop_of(planar3), Arm(), 0.2)))
+    thread.start()
+    thread.join()
+    assert records[0].ordered
+
+
+def test_a_loop_runs_again(planar3: ml.Robot) -> None:
+    """A second run goes on from where the first one left the arm."""
+    loop, arm = loop_of(planar3), Arm()
+    ml.run(loop, arm, 0.3)
+    at = arm.q.copy()
+    record = ml.run(loop, arm, 0.3)
+    assert record.ordered
+    np.testing.assert_allclose(record.rollout.q[0], at, atol=1e-12)
+    assert np.abs(record.rollout.u).max() > 0.1

@@ -1,0 +1,176 @@
+"""The servo loop and time: periods that are wrong or irregular, gaps, and tasks that change in motion."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+from servo_cases import DT, Constantly, RobotOf, law_of, run, start_of
+
+import manip_learn as ml
+from manip_learn.errors import ConfigurationError, TargetError
+
+ROUNDING = 1.0 + 1e-6
+LONG = (pytest.mark.slow, pytest.mark.timeout(3000))
+
+
+def fast(robot: ml.Robot, seed: int) -> Constantly:
+    """Full speed towards a corner of the joint limits."""
+    return Constantly(robot, robot.velocity_limit * np.random.default_rng(seed).choice([-1.0, 1.0], robot.nv))
+
+
+def outside(robot: ml.Robot, q: np.ndarray) -> float:
+    """Largest distance beyond a position limit."""
+    return float(max(np.max(q - robot.position_upper), np.max(robot.position_lower - q)))
+
+
+@pytest.mark.parametrize("servo", ["position", "velocity"])
+@pytest.mark.parametrize("jerk", [None, 500.0])
+@pytest.mark.parametrize("period", [0.004, 0.01, 0.03])
+def test_another_period_than_agreed(
+    period: float, jerk: float | None, servo: str, robot_of: RobotOf, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Made for 1 ms and called every 4, 10 or 30 ms: every limit holds in time, and one line says so with numbers."""
+    robot = robot_of("sawyer")
+    loop, q = ml.ServoLoop(fast(robot, 1), DT, jerk_limit=jerk), start_of(robot)
+    before, rate = np.zeros(7), np.zeros(7)
+    with caplog.at_level(logging.WARNING, "manip_learn"):
+        for k in range(int(4.0 / period)):
+            u = loop.update(q, k * period).velocity
+            change = (u - before) / period
+            assert np.all(np.abs(u) <= robot.velocity_limit * ROUNDING)
+            assert np.all(np.abs(change) <= loop.acceleration_limit * ROUNDING)
+            assert jerk is None or np.all(np.abs(change - rate) <= jerk * period * ROUNDING)
+            q, before, rate = robot.integrate(q, period * u) if servo == "velocity" else loop.position, u, change
+            assert outside(robot, q) <= 1e-9 and outside(robot, loop.position) <= 1e-9
+    assert np.max(outside(robot, q)) > -0.02  # it has come to a limit
+    words = [r.getMessage() for r in caplog.records if "servo loop" in r.getMessage()]
+    assert len(words) == 1 and "period of 1 ms" in words[0] and f"every {1e3 * period:g} ms" in words[0]
+
+
+@pytest.mark.parametrize("jerk", [None, 500.0])
+@pytest.mark.parametrize("calls", [1500, pytest.param(100_000, marks=LONG)])
+@pytest.mark.parametrize("seed", range(3))
+def test_random_stamps(seed: int, calls: int, jerk: float | None, robot_of: RobotOf) -> None:
+    """Stamps 0.2 to 100 ms apart: no command steps by more than a dt's worth, or the time's where that is shorter."""
+    robot, rng = robot_of("sawyer"), np.random.default_rng(seed)
+    law = fast(robot, seed) if seed else law_of(robot, "sawyer", 2.0)
+    loop = ml.ServoLoop(law, DT, jerk_limit=jerk, compiled=False)
+    q, t, period, at, before, rate, shortest = start_of(robot), 0.0, DT, None, np.zeros(7), np.zeros(7), DT
+    for k in range(calls):
+        if seed and k % 700 == 699:
+            law.velocity[:] = -law.velocity
+        u, held = loop.update(q, t).velocity, min(period, DT)
+        change = (u - before) / held
+        assert np.all(np.abs(u) <= robot.velocity_limit * ROUNDING)
+        assert np.all(np.abs(change) <= loop.acceleration_limit * ROUNDING)
+        assert jerk is None or np.all(np.abs(change - rate) <= jerk * max(held, shortest) * ROUNDING)
+        assert at is None or np.all(np.abs(loop.position - at) <= robot.velocity_limit * held * ROUNDING)
+        assert outside(robot, loop.position) <= 1e-9
+        q = at = loop.position
+        before, rate, shortest = u, change, held
+        period = 10.0 ** rng.uniform(np.log10(2e-4), -1.0)
+        t += period
+
+
+@pytest.mark.parametrize("gap", [0.02, 0.05, 0.09])
+@pytest.mark.parametrize("servo", ["position", "velocity"])
+def test_after_a_gap_nothing_steps(servo: str, gap: float, robot_of: RobotOf) -> None:
+    """After 20 to 90 ms without a call, velocity and posture go on from where the arm is by a dt's worth each call."""
+    robot = robot_of("sawyer")
+    loop = ml.ServoLoop(law_of(robot, "sawyer", 2.0), compiled=False)
+    *_, (q, last) = run(loop, start_of(robot), 150)
+    q, before = loop.position, last.velocity
+    assert np.max(np.abs(before)) > 0.3
+    if servo == "velocity":
+        q = robot.integrate(q, gap * before)
+    for k in range(50):
+        command = loop.update(q, 150 * DT + gap + k * DT)
+        assert np.all(np.abs(command.velocity - before) <= loop.acceleration_limit * DT * ROUNDING)
+        assert np.all(np.abs(robot.difference(q, loop.position)) <= robot.velocity_limit * DT * ROUNDING)
+        q, before = loop.position, command.velocity
+
+
+def test_braking_keeps_position_limits(robot_of: RobotOf) -> None:
+    """A joint near its limit waits for none that needs longer to stop."""
+    robot = robot_of("sawyer")
+    limits = np.full(7, 20.0)
+    limits[6] = 0.5  # needs 3 s from its full speed
+    wish = np.zeros(7)
+    wish[0] = wish[6] = 1.5
+    loop, q = ml.ServoLoop(Constantly(robot, wish), acceleration_limit=limits), np.zeros(7)
+    q[6] = robot.position_lower[6]
+    q[0] = robot.position_upper[0] - 0.6
+    *_, (q, last) = run(loop, q, 460)
+    assert last.velocity[0] > 0.1 and last.velocity[6] > 0.2
+    loop.stop()
+    for k in range(4000):
+        q = robot.integrate(q, DT * loop.update(q, 0.46 + k * DT).velocity)
+        assert outside(robot, q) <= 1e-9
+    assert np.all(loop.update(q, 4.46).velocity == 0.0)
+
+
+@pytest.mark.parametrize("compiled", [False, None])
+@pytest.mark.parametrize("jerk", [None, 500.0])
+def test_the_task_changes_in_motion(jerk: float | None, compiled: bool | None, robot_of: RobotOf) -> None:
+    """`set_target`, `set_task`, `set_constraint`: the velocity goes on within the limits, the new goal is reached."""
+    robot = robot_of("sawyer")
+    law = law_of(robot, "sawyer")
+    loop, q, before = ml.ServoLoop(law, jerk_limit=jerk, compiled=compiled), start_of(robot), np.zeros(7)
+    here = law.constraint.features.coordinates(q)
+    one = ml.Constraint(np.eye(3)[:1], law.constraint.features)
+    changes = {
+        300: lambda: loop.set_target(here + [0.1, -0.1, 0.1]),
+        600: lambda: loop.set_task(ml.PointAttractor(here - 0.1, gain=3.0)),
+        900: lambda: loop.set_constraint(one),
+    }
+    for k in range(4000):
+        changes.get(k, lambda: None)()
+        u = loop.update(q, k * DT).velocity
+        assert np.all(np.abs(u - before) <= loop.acceleration_limit * DT * (1.0 + 1e-9))
+        assert k not in changes or np.linalg.norm(u) > 0.02
+        q, before = robot.integrate(q, DT * u), u
+    assert loop.controller.robot is robot and loop.task_error(q) < 1e-3
+    assert one.features.coordinates(q)[0] == pytest.approx(here[0] - 0.1, abs=1e-3)
+
+
+def test_writes_that_cannot_be_obeyed_are_refused(robot_of: RobotOf) -> None:
+    """A target that is written, or does not fit, or a task of another robot: an error, and the motion goes on."""
+    robot = robot_of("sawyer")
+    law = law_of(robot, "sawyer")
+    loop = ml.ServoLoop(law)
+    *_, (q, last) = run(loop, start_of(robot), 100)
+    for name in ("target", "gain", "max_speed", "driven"):
+        with pytest.raises(TargetError, match="set_target"):
+            setattr(law.task, name, 1.0)
+    with pytest.raises(TargetError):
+        loop.set_target([0.0, 0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(ConfigurationError, match="another robot"):
+        loop.set_constraint(ml.Constraint(np.eye(3), ml.FrameJacobian(robot_of("panda"), "panda_hand")))
+    with pytest.raises(ConfigurationError, match="PointAttractor"):
+        other = ml.ServoLoop(ml.ResolvedRateController(law.constraint))
+        other.set_target([0.0, 0.0, 0.0])
+    with pytest.raises(ConfigurationError, match="PointAttractor"):
+        ml.ServoLoop(fast(robot, 0)).set_target([0.0, 0.0, 0.0])
+    q = loop.position
+    assert np.linalg.norm(loop.update(q, 0.1).velocity - last.velocity) < 0.1
+
+
+def test_a_motion_waits_while_the_arm_stands(robot_of: RobotOf) -> None:
+    """After `stop` and `start`, a motion along a free direction goes on where it was, as gently as it began."""
+    robot = robot_of("sawyer")
+    constraint = ml.Constraint(np.eye(3)[:2], ml.FrameJacobian(robot, "right_hand"))
+    task = ml.FreeDirection(constraint, 0.1, 0.1)
+    loop, q = ml.ServoLoop(ml.ResolvedRateController(constraint, task)), start_of(robot)
+    places = []
+    for k in range(4500):
+        if k == 700:
+            loop.stop()
+        if k == 2200:
+            loop.start()
+        places.append(robot.position(q, "right_hand"))
+        q = robot.integrate(q, DT * loop.update(q, k * DT).velocity)
+    speed = np.linalg.norm(np.diff(places, axis=0), axis=1) / DT
+    assert np.max(speed[2200:]) < 0.115
+    assert np.linalg.norm(places[-1] - places[0]) == pytest.approx(0.1, abs=1e-3)

@@ -1,0 +1,99 @@
+"""A limit on the speed of frames: it holds for positions and poses, and costs no more of the motion than it must."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from servo_cases import Constantly
+
+import manip_learn as ml
+from manip_learn.errors import ConfigurationError, ConstraintError, UnknownNameError
+
+TIP, SPEED, DT = "right_gripper_tip", 0.25, 0.002
+RobotOf = Callable[[str], ml.Robot]
+
+
+def speeds(robot: ml.Robot, controller: ml.Controller, q: np.ndarray, frames: tuple[str, ...]) -> np.ndarray:
+    """Speeds of the frames over 1.2 s of a loop, shape (T, frames) [m/s]."""
+    loop, rows = ml.ServoLoop(controller, DT, robot=robot), []
+    for k in range(600):
+        command = loop.update(q, k * DT)
+        rows.append([np.linalg.norm(robot.jacobian(q, frame)[:3] @ command.velocity) for frame in frames])
+        q = robot.integrate(q, DT * command.velocity)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("frames", [(TIP,), (TIP, "right_l4")])
+@pytest.mark.parametrize("axes", ["xyz", "pose"])
+def test_no_frame_is_faster(axes: str, frames: tuple[str, ...], robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Far targets with a large gain: the tip moves at its limit and never beyond it; without a limit far beyond it."""
+    robot = robot_of("sawyer")
+    features = ml.FrameJacobian(robot, TIP, axes)
+    constraint = ml.Constraint(np.eye(features.n_rows)[: 2 if axes == "xyz" else 6], features)
+    for _ in range(2):
+        q = rng.uniform(-0.8, 0.8, 7)
+        aim = q + rng.uniform(-0.6, 0.6, 7)
+        goal = robot.position(aim, TIP) if axes == "xyz" else robot.pose(aim, TIP)
+        task, climb = ml.PointAttractor(goal, gain=5.0), ml.ManipulabilityAscent(constraint)
+        limits = ml.Limits(robot, tip_speed=SPEED, frames=frames)
+        held = speeds(robot, ml.ResolvedRateController(constraint, task, climb, limits=limits), q, frames)
+        assert held.max() <= SPEED + 1e-9
+        assert held.max() >= 0.99 * SPEED
+        assert speeds(robot, ml.ResolvedRateController(constraint, task, climb), q, frames).max() > 1.5 * SPEED
+
+
+def test_where_it_does_not_bind_nothing_changes(robot_of: RobotOf) -> None:
+    """A limit that is not reached leaves every command as it is."""
+    robot = robot_of("sawyer")
+    constraint = ml.Constraint(np.eye(3)[:2], ml.FrameJacobian(robot, TIP, "xyz"))
+    q = np.array([0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0])
+    task, climb = ml.PointAttractor(robot.position(q, TIP) + 0.05), ml.ManipulabilityAscent(constraint)
+    free, held = (
+        ml.simulate(robot, ml.ResolvedRateController(constraint, task, climb, limits=limits), q, 1.0)
+        for limits in (True, ml.Limits(robot, tip_speed=50.0))
+    )
+    np.testing.assert_array_equal(free.u, held.u)
+    assert free.status == held.status
+
+
+def test_the_direction_of_the_task_is_kept(robot_of: RobotOf) -> None:
+    """Slowed down, the hand goes the same way, and the status says why."""
+    robot = robot_of("sawyer")
+    constraint = ml.Constraint(np.eye(3), ml.FrameJacobian(robot, TIP, "xyz"))
+    q, way = np.array([0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0]), np.array([0.3, -0.4, 0.1])
+    task = ml.PointAttractor(robot.position(q, TIP) + way, gain=5.0)
+    command = ml.ResolvedRateController(constraint, task, limits=ml.Limits(robot, tip_speed=SPEED))(q)
+    v = constraint(q) @ command.velocity
+    np.testing.assert_allclose(v / np.linalg.norm(v), way / np.linalg.norm(way), atol=1e-9)
+    assert 0.998 * SPEED <= np.linalg.norm(v) <= SPEED
+    assert command.status is ml.Status.VELOCITY_LIMITED and command.task_scale < 0.2
+
+
+def test_a_controller_of_the_users_own_is_slowed_down(robot_of: RobotOf) -> None:
+    """Its velocity is scaled as a whole."""
+    robot = robot_of("sawyer")
+    own = Constantly(robot, np.full(7, 0.5))
+    loop = ml.ServoLoop(own, DT)
+    loop.limits = ml.Limits(robot, tip_speed=0.1)
+    q = np.array([0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0])
+    for k in range(300):
+        u = loop.update(q, k * DT).velocity
+        assert np.linalg.norm(robot.jacobian(q, TIP)[:3] @ u) <= 0.101
+        q = robot.integrate(q, DT * u)
+    assert np.linalg.norm(u) > 0.05
+
+
+def test_bad_arguments(robot_of: RobotOf) -> None:
+    """Speeds that are none, unknown frames, and what is not compiled."""
+    robot = robot_of("sawyer")
+    for speed in (0.0, -1.0, np.nan, np.inf, "fast"):
+        with pytest.raises(ConfigurationError, match="tip_speed"):
+            ml.Limits(robot, tip_speed=speed)  # type: ignore[arg-type]
+    with pytest.raises(UnknownNameError):
+        ml.Limits(robot, tip_speed=1.0, frames="nowhere")
+    constraint = ml.Constraint(np.eye(3), ml.FrameJacobian(robot, TIP, "xyz"))
+    controller = ml.ResolvedRateController(constraint, limits=ml.Limits(robot, tip_speed=1.0))
+    with pytest.raises(ConstraintError, match="speed of frames"):
+        ml.CompiledController(controller)
