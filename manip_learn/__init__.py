@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from manip_learn.control.command import Command, Controller
     from manip_learn.control.compiled_controller import CompiledController
     from manip_learn.control.controller import ResolvedRateController
+    from manip_learn.control.driver import Driver, RunRecord, run
+    from manip_learn.control.following import following_error_limit
     from manip_learn.control.limits import Limits
     from manip_learn.control.paths.optimise_path import optimise_path
     from manip_learn.control.policies import (
@@ -52,6 +54,7 @@ if TYPE_CHECKING:
     from manip_learn.control.simulation import simulate
     from manip_learn.control.status import Status
     from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, Track, motion
+    from manip_learn.control.warm_up import warm_up
     from manip_learn.errors import ManipLearnError
     from manip_learn.learning import ConstraintLearner
     from manip_learn.learning.audit import audit_episodes
@@ -101,6 +104,11 @@ _HOMES = {
     "Mechanism": "constraint.mechanism",
     "MechanismFit": "learning.mechanisms.find_mechanism",
     "MechanismRows": "constraint.features",
+    "Driver": "control.driver",
+    "RunRecord": "control.driver",
+    "following_error_limit": "control.following",
+    "run": "control.driver",
+    "warm_up": "control.warm_up",
     "find_mechanism": "learning.mechanisms.find_mechanism",
     "Limits": "control.limits",
     "ManipulabilityAscent": "control.policies",
@@ -142,6 +150,7 @@ __all__ = [
     "Controller",
     "CustomFeatures",
     "Demonstrations",
+    "Driver",
     "FeatureMap",
     "FrameJacobian",
     "FreeDirection",
@@ -163,6 +172,7 @@ __all__ = [
     "ResolvedRateController",
     "Robot",
     "Rollout",
+    "RunRecord",
     "SelfCollision",
     "SelfCollisionAvoidance",
     "ServoLoop",
@@ -176,6 +186,7 @@ __all__ = [
     "audit_episodes",
     "derive_velocities",
     "find_mechanism",
+    "following_error_limit",
     "inspect_robot",
     "iter_demonstrations",
     "likely_tips",
@@ -192,9 +203,11 @@ __all__ = [
     "penalised_manipulability_gradient",
     "replay",
     "resample",
+    "run",
     "simulate",
     "subsample",
     "trim_standstill",
+    "warm_up",
 ]
 
 

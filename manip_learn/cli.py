@@ -255,6 +255,16 @@ def reproduce(
     answer(as_json, result.to_dict(), "print_reproduction", result)
 
 
+@app.command("warm-up", cls=GroupedCommand)
+def warm_up(as_json: shared.Json = False) -> None:
+    """Compile once what control loops compile, so that the first one on this machine starts at once."""
+    from manip_learn.commands.warm_up import warm_up as run
+
+    with progress(as_json) as report:
+        warmed = run(report)
+    answer(as_json, warmed.to_dict(), "print_warm_up", warmed)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns 0, 2 for bad input, 1 for an internal error, 130 for Ctrl-C. No traceback."""
     from typer.main import get_command

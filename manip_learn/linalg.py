@@ -115,6 +115,28 @@ def complement_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "k p"]:
     return null_basis(M).T
 
 
+def turned(
+    rows: Float[np.ndarray, "s p"], B: Float[np.ndarray, "s k"] | Float[np.ndarray, " m"]
+) -> Float[np.ndarray, "s p"]:
+    """Orthonormal rows after the step rows + B rows_perp on the Grassmann manifold; the entries of B row after row."""
+    perp = complement_rows(rows)
+    return orthonormal_rows(rows + B.reshape(len(rows), len(perp)) @ perp)
+
+
+def whitener(S: Float[np.ndarray, "n n"], least: float = 1e-12) -> Float[np.ndarray, "r n"]:
+    """W with W S W^T = I over what a symmetric S >= 0 determines; no rows if that is nothing.
+
+    Args:
+        S: Sum of products, or curvature; the unknowns may be in different units.
+        least: Eigenvalue over the largest, each unknown scaled to its own size, below which a direction is rounding.
+    """
+    size = np.sqrt(np.maximum(np.diag(S), 0.0))
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
+    values, vectors = np.linalg.eigh(scale[:, None] * S * scale)
+    kept = values > least * np.max(values, initial=0.0)
+    return (vectors[:, kept] / np.sqrt(values[kept])).T * scale
+
+
 def principal_angles(M1: Float[np.ndarray, "s p"], M2: Float[np.ndarray, "k p"]) -> Float[np.ndarray, " m"]:
     """Principal angles [rad] between two row spaces, largest first, accurate for tiny angles too.
 

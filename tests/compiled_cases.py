@@ -9,6 +9,12 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import MechanismRows
+from manip_learn.constraint.features.place_fields import AT_A_DISTANCE, FIELDS
+from manip_learn.constraint.features.place_rows import PlaceRows
+from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
+from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS
 from manip_learn.control import compiled_controller
 from manip_learn.control.command import Command
 from manip_learn.robot.batch.kernel_cache import KERNEL_FILES
@@ -32,6 +38,21 @@ def kernels(numba: bool, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
             monkeypatch.setattr(module, name, getattr(value, "py_func", value))
     with np.errstate(all="ignore"):  # as compiled code, which overflows to infinity in silence
         yield
+
+
+def mechanisms(robot: Robot, frame: str, rng: np.random.Generator) -> Iterator[Constraint]:
+    """Every mechanism that has a name, at a radius and at any, its rows in another basis; and rows of every form."""
+    point = robot.position(robot.random_configuration(rng), robot.frame(frame)) + rng.normal(size=3) / 5.0
+    maps: list[WeighedVelocity] = [MechanismRows(robot, frame, tuple(FIELDS), axis=(0.2, -0.3, 0.9), pitch=0.05)]
+    for kind in MECHANISM_KINDS:
+        for radius in (None, 0.3) if set(kind.rows) & set(AT_A_DISTANCE) else (None,):
+            place = {"axis": rng.normal(size=3), "point": point, "pitch": 0.03, "radius": radius}
+            maps.append(MechanismRows(robot, frame, kind.rows, **place))
+    maps += [PlaceRows(robot, frame, form, point) for form in ("point", "point and rotation", "twist", "surface")]
+    for features in maps:
+        r = features.n_rows
+        s = r if isinstance(features, MechanismRows) and r <= 5 else int(rng.integers(1, 4))
+        yield Constraint(np.linalg.qr(rng.normal(size=(r, s)))[0].T, features)
 
 
 def agree(got: Command, expected: Command, slack: Command | None = None, at_limits: float = 1e-10) -> None:

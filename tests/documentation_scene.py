@@ -49,7 +49,10 @@ def names() -> dict[str, Any]:
     loop = ml.ServoLoop(controller, 0.01, compiled=False)
     rollout = ml.simulate(robot, controller, q0, duration=0.2, dt=0.01)
     sent: list[Any] = []
-    arm = SimpleNamespace(send=sent.append, measured=lambda: (q0, 0.01 * len(sent)))
+    arm = SimpleNamespace(
+        period=loop.dt, simulated=True, read=lambda: (q0, None, None), command=lambda q, u: None,
+        send=sent.append, measured=lambda: (q0, 0.01 * len(sent)),
+    )  # fmt: skip
     return {
         "ml": ml, "np": np, "Path": Path, "RECORDINGS": DRAWER.parent, "robot": robot, "demos": demos,
         "recordings": demos, "features": learner.features,

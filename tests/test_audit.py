@@ -15,8 +15,7 @@ import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import OutputError, RecordingError
-from manip_learn.learning.audit import AuditReport, audit_episodes, outlier_threshold, robust_z
-from manip_learn.learning.episode_measures import measure
+from manip_learn.learning.audit import AuditReport, audit_episodes, measure, outlier_threshold, robust_z
 from manip_learn.linalg import orthonormal_rows
 from manip_learn.recordings import RecordingSource, recording_source, trajectory_source
 from manip_learn.recordings.jerk import jerk

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compiled_cases import RobotOf, agree, both_ways, kernels, needs_numba  # noqa: F401
+from compiled_cases import RobotOf, agree, both_ways, kernels, mechanisms, needs_numba  # noqa: F401
 from conftest import tip_of
 from random_arms import random_posture, random_tree
 from test_batch_rollout import same
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import CentreOfMass, FrameJacobian
+from manip_learn.constraint.features import CentreOfMass, FrameJacobian, MechanismRows
 from manip_learn.constraint.manipulability_batch import row_inverses
 from manip_learn.constraint.small_matrices import row_inverse
 from manip_learn.control import compiled_controller
@@ -114,6 +114,61 @@ def test_every_state_is_computed_by_the_kernel(
             agree(got, expected, beside)
             told.add(str(expected.status))
     assert len(told) >= 5
+
+
+@both_ways
+@pytest.mark.parametrize("name", ["tree", "planar3", "gantry", "sawyer", "panda", "kinova"])
+@pytest.mark.usefixtures("kernels")
+def test_mechanisms_are_computed_by_the_kernel(
+    name: str, numba: bool, robot_of: RobotOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Doors, balls, screws, cylinders, held orientations, loose and firm: the numbers of the original in every state.
+
+    As for constant rows: at limits, outside, singular and beside it, with a velocity before.
+    """
+    told: set[str] = set()
+    for seed in range(4 if numba else 1):
+        rng = np.random.default_rng(seed)
+        robot = random_tree(rng, tmp_path) if name == "tree" else robot_of(name)
+        for i, constraint in enumerate(mechanisms(robot, "tip" if name == "tree" else tip_of(name), rng)):
+            policies = (ManipulabilityAscent(constraint), JointAttractor(rng.normal(size=robot.nv)))
+            threshold = 0.05 if i % 4 else 0.002
+            law = ResolvedRateController(constraint, Hold(), policies[i % 3 // 2], threshold=threshold)
+            if why_not(law) == "it has more rows than joints":
+                continue
+            compiled = CompiledController(law)
+            for k in range(4):
+                q = random_posture(rng, robot) if k else np.zeros(robot.nv)  # stretched, folded: singular
+                previous = robot.velocity_limit.clip(0.0, 5.0) * rng.uniform(-1.0, 1.0, robot.nv) if k > 1 else None
+                arguments = (0.0, float(10.0 ** rng.uniform(-3.0, -1.0)), previous, 0.0)
+                expected, beside = law(q, *arguments), law(q * (1.0 + 4e-16) + 1e-16, *arguments)
+                with monkeypatch.context() as patch:
+                    patch.setattr(ResolvedRateController, "__call__", lambda *a: pytest.fail("handed back"))
+                    got = compiled(q, *arguments)
+                if 1e-15 < expected.smallest_singular_value < 1e-12:
+                    continue  # rounding decides whether that is singular
+                agree(got, expected, beside)
+                told.add(str(expected.status))
+    assert len(told) >= 3
+
+
+@both_ways
+@pytest.mark.parametrize("rows", ["radial axial", "spherical", "radial helical", "turn-1 turn-2 slide-1 slide-2 slide"])
+@pytest.mark.usefixtures("kernels")
+def test_doors_are_simulated_alike(rows: str, numba: bool, robot_of: RobotOf) -> None:
+    """A rollout of the kernel follows that of the law to 1e-9 and stays on the mechanism as well as the law's does."""
+    robot = robot_of("panda")
+    start = robot.positions(robot.configuration([0.1, -0.3, -0.1, -2.0, 0.1, 1.8, 0.7]))
+    for radius in (None, 0.4):
+        features = MechanismRows(robot, tip_of("panda"), rows, axis=(0.1, 0.2, 1), point=(0.3, 0.4, 0.3), radius=radius)
+        constraint = Constraint(np.eye(features.n_rows), features)
+        law = ResolvedRateController(constraint, Hold(), ManipulabilityAscent(constraint))
+        for method in ("euler", "rk4"):
+            expected = simulate(robot, law, start, 0.46, 0.023, method)
+            got = CompiledController(law).rollout(start, 20, 0.023, method)
+            np.testing.assert_allclose(got.q, expected.q, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(got.mu, expected.manipulability, rtol=0, atol=1e-9)
+            assert got.status == expected.status and np.ptp(got.q, axis=0).max() > 0.1
 
 
 @both_ways

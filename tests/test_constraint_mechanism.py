@@ -7,6 +7,9 @@ import pytest
 
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
+from manip_learn.constraint.features.place_fields import Place, mechanism_weights
+from manip_learn.constraint.features.place_rows import PlaceForm, PlaceRows
+from manip_learn.constraint.features.weighed_velocity import ON_AXIS, PlaceWeights
 from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS
 
 TIP = "right_gripper_tip"
@@ -102,3 +105,127 @@ def test_rows_of_a_hand_or_of_another_frame(robot_of) -> None:
     assert seen is not None and seen.type == "line" and seen.axis is None
     assert ml.Constraint(ACROSS, FrameJacobian(robot, TIP, "xyz", "local")).mechanism is None
     assert ml.Constraint([[1.0, 0.0]], ml.CustomFeatures(lambda q: np.eye(2, 7), ("a", "b"), 7)).mechanism is None
+
+
+PLACE = Place(AXIS, np.array([0.5, 0.1, 0.3]), 0.4)
+FORM_OF: dict[str, PlaceForm] = {
+    "free": "point",
+    "about-axis": "point and rotation",
+    "fixed": "point and rotation",
+    "carried": "twist",
+}
+
+
+def one_form(robot, kind, radius: float, middle) -> tuple[PlaceRows, np.ndarray]:
+    """A mechanism as a constant Lambda over `PlaceRows`, by what the weights of its rows are where its centre is level
+    with the hand.
+    """
+    form: PlaceForm = "surface" if kind.name in ("cylinder", "screw") else FORM_OF[kind.orientation]
+    features = PlaceRows(robot, TIP, form, middle)
+    W = mechanism_weights(kind.rows, PLACE, radius)
+    if kind.constant:  # the hand's own origin is held
+        constant = W.at(PLACE.point[None])[0][0]
+        W = PlaceWeights(constant, np.zeros((*constant.shape, 3)))
+    if kind.type == "hinge" and kind.orientation != "carried":  # beside the axial row |p - c|^2 says what rho^2 does
+        ball = mechanism_weights(("spherical",), PLACE, radius)
+        W = PlaceWeights(
+            np.concatenate([ball.constant, W.constant[1:]]), np.concatenate([ball.by_place, W.by_place[1:]])
+        )
+    T = features.place_weights
+    flat = [np.concatenate([w.constant, w.by_place.reshape(-1, 18)], axis=1) for w in (T, W)]
+    selection = np.linalg.lstsq(flat[0].T, flat[1].T, rcond=1e-12)[0].T
+    np.testing.assert_allclose(selection @ flat[0], flat[1], atol=1e-12)
+    return features, selection
+
+
+@pytest.mark.parametrize("kind", MECHANISM_KINDS, ids=lambda kind: kind.name)
+def test_every_mechanism_is_a_constant_lambda(robot_of, rng, tmp_path, kind) -> None:
+    """Over rows that are known in advance; its type, axis, point and pitch are read from it, from a file too.
+
+    What the hand may do beside the mechanism is held by the same rows wherever the middle of the features is, and a
+    way along it is a task as for rows that are named after it.
+    """
+    robot = robot_of("sawyer")
+    q = robot.random_configuration(rng)
+    p = robot.position(q, robot.frame(TIP))
+    level = p - PLACE.point - AXIS * (AXIS @ (p - PLACE.point))
+    radius = float(np.linalg.norm(p - PLACE.point if kind.type == "ball" else level))
+    features, selection = one_form(robot, kind, radius, p + 0.1 * rng.normal(size=3))
+    turned = np.linalg.qr(rng.normal(size=(kind.n_rows, kind.n_rows)))[0] @ selection
+    constraint = ml.Constraint(turned, features, {"postures": [q.tolist()]})
+    read = constraint.mechanism
+    assert read is not None and (read.type, read.orientation, read.grip) == (
+        kind.type,
+        kind.orientation,
+        "firm" if kind.orientation == "carried" else "loose",
+    )
+    if "axis" in kind.unknowns:
+        assert abs(read.axis @ AXIS) == pytest.approx(1.0, abs=1e-9)
+    if "point" in kind.unknowns:
+        np.testing.assert_allclose(read.point, PLACE.point, atol=1e-9)
+    elif "point-across" in kind.unknowns:
+        np.testing.assert_allclose(np.cross(read.point - PLACE.point, AXIS), 0.0, atol=1e-9)
+    if kind.type == "screw":
+        assert read.pitch == pytest.approx(PLACE.pitch, rel=1e-9)
+    if read.radius is not None:
+        assert read.radius == pytest.approx(radius, abs=1e-9)
+    back = ml.Constraint.load(constraint.save(tmp_path / "c.json"), robot)
+    np.testing.assert_array_equal(back(q), constraint(q))
+    assert back.mechanism == read
+    named = constraint.about_its_mechanism()
+    sigma = np.linalg.svd(np.concatenate([constraint(q), named(q)]), compute_uv=False)
+    assert np.count_nonzero(sigma > 1e-7) == np.linalg.matrix_rank(constraint(q), 1e-7)  # the same rows there
+
+
+@pytest.mark.parametrize("rows", ["radial axial", "spherical", "radial", "radial helical", "tangential"])
+def test_mu_keeps_its_meaning_at_the_radius(robot_of, rng, rows) -> None:
+    """A door of known radius has the mu, and the rows, that the door at any distance has, where the hand is on it.
+
+    Elsewhere the rows of a known radius are longer or shorter by distance / radius, and that is all: what they hold and
+    leave free is the same but for the helix, which is one of that radius.
+    """
+    robot = robot_of("sawyer")
+    q = robot.random_configuration(rng)
+    p = robot.position(q, robot.frame(TIP))
+    d = p - PLACE.point
+    rho = float(np.linalg.norm(d if rows == "spherical" else d - AXIS * (AXIS @ d)))
+    options = {"axis": AXIS, "point": PLACE.point, "pitch": PLACE.pitch}
+    free = MechanismRows(robot, TIP, rows, **options)
+    for share in (1.0, 0.8, 1.5):
+        fixed = MechanismRows(robot, TIP, rows, **options, radius=share * rho)
+        constraints = [ml.Constraint(np.eye(free.n_rows), f) for f in (free, fixed)]
+        at, other = (ml.manipulability(c, q) for c in constraints)
+        # a row of unit length fades within 1e-5 m of the axis, at any distance by a little
+        s, h, e = rho**2, PLACE.pitch, ON_AXIS**2
+        fades = {"axial": 1.0, "helical": np.sqrt(s * (s + h * h) / ((s + e) * (s + h * h + e)))}
+        faded = np.array([fades.get(name, np.sqrt(s / (s + e))) for name in free.row_names])
+        if share == 1.0:
+            assert other * np.prod(faded) == pytest.approx(at, rel=1e-12)
+            np.testing.assert_allclose(fixed(q) * faded[:, None], free(q), atol=1e-13)
+        elif "helical" not in rows:
+            assert other * np.prod(faded) == pytest.approx(at / share, rel=1e-12)
+            assert np.linalg.matrix_rank(np.concatenate([fixed(q), free(q)]), 1e-7) == free.n_rows
+        numbers = fixed.coordinates(q) if rows not in ("radial helical", "tangential") else None
+        if numbers is not None:  # distances are distances, whatever the radius
+            np.testing.assert_array_equal(numbers, free.coordinates(q))
+            np.testing.assert_array_equal(fixed.coordinates_jacobian(q), free(q))
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_a_door_in_place_rows_is_driven(robot_of, keep) -> None:
+    """A way about the axis that is read from Lambda; distance and, if asked, the orientation of the hand stay."""
+    robot = robot_of("panda")
+    tip, axis, centre = "panda_hand_tcp", np.array([0.0, 0.0, 1.0]), np.array([0.3, 0.4, 0.3])
+    q = robot.configuration([0.1, -0.3, -0.1, -2.0, 0.1, 1.8, 0.7])
+    middle = robot.position(q, tip)
+    rows = PlaceRows(robot, tip, "point", middle)
+    door = ml.Constraint([[*axis, 0.0], [*(middle - centre), 1.0]], rows, {"postures": [list(q)]})
+    assert door.mechanism is not None and door.mechanism.name == "hinge"
+    task = ml.FreeDirection(door, 0.2, 0.2, keep_orientation=keep)
+    rollout = ml.simulate(robot, ml.ResolvedRateController(task.constraint, task), q, 2.5, 0.01)
+    d = np.array([robot.position(x, tip) for x in rollout.q]) - centre
+    around, rho = np.unwrap(np.arctan2(d[:, 1], d[:, 0])), np.hypot(d[:, 0], d[:, 1])
+    assert around[-1] - around[0] == pytest.approx(0.2 * np.sign(door.mechanism.axis[2]), abs=1e-3)
+    assert np.ptp(rho) < 1e-3 and np.ptp(d[:, 2]) < 1e-3
+    turned = np.linalg.norm(robot.pose(rollout.q[-1], tip)[:3, :3] - robot.pose(q, tip)[:3, :3])
+    assert (turned < 1e-3) == keep

@@ -17,11 +17,16 @@ by_example = pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
 MAX_LINES = 100
 
 
+def files() -> set[Path]:
+    """All files beside the examples but what Python compiles, which other tests that import them leave."""
+    return {path for path in (ROOT / "examples").rglob("*") if "__pycache__" not in path.parts}
+
+
 @by_example
 @pytest.mark.timeout(300)
 def test_example_runs(path, tmp_path):
     """Each example runs to its end from any folder, without a window, a warning or a file outside that folder."""
-    before = set((ROOT / "examples").rglob("*"))
+    before = files()
     result = subprocess.run(
         [sys.executable, "-W", "error", str(path), "--headless"],
         cwd=tmp_path,
@@ -32,7 +37,7 @@ def test_example_runs(path, tmp_path):
     )
     assert result.returncode == 0, f"{result.stdout}\n{result.stderr}"
     assert result.stdout.strip(), "an example says what came out"
-    assert set((ROOT / "examples").rglob("*")) == before
+    assert files() == before
 
 
 @by_example

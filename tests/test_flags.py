@@ -94,7 +94,7 @@ def test_every_flag_that_a_command_may_name_exists(command: str):
 def test_every_command_that_is_named_exists():
     """`manip-learn COMMAND` in a text is a command, and the flags behind it are its own."""
     spelt = [text for source in SOURCES.values() for text, _, _ in texts(source)]
-    named = {word for text in spelt for word in re.findall(r"manip-learn ([a-z]+)", text)}
+    named = {word for text in spelt for word in re.findall(r"manip-learn ([a-z]+(?:-[a-z]+)*)", text)}
     assert named and named <= {*COMMANDS}
     lines = [found for text in spelt for found in COMMAND_LINE.findall(text)]
     assert {flag for _, rest in lines for flag in FLAG.findall(rest)}

@@ -50,8 +50,8 @@ ROOMS = {
     "pickle": set(),
 }
 # a sentence and exit code 1 for our own failures, never a traceback; an arm in motion brakes, whatever a task of the
-# user's own raises
-LAST_LINES_OF_DEFENCE = ("cli.py", "control/servo_loop.py")
+# user's own, or a driver, raises
+LAST_LINES_OF_DEFENCE = ("cli.py", "control/servo_loop.py", "control/driver.py")
 MAX_LINES, MAX_FUNCTION_LINES = 700, 50
 LONG_FILES: dict[str, int] = {}
 

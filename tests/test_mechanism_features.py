@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 from test_gradients import central_difference, postures
@@ -15,8 +17,8 @@ from manip_learn.control.compiled_controller import CompiledController
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies.manipulability_ascent import ManipulabilityAscent
 from manip_learn.control.simulation import simulate
-from manip_learn.control.tasks.task import Hold
-from manip_learn.errors import ConstraintError, ConstraintMismatchError, FeatureError
+from manip_learn.control.tasks import Hold, PointAttractor
+from manip_learn.errors import ConstraintMismatchError, FeatureError
 
 AXIS, POINT, PITCH = (0.3, -0.5, 0.8), (0.4, 0.2, 0.3), 0.07
 ROBOTS = ["one", "planar3", "gantry", "ur5", "kinova", "panda", "mimic", "rover"]
@@ -36,11 +38,12 @@ def rows_of(robot, name, rows, **changed):
     return MechanismRows(robot, TIPS.get(name, "tip"), rows, **options)
 
 
+@pytest.mark.parametrize("radius", [None, 0.3])
 @pytest.mark.parametrize("name", ROBOTS)
-def test_derivative_of_every_row(robot_of, rng, name):
+def test_derivative_of_every_row(robot_of, rng, name, radius):
     """dPhi/dq is right to 1e-8 at random and at singular postures, whatever the joints, and the cheap forms agree."""
     robot = robot_of(name)
-    features = rows_of(robot, name, tuple(FIELDS))
+    features = rows_of(robot, name, tuple(FIELDS), radius=radius)
     selection = np.linalg.qr(rng.normal(size=(features.n_rows, 4)))[0].T
     for q in postures(robot, rng):
         exact, expected = features.derivative(q), central_difference(features, robot, q)
@@ -56,11 +59,12 @@ def test_derivative_of_every_row(robot_of, rng, name):
         np.testing.assert_allclose(contract(weights), wanted, rtol=0, atol=1e-12 * scale)
 
 
+@pytest.mark.parametrize("radius", [None, 0.3])
 @pytest.mark.parametrize("name", ROBOTS)
-def test_batch_equals_single(robot_of, rng, name):
+def test_batch_equals_single(robot_of, rng, name, radius):
     """Values, derivatives and contractions of a batch are those of its postures one by one."""
     robot = robot_of(name)
-    features = rows_of(robot, name, tuple(FIELDS))
+    features = rows_of(robot, name, tuple(FIELDS), radius=radius)
     q = np.stack([robot.random_configuration(rng) for _ in range(7)])
     Phi, dPhi = features.batch_with_derivative(q)
     single = [features.value_and_derivative(x) for x in q]
@@ -77,10 +81,15 @@ def test_batch_equals_single(robot_of, rng, name):
 def test_manipulability_gradient(robot_of, rng, name, rows):
     """grad mu of constraints on these rows is right to 1e-6, one posture or many."""
     robot = robot_of(name)
-    features = rows_of(robot, name, rows)
+    features = rows_of(robot, name, rows, radius=0.4 if name == "panda" else None)
     constraint = Constraint(np.eye(features.n_rows), features)
     q = np.stack([robot.random_configuration(rng) for _ in range(4)])
     batch = manipulability_batch(constraint, q)
+    if find_spec("numba"):
+        kernel = manipulability_batch(constraint, q, compiled=True)
+        np.testing.assert_allclose(kernel.mu, batch.mu, rtol=1e-11, atol=1e-14)
+        scale = 1.0 + np.abs(batch.gradient).max()
+        np.testing.assert_allclose(kernel.gradient, batch.gradient, rtol=0, atol=1e-11 * scale)
     for i, x in enumerate(q):
         mu, gradient = manipulability(constraint, x), manipulability_gradient(constraint, x)
         assert batch.mu[i] == pytest.approx(mu, rel=1e-9, abs=1e-12)
@@ -124,7 +133,7 @@ def test_the_motion_of_a_hinge_is_free(robot_of, rng):
 def test_files_keep_every_bit(robot_of, rng, tmp_path, rows):
     """A saved constraint comes back with the same rows and the same numbers."""
     robot = robot_of("panda")
-    features = rows_of(robot, "panda", rows)
+    features = rows_of(robot, "panda", rows, radius=0.25 if "radial" in rows else None)
     constraint = Constraint(rng.normal(size=(1, features.n_rows)), features)
     back = Constraint.load(constraint.save(tmp_path / "door.json"), robot)
     q = robot.random_configuration(rng)
@@ -138,18 +147,32 @@ def test_files_keep_every_bit(robot_of, rng, tmp_path, rows):
 
 
 def test_the_controller_keeps_the_door_on_its_circle(robot_of):
-    """While it climbs mu in the null space the hand stays on the circle, and mu grows; no kernel claims these rows."""
+    """While it climbs mu in the null space the hand stays on the circle, and mu grows, compiled or not."""
     robot = robot_of("panda")
     q = robot.configuration([0.1, -0.3, -0.1, -2.0, 0.1, 1.8, 0.7])
     features = rows_of(robot, "panda", "radial axial")
     constraint = Constraint(np.eye(2), features)
     controller = ResolvedRateController(constraint, task=Hold(), null_policy=ManipulabilityAscent(constraint))
-    with pytest.raises(ConstraintError, match="MechanismRows"):
-        CompiledController(controller)
-    rollout = simulate(robot, controller, q, duration=1.0, dt=0.005)
-    r = np.stack([features.coordinates(x) for x in rollout.q])
-    assert np.ptp(r, axis=0).max() < 2e-3
-    assert rollout.manipulability[-1] > 1.02 * rollout.manipulability[0]
+    laws = [controller, CompiledController(controller)] if find_spec("numba") else [controller]
+    for law in laws:
+        rollout = simulate(robot, law, q, duration=1.0, dt=0.005)
+        r = np.stack([features.coordinates(x) for x in rollout.q])
+        assert np.ptp(r, axis=0).max() < 2e-3
+        assert rollout.manipulability[-1] > 1.02 * rollout.manipulability[0]
+
+
+def test_distances_of_a_door_of_known_radius(robot_of, rng):
+    """Distances from the axis and along it move as `coordinates_jacobian` says; a target for them is come to."""
+    robot = robot_of("panda")
+    q = robot.configuration([0.1, -0.3, -0.1, -2.0, 0.1, 1.8, 0.7])
+    features = rows_of(robot, "panda", "radial axial", radius=0.3)
+    expected = central_difference(features.coordinates, robot, q)
+    np.testing.assert_allclose(features.coordinates_jacobian(q), expected, atol=1e-8)
+    goal = features.coordinates(q) + [0.05, -0.04]
+    task = PointAttractor(goal, 4.0)
+    rollout = simulate(robot, ResolvedRateController(Constraint(np.eye(2), features), task), q, 3.0, 0.01)
+    np.testing.assert_allclose(features.coordinates(rollout.q[-1]), goal, atol=1e-4)
+    assert rollout.task_error[-1] < 1e-4
 
 
 def test_wrong_arguments_say_what_is_wrong(robot_of):
@@ -162,6 +185,8 @@ def test_wrong_arguments_say_what_is_wrong(robot_of):
         ({"rows": "axial", "axis": (0, 0, 0)}, "no direction"),
         ({"rows": "axial", "point": (0, np.nan, 0)}, "finite"),
         ({"rows": "axial", "pitch": np.inf}, "pitch"),
+        ({"rows": "radial", "radius": 0.0}, "radius"),
+        ({"rows": "radial", "radius": np.nan}, "radius"),
     ]
     for options, message in wrong:
         with pytest.raises(FeatureError, match=message):

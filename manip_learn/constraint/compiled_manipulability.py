@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from manip_learn.constraint.compiled_rows import MIX_WIDTH, joint_weights, mix_rows, rows_vjp
 from manip_learn.robot.batch.compiled_kinematics import LANES, LOCAL, columns_of, joint_turns
-from manip_learn.robot.batch.compiled_vjp import GRADIENT, WEIGHTS, jacobian_vjp
+from manip_learn.robot.batch.compiled_vjp import GRADIENT
 from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 
 
@@ -50,34 +51,37 @@ def solve_transposed(L, Q):
 
 
 @compiled
-def manipulability_and_gradient(table, postures, selection, public, least, mu, ill, gradient):
+def manipulability_and_gradient(table, postures, selection, s, form, public, least, mu, ill, gradient):
     """mu, whether the answer is too inaccurate to use, and grad mu = mu A^{+T} : dA/dq in the public columns.
 
     Args:
         table: The chain, see `chain_table`.
         postures: Joint positions, shape (n, nv).
-        selection: Lambda, padded to the six rows of the Jacobian, shape (s, 6).
+        selection: Lambda's table, see `compiled_form`.
+        s: Number of rows of Lambda.
+        form: See `compiled_form`.
         public: Public column of each joint of the chain, base first.
         least: Shortest orthogonalised row, relative to the longest row of A, that is accurate enough.
         mu: shape (n,), written.
         ill: shape (n,), written; the gradient is left alone there.
         gradient: shape (n, nv), written in the public columns.
     """
-    joints, s = public.shape[0], selection.shape[0]
-    turns, angle, work = np.empty((joints, 3 * LANES)), np.empty(LANES), np.empty((joints + 1, GRADIENT + 1))
+    joints, at = public.shape[0], public.shape[0] + 1
+    turns, angle, work = np.empty((joints, 3 * LANES)), np.empty(LANES), np.empty((at + s + 1, MIX_WIDTH))
     Q, L, local = np.empty((s, joints)), np.empty((s, s)), table[1, LOCAL] != 0.0
     for first in range(0, postures.shape[0], LANES):
         size = min(LANES, postures.shape[0] - first)
         joint_turns(table, postures, first, size, turns, angle)
         for m in range(size):
-            columns_of(table, 0, joints, turns, 0, m, LANES, work, 0)
+            p0, p1, p2 = columns_of(table, 0, joints, turns, 0, m, LANES, work, 0)
+            mix_rows(selection, 0, s, form, p0, p1, p2, work, at)
             longest = 0.0
             for i in range(s):
                 square = 0.0
                 for j in range(joints):
                     total = 0.0
                     for k in range(6):
-                        total += selection[i, k] * work[j, k]
+                        total += work[at + i, k] * work[j, k]
                     Q[i, j] = total
                     square += total * total
                 longest = max(longest, square)
@@ -88,11 +92,7 @@ def manipulability_and_gradient(table, postures, selection, public, least, mu, i
                 continue
             solve_transposed(L, Q)
             for j in range(joints):
-                for k in range(6):
-                    total = 0.0
-                    for i in range(s):
-                        total += Q[i, j] * selection[i, k]
-                    work[j, WEIGHTS + k] = volume * total
-            jacobian_vjp(work, 0, joints, local)
+                joint_weights(s, form, Q, j, work, j, at)
+            rows_vjp(s, form, joints, local, work, 0, at)
             for j in range(joints):
-                gradient[first + m, public[j]] = work[j, GRADIENT]
+                gradient[first + m, public[j]] = volume * work[j, GRADIENT]

@@ -16,8 +16,9 @@ from manip_learn.constraint.features.described_features import described_feature
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, row_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.constraint.features.place_rows import PlaceRows
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
-from manip_learn.constraint.mechanism import Mechanism, read_mechanism
+from manip_learn.constraint.mechanism import Mechanism, named_rows, read_mechanism
 from manip_learn.constraint.mechanism_kinds import TURNING
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, spoken
 from manip_learn.linalg import along_axes, orthonormal_rows
@@ -103,19 +104,27 @@ class Constraint:
             return None
         return read_mechanism(self.selection, self.features, self.provenance)
 
+    def about_its_mechanism(self) -> Constraint:
+        """The same rows, named after the mechanism: `MechanismRows`, or a frame's, in the place of `PlaceRows`.
+
+        The constraint itself where its features are others, or hold no mechanism that has a name.
+        """
+        if not isinstance(self.features, PlaceRows):
+            return self
+        features, selection = named_rows(self.mechanism, self.features, self.selection)
+        return Constraint(selection, features, self.provenance)
+
     def with_orientation(self) -> Constraint:
         """The same rows, and below them those that hold the orientation of the frame too, as far as these do not.
 
         Raises:
             ConstraintError: Features without a frame that could turn.
         """
-        f = self.features
+        named = self.about_its_mechanism()
+        f = named.features
         if isinstance(f, MechanismRows):
             added = tuple(name for name in TURNING if name not in f.row_names)
-            g = f.geometry
-            features: FeatureMap = MechanismRows(
-                f.robot, f.frame.name, (*f.row_names, *added), axis=g.axis, point=g.point, pitch=g.pitch
-            )
+            features: FeatureMap = f.with_rows((*f.row_names, *added), f.radius)
             turning = [i for i, name in enumerate(features.row_names) if name in TURNING]
             columns = list(range(f.n_rows))
         elif isinstance(f, FrameJacobian | RelativeFrameJacobian):
@@ -126,8 +135,8 @@ class Constraint:
             turning, columns = [3, 4, 5], [AXES.index(name) for name in f.row_names]
         else:
             raise ConstraintError(f"{f!r} belong to no frame whose orientation could be held")
-        held = np.zeros((self.n_constraints, features.n_rows))
-        held[:, columns] = self.selection
+        held = np.zeros((named.n_constraints, features.n_rows))
+        held[:, columns] = named.selection
         turns = np.eye(features.n_rows)[turning]
         _, sigma, Vt = np.linalg.svd(turns - turns @ held.T @ held)
         return Constraint(np.vstack([held, Vt[: int(np.count_nonzero(sigma > 0.5))]]), features, self.provenance)

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.weighed_velocity import compiled_form
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_of
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics, kernels
 from manip_learn.robot.batch.postures import checked_postures, positions_of
@@ -53,7 +53,7 @@ def manipulability_batch(
     Args:
         constraint: A(q).
         q: Configurations (nq) or joint positions (nv), one per row.
-        compiled: Use numba (equal to 1e-12), for rows of one frame's Jacobian; None: where it is installed and n is
+        compiled: Use numba (equal to 1e-12), for rows of one frame; None: where it is installed and n is
             large.
         workers: Number of threads; None for one per core. The numbers do not depend on it.
 
@@ -85,21 +85,22 @@ def _compiled(
     constraint: Constraint, postures: np.ndarray, out: ManipulabilityBatch, ill: np.ndarray
 ) -> Callable[[slice], None] | None:
     """What fills a part of mu, gradient and `ill` in compiled code; None where these features have none."""
-    features = constraint.features
-    if not isinstance(features, FrameJacobian):
+    features, known = constraint.features, compiled_form(constraint.features, constraint.selection)
+    if known is None:
         return None
-    kinematics = batch_kinematics(features.robot, features.frame)
+    kinematics = batch_kinematics(features.robot, features.frame)  # type: ignore[attr-defined]  # rows of a frame
     public = kinematics.public_columns
     if public is None:
         return None
     from manip_learn.constraint.compiled_manipulability import manipulability_and_gradient
 
-    positions = positions_of(features.robot, postures)
-    table, selection = kinematics.chain_table(features.reference), features.padded(constraint.selection)
+    positions = positions_of(features.robot, postures)  # type: ignore[attr-defined]
+    (selection, form, reference), s = known, constraint.n_constraints
+    table = kinematics.chain_table(reference)
 
     def fill(part: slice) -> None:
         results = (out.mu[part], ill[part], out.gradient[part])
-        manipulability_and_gradient(table, positions[part], selection, public, LEAST_LENGTH_RATIO, *results)
+        manipulability_and_gradient(table, positions[part], selection, s, form, public, LEAST_LENGTH_RATIO, *results)
 
     return fill
 

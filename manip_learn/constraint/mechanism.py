@@ -6,6 +6,7 @@ twists; the type, the axis and the pitch of a mechanism are therefore read from 
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -18,9 +19,12 @@ from jaxtyping import Float
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.constraint.features.place_fields import AT_A_DISTANCE, Place
+from manip_learn.constraint.features.place_rows import PlaceRows
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
-from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS, MechanismType, Orientation
-from manip_learn.linalg import complement_rows
+from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS, MechanismKind, MechanismType, Orientation
+from manip_learn.constraint.mechanism_reading import Read, of_point_rows, of_twists, on_twist, read_kind, rows_of
+from manip_learn.linalg import null_basis
 
 Grip = Literal["loose", "firm"]
 # rows of translation and of rotation stand apart where each is held to this share, or free to it: a row of a learnt
@@ -175,12 +179,14 @@ def read_mechanism(
         learnt: What is known of how Lambda was learnt, empty if it was not: the mechanism fitted to positions adds the
             place, the radius and the uncertainty, if it is the mechanism of these rows.
     """
-    read, fitted = None, learnt.get("mechanism")
+    read, fitted, angle = None, learnt.get("mechanism"), learnt.get("uncertainty_deg")
+    spread = math.radians(angle) if isinstance(angle, int | float) else 0.0
     if isinstance(features, MechanismRows):
-        read = _of_place_rows(selection, features)
+        read = _of_mechanism_rows(selection, features)
+    elif isinstance(features, PlaceRows):
+        read = _of_place_rows(selection, features, learnt.get("postures"), spread)
     elif isinstance(features, FrameJacobian | RelativeFrameJacobian):
-        spread = learnt.get("uncertainty_deg")
-        read = _of_twist_rows(selection, features, math.radians(spread) if isinstance(spread, int | float) else 0.0)
+        read = _of_twist_rows(selection, features, spread)
     if read is None or not isinstance(fitted, Mapping):
         return read
     try:
@@ -193,66 +199,90 @@ def read_mechanism(
     return known if same else read
 
 
-def _of_place_rows(selection: np.ndarray, features: MechanismRows) -> Mechanism | None:
+def _of_mechanism_rows(selection: np.ndarray, features: MechanismRows) -> Mechanism | None:
     shares = np.einsum("sp,sp->p", selection, selection)
     if np.any(np.abs(shares - np.round(shares)) > CLEAR_SHARE):
         return None
     held = {name for name, share in zip(features.row_names, shares, strict=True) if share > 0.5}
     kind = next((k for k in MECHANISM_KINDS if set(k.rows) == held), None)
-    if kind is None:
+    return None if kind is None else _of_kind(kind, features.geometry, features.radius)
+
+
+def _of_place_rows(selection: np.ndarray, features: PlaceRows, postures: Any, spread: float) -> Mechanism | None:
+    """The hand is where the postures show it; without them its radius is unknown, and so is a helix."""
+    shown = features.middle[None]
+    if isinstance(postures, list) and postures:
+        shown = np.array([features.robot.position(q, features.frame) for q in postures])
+    read = read_kind(features, selection, np.zeros((0, features.n_rows)), shown)
+    if read is None or (read[0].name == "screw" and not postures):
         return None
-    g, firm = features.geometry, kind.orientation == "carried"
+    (kind, place), radius = _hinge_or_screw(read, shown[0], spread), None
+    if postures and set(kind.rows) & set(AT_A_DISTANCE):
+        out = shown - place.point
+        out -= 0.0 if kind.type == "ball" else np.outer(out @ place.axis, place.axis)
+        radius = float(np.linalg.norm(out, axis=1).mean())
+    found = _of_kind(kind, place, radius)
+    return dataclasses.replace(found, axis=None) if kind.name == "orientation" else found
+
+
+def _of_kind(kind: MechanismKind, place: Place, radius: float | None) -> Mechanism:
     return Mechanism(
         kind.type,
-        None if kind.type == "ball" else g.axis,
-        None if kind.type == "held-orientation" else g.point,
-        pitch=g.pitch if kind.type == "screw" else None,
-        grip="firm" if firm else "loose",
-        orientation=kind.orientation,
+        None if kind.type == "ball" else place.axis,
+        None if kind.type == "held-orientation" else place.point,
+        radius,
+        place.pitch if kind.type == "screw" else None,
+        "firm" if kind.orientation == "carried" else "loose",
+        kind.orientation,
         name=kind.name,
     )
+
+
+def named_rows(
+    mechanism: Mechanism | None, features: FeatureMap, selection: Float[np.ndarray, "s p"]
+) -> tuple[FeatureMap, Float[np.ndarray, "s r"]]:
+    """Phi and Lambda of rows that are named after the mechanism, in the place of those of `PlaceRows`."""
+    kind = next((k for k in MECHANISM_KINDS if mechanism is not None and k.name == mechanism.name), None)
+    if mechanism is None or kind is None or not isinstance(features, PlaceRows):
+        return features, selection
+    axis = np.array([0.0, 0.0, 1.0]) if mechanism.axis is None else mechanism.axis
+    point = features.middle if mechanism.point is None else mechanism.point
+    place = Place(axis / np.linalg.norm(axis), point, mechanism.pitch or 0.0)
+    return rows_of(kind, place, mechanism.radius, features.robot, features.frame.name)
 
 
 def _of_twist_rows(
     selection: np.ndarray, features: FrameJacobian | RelativeFrameJacobian, spread: float
 ) -> Mechanism | None:
-    """From constant rows of a frame's twist (v, w) of its origin, known to an angle [rad]."""
-    in_hand = isinstance(features, FrameJacobian) and features.reference == "local"
-    in_base = isinstance(features, FrameJacobian) and not in_hand
-    watched = [AXES.index(name) for name in features.row_names]
-    held = np.zeros((len(selection), len(AXES)))
-    held[:, watched] = selection
-    if in_hand and len(held) == 5 and len(watched) == len(AXES):
-        return _of_one_twist(complement_rows(held)[0], spread)
-    ranks = []
-    for block in (held[:, :3], held[:, 3:]):
-        sigma = np.linalg.svd(block, compute_uv=False)
-        if np.any((sigma > CLEAR_SHARE) & (sigma < 1.0 - CLEAR_SHARE)):
+    """From constant rows of a frame's twist (v, w) of its origin, known to an angle [rad]; of no place in the base."""
+    reference = features.reference if isinstance(features, FrameJacobian) else None
+    hand, none = np.zeros(3), np.zeros((0, features.n_rows))
+    if reference == "local" and len(selection) == 5 and features.n_rows == len(AXES):
+        read = of_twists(null_basis(on_twist(features.row_names, selection)).T, hand)
+        if read is None:
             return None
-        ranks.append(int(np.count_nonzero(sigma > 0.5)))
-    turns: Orientation = {0: "free", 2: "about-axis", 3: "fixed"}.get(ranks[1], "other")  # type: ignore[assignment]
-    all_linear = set(range(3)) <= set(watched)
-    types: dict[int, MechanismType] = {0: "held-orientation", 1: "plane", 2: "line"}
-    if turns == "other" or ranks[0] not in types or (ranks[0] and not all_linear) or ranks == [0, 0]:
+        kind, place = _hinge_or_screw(read, hand, spread)
+        found = _of_kind(kind, place, None if kind.type == "line" else float(np.linalg.norm(place.point)))
+        return dataclasses.replace(found, axis=None, point=None, grip="firm")
+    held, blind = (on_twist(features.row_names, rows, distance=True) for rows in (selection, none))
+    read = of_point_rows(held, blind, hand, aligned=False)
+    if read is None:
         return None
-    if in_hand and ranks[0] and turns != "fixed":
-        return None  # directions of a hand that turns are no line and no plane
-    _, _, Vt = np.linalg.svd(held[:, :3] if ranks[0] else held[:, 3:])
-    axis = Vt[0] if ranks[0] == 1 else Vt[2] if ranks[0] == 2 or ranks[1] == 2 else None
-    if axis is not None:
-        axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
-    kind: MechanismType = types[ranks[0]]
-    name = next((k.name for k in MECHANISM_KINDS if (k.type, k.orientation) == (kind, turns)), kind)
-    return Mechanism(kind, axis if in_base else None, orientation=turns, name=name)
+    kind, place = read
+    if kind.type != "held-orientation":
+        if not set(AXES[:3]) <= set(features.row_names):
+            return None
+        if reference == "local" and kind.orientation != "fixed":
+            return None  # directions of a hand that turns are no line and no plane
+    axis = place.axis * np.sign(place.axis[np.argmax(np.abs(place.axis))])
+    known = reference == "world" and kind.name != "orientation"
+    return dataclasses.replace(_of_kind(kind, place, None), axis=axis if known else None, point=None)
 
 
-def _of_one_twist(twist: Float[np.ndarray, " 6"], spread: float) -> Mechanism:
-    """A hinge, a screw or a line that is fixed to the hand: the one twist that is left free, in the hand's axes."""
-    v, w = twist[:3], twist[3:]
-    turn = float(w @ w)
-    if turn < CLEAR_SHARE**2:
-        return Mechanism("line", orientation="fixed", grip="firm", name="line, not turning")
-    pitch, radius = float(v @ w) / turn, float(np.linalg.norm(np.cross(w, v))) / turn
-    if abs(pitch) < max(LEAST_PITCH, 3.0 * spread * math.hypot(1.0, radius)):  # three standard deviations
-        return Mechanism("hinge", radius=radius, grip="firm", orientation="carried", name="hinge, firm")
-    return Mechanism("screw", radius=radius, pitch=pitch, grip="firm", orientation="carried", name="screw, firm")
+def _hinge_or_screw(read: Read, hand: Float[np.ndarray, " 3"], spread: float) -> Read:
+    """The one twist of a firm grip is a hinge's unless it travels more than three standard deviations of its angle."""
+    kind, place = read
+    radius = float(np.linalg.norm(place.point - hand))
+    if kind.name != "screw, firm" or abs(place.pitch) >= max(LEAST_PITCH, 3.0 * spread * math.hypot(1.0, radius)):
+        return read
+    return next(k for k in MECHANISM_KINDS if k.name == "hinge, firm"), place

@@ -37,72 +37,40 @@ class MechanismKind:
         return len(self.rows)
 
     @property
-    def n_unknowns(self) -> int:
-        """Number of shared parameters."""
-        return sum({"axis": 2, "point-across": 2, "point": 3, "pitch": 1}[name] for name in self.unknowns)
-
-    @property
     def constant(self) -> bool:
         """Whether its rows are constant rows of the frame's Jacobian."""
         return self.type in ("line", "plane", "held-orientation")
 
 
-_ABOUT = ("turn-1", "turn-2")
 TURNING = ("turn-1", "turn-2", "turn")  # the rows that make up an angular velocity
-_AXIS, _AXLE = ("axis",), ("axis", "point-across")
-MECHANISM_KINDS: tuple[MechanismKind, ...] = (
-    MechanismKind("plane", "plane", "free", ("height",), _AXIS, ("axial",)),
-    MechanismKind("plane, turning", "plane", "about-axis", ("height", "axis-in-hand"), _AXIS, ("axial", *_ABOUT)),
-    MechanismKind("plane, not turning", "plane", "fixed", ("height", "orientation"), _AXIS, ("axial", *TURNING)),
-    MechanismKind("line", "line", "free", ("across-line",), _AXIS, ("slide-1", "slide-2")),
-    MechanismKind(
-        "line, not turning", "line", "fixed", ("across-line", "orientation"), _AXIS, ("slide-1", "slide-2", *TURNING)
-    ),
-    MechanismKind("hinge", "hinge", "free", ("radius", "height"), _AXLE, ("radial", "axial")),
-    MechanismKind(
-        "hinge, turning",
-        "hinge",
-        "about-axis",
-        ("radius", "height", "axis-in-hand"),
-        _AXLE,
-        ("radial", "axial", *_ABOUT),
-    ),
-    MechanismKind(
-        "hinge, not turning",
-        "hinge",
-        "fixed",
-        ("radius", "height", "orientation"),
-        _AXLE,
-        ("radial", "axial", *TURNING),
-    ),
-    MechanismKind(
-        "hinge, firm",
-        "hinge",
-        "carried",
-        ("axis-in-hand", "point-in-hand"),
-        _AXLE,
-        (*_ABOUT, "slide-1", "slide-2", "slide"),
-    ),
-    MechanismKind("ball", "ball", "free", ("distance",), ("point",), ("spherical",)),
-    MechanismKind("ball, firm", "ball", "carried", ("point-in-hand",), ("point",), ("slide-1", "slide-2", "slide")),
-    MechanismKind("cylinder", "other", "free", ("radius",), _AXLE, ("radial",)),
-    MechanismKind(
-        "sleeve, firm",
-        "other",
-        "carried",
-        ("axis-in-hand", "axis-line-in-hand"),
-        _AXLE,
-        (*_ABOUT, "slide-1", "slide-2"),
-    ),
-    MechanismKind("screw", "screw", "free", ("radius", "thread"), (*_AXLE, "pitch"), ("radial", "helical")),
-    MechanismKind(
+_ABOUT, _AXLE = "turn-1 turn-2", "axis point-across"
+# name, type, orientation, what is constant, what is fitted, rows
+_TABLE: tuple[tuple[str, MechanismType, Orientation, str, str, str], ...] = (
+    ("plane", "plane", "free", "height", "axis", "axial"),
+    ("plane, turning", "plane", "about-axis", "height axis-in-hand", "axis", f"axial {_ABOUT}"),
+    ("plane, not turning", "plane", "fixed", "height orientation", "axis", f"axial {_ABOUT} turn"),
+    ("line", "line", "free", "across-line", "axis", "slide-1 slide-2"),
+    ("line, not turning", "line", "fixed", "across-line orientation", "axis", f"slide-1 slide-2 {_ABOUT} turn"),
+    ("hinge", "hinge", "free", "radius height", _AXLE, "radial axial"),
+    ("hinge, turning", "hinge", "about-axis", "radius height axis-in-hand", _AXLE, f"radial axial {_ABOUT}"),
+    ("hinge, not turning", "hinge", "fixed", "radius height orientation", _AXLE, f"radial axial {_ABOUT} turn"),
+    ("hinge, firm", "hinge", "carried", "axis-in-hand point-in-hand", _AXLE, f"{_ABOUT} slide-1 slide-2 slide"),
+    ("ball", "ball", "free", "distance", "point", "spherical"),
+    ("ball, firm", "ball", "carried", "point-in-hand", "point", "slide-1 slide-2 slide"),
+    ("cylinder", "other", "free", "radius", _AXLE, "radial"),
+    ("sleeve, firm", "other", "carried", "axis-in-hand axis-line-in-hand", _AXLE, f"{_ABOUT} slide-1 slide-2"),
+    ("screw", "screw", "free", "radius thread", f"{_AXLE} pitch", "radial helical"),
+    (
         "screw, firm",
         "screw",
         "carried",
-        ("axis-in-hand", "screw-in-hand"),
-        (*_AXLE, "pitch"),
-        (*_ABOUT, "slide-1", "slide-2", "screw"),
+        "axis-in-hand screw-in-hand",
+        f"{_AXLE} pitch",
+        f"{_ABOUT} slide-1 slide-2 screw",
     ),
-    MechanismKind("direction", "held-orientation", "about-axis", ("axis-in-hand",), _AXIS, _ABOUT),
-    MechanismKind("orientation", "held-orientation", "fixed", ("orientation",), (), TURNING),
+    ("direction", "held-orientation", "about-axis", "axis-in-hand", "axis", _ABOUT),
+    ("orientation", "held-orientation", "fixed", "orientation", "", f"{_ABOUT} turn"),
+)
+MECHANISM_KINDS: tuple[MechanismKind, ...] = tuple(
+    MechanismKind(*row[:3], *(tuple(words.split()) for words in row[3:])) for row in _TABLE
 )

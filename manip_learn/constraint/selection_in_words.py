@@ -13,6 +13,7 @@ from manip_learn.constraint.features.frame_jacobian import AXES as TWIST
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.constraint.mechanism import Mechanism, in_words
 from manip_learn.errors import error_in_words, listed
 from manip_learn.linalg import along_axes, null_basis
@@ -135,7 +136,7 @@ def _subject(features: FeatureMap) -> str:
         return f"Seen from {features.relative_to.name!r}, the tip"
     if isinstance(features, FrameJacobian):
         return "The tip" if features.reference == "world" else "In its own axes, the tip"
-    if isinstance(features, MechanismRows):
+    if isinstance(features, WeighedVelocity):
         return "The tip"
     return "The centre of mass" if isinstance(features, CentreOfMass) else "The motion"
 

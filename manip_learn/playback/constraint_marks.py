@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
+from manip_learn.constraint.features import FrameJacobian, RelativeFrameJacobian
 from manip_learn.constraint.features.frame_jacobian import AXES
+from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.playback.guidance import Guidance
 from manip_learn.playback.held_directions import HeldDirections, held_directions
 from manip_learn.playback.motion_samples import MotionSamples
@@ -119,14 +120,14 @@ def target_place(
 ) -> dict[str, Any] | None:
     """Place of the target in the frame of a joint; coordinates that the target lacks are those of the start."""
     features = constraint.features
-    if target is None or not isinstance(features, FrameJacobian | RelativeFrameJacobian | MechanismRows):
+    if target is None or not isinstance(features, FrameJacobian | RelativeFrameJacobian | WeighedVelocity):
         return None
     carrier = features.relative_to if isinstance(features, RelativeFrameJacobian) else None
     pose = robot.pose(q, features.frame)
     here = pose[:3, 3] if carrier is None else (np.linalg.inv(robot.pose(q, carrier)) @ pose)[:3, 3]
     if target.shape == (4, 4):
         point = target[:3, 3]
-    elif isinstance(features, MechanismRows):
+    elif isinstance(features, WeighedVelocity):
         return None  # distances from an axis are no place
     else:
         point = _completed(constraint, target, here, features.coordinates(q))

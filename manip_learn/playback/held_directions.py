@@ -11,13 +11,12 @@ from jaxtyping import Float
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
 from manip_learn.constraint.features.frame_jacobian import AXES
-from manip_learn.constraint.features.place_fields import weights
+from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.linalg import null_basis, row_basis
 from manip_learn.robot.frame import Frame
 
 COUPLED = 0.1  # part of a learnt unit row that turns, up to which it counts as one that only moves, and the other way
 EXACT = 1e-6  # the same of a mechanism's rows
-TURNING_ROWS = ("turn", "slide", "screw")
 
 
 @final
@@ -54,11 +53,12 @@ def held_directions(constraint: Constraint, places: Float[np.ndarray, "T 3"]) ->
         places: Origin of the frame along the motion, in the base frame [m].
     """
     features = constraint.features
-    if isinstance(features, MechanismRows):
-        W = weights(features.row_names, places, features.geometry)[0]
-        turning = any(name.startswith(TURNING_ROWS) for name in features.row_names)
+    if isinstance(features, WeighedVelocity):
+        W = features.weights(places)[0]
+        turning = bool(np.any(W[..., 3:]))
         observed = np.eye(3), np.eye(3) if turning else np.zeros((3, 3))
-        parts = [_parts(constraint.selection @ w, observed, EXACT) for w in W]
+        learnt = not isinstance(features, MechanismRows)  # a mixture, where a mechanism's rows are what they are
+        parts = [_parts(constraint.selection @ w, observed, COUPLED if learnt else EXACT) for w in W]
         return HeldDirections(features.frame, None, *(np.array([p[k] for p in parts]) for k in range(4)))
     if not isinstance(features, FrameJacobian | RelativeFrameJacobian):
         return None

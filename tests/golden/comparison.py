@@ -33,6 +33,7 @@ LOOSER: tuple[tuple[str, str, float], ...] = (
     ("learn planar 20 recordings, planar, world, rows None, separate", "", 1e-3),
     # a thousandth of a radian from a singularity: velocities grow with the inverse of the distance
     ("command", "velocity", 1e-8),
+    ("compiled", "velocity", 1e-8),
     # the share of a command that limits leave, of which some is a billionth of what it is taken from
     ("command", "scales", 2e-8),
 )

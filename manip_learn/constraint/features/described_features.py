@@ -8,6 +8,7 @@ from manip_learn.constraint.features.centre_of_mass import CentreOfMass
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.constraint.features.place_rows import PlaceRows
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.features.stacked import Stacked
 from manip_learn.errors import ConstraintMismatchError
@@ -30,6 +31,8 @@ def described_features(described: dict[str, Any], robot: Robot) -> FeatureMap:
         return CentreOfMass(robot, " ".join(described["axes"]))
     if kind == "mechanism-rows":
         return MechanismRows.from_description(robot, described)
+    if kind == "place-rows":
+        return PlaceRows(robot, described["frame"], described["form"], described["middle"])
     if kind == "stacked":
         return Stacked([described_features(part, robot) for part in described["parts"]])
     raise ConstraintMismatchError(f"unknown kind of features {kind!r}: this file comes from a newer version")

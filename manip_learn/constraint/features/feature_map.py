@@ -149,3 +149,8 @@ def row_in_words(row: Float[np.ndarray, " p"], names: Sequence[str]) -> str:
     if np.count_nonzero(counts) == 1:
         return names[int(np.argmax(counts))]
     return "(" + ", ".join(f"{c + 0.0:.2f}" for c in np.where(counts, row, 0.0)) + ")"
+
+
+def sum_in_words(row: Float[np.ndarray, " p"], names: Sequence[str], form: str, least: float) -> str:
+    """A combination of rows as a sum, e.g. `+0.6 x +0.8 y`: coefficients in this format, larger than the least."""
+    return " ".join(f"{c:{form}} {name}" for c, name in zip(row, names, strict=True) if abs(c) > least)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, Literal, final, get_args
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.frame_jacobian import AXES
-from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
+from manip_learn.constraint.features.weighed_velocity import PlaceWeights, WeighedVelocity
 from manip_learn.errors import FeatureError
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import skew
@@ -52,31 +50,27 @@ class PlaceRows(WeighedVelocity):
         m = np.array(middle, dtype=np.float64)
         if m.shape != (3,) or not np.all(np.isfinite(m)):
             raise FeatureError(f"the middle must be three finite numbers [m], got {m.tolist()}")
-        self.robot, self.frame, self.form, self.middle = robot, robot.frame(frame), form, m
-        self.nv = robot.nv
+        super().__init__(robot, frame)
+        self.form, self.middle = form, m
         unit, none = np.eye(3), np.zeros((3, 3))
         if form == "twist":
             self.row_names, self.row_units = AXES, ("m/s",) * 3 + ("rad/s",) * 3
-            self._constant = np.block([[unit, -skew(m)], [none, unit]])
-            self._by_place = np.stack([np.block([[none, skew(e)], [none, none]]) for e in unit], axis=-1)
+            constant = np.block([[unit, -skew(m)], [none, unit]])
+            by_place = np.stack([np.block([[none, skew(e)], [none, none]]) for e in unit], axis=-1)
         elif form == "surface":
             products = tuple(f"{a}{b}" for a in AXES[:3] for b in AXES[:3])
             self.row_names, self.row_units = (*AXES[:3], *products), ("m/s",) * 3 + ("m^2/s",) * 9
-            self._constant = np.concatenate([np.eye(3, 6), *(-m[i] * np.eye(3, 6) for i in range(3))])
-            self._by_place = np.concatenate([np.zeros((3, 6, 3)), *(np.eye(3, 6)[:, :, None] * e for e in unit)])
+            constant = np.concatenate([np.eye(3, 6), *(-m[i] * np.eye(3, 6) for i in range(3))])
+            by_place = np.concatenate([np.zeros((3, 6, 3)), *(np.eye(3, 6)[:, :, None] * e for e in unit)])
         else:
             turns = AXES[3:] if form == "point and rotation" else ()
             self.row_names = (*AXES[:3], "distance", *turns)
             self.row_units = ("m/s",) * 3 + ("m^2/s",) + ("rad/s",) * len(turns)
             rows = 4 + len(turns)
-            self._constant = np.block([[unit, none], [-m[None], np.zeros((1, 3))], [none, unit]])[:rows]
-            self._by_place = np.zeros((rows, 6, 3))
-            self._by_place[3, :3] = unit
-
-    def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
-        """T_0 + sum_k p_k T_k and its derivative at n places [m]."""
-        W = self._constant + np.einsum("rwk,nk->nrw", self._by_place, p)
-        return W, np.broadcast_to(self._by_place, (len(p), *self._by_place.shape))
+            constant = np.block([[unit, none], [-m[None], np.zeros((1, 3))], [none, unit]])[:rows]
+            by_place = np.zeros((rows, 6, 3))
+            by_place[3, :3] = unit
+        self.place_weights = PlaceWeights(constant, by_place)
 
     def describe(self) -> dict[str, Any]:
         """Frame, form and middle, as saved in a constraint file."""
@@ -88,11 +82,6 @@ class PlaceRows(WeighedVelocity):
             "form": self.form,
             "middle": self.middle.tolist(),
         }
-
-    @staticmethod
-    def from_description(robot: Robot, described: Mapping[str, Any]) -> PlaceRows:
-        """The feature map that `describe` wrote down."""
-        return PlaceRows(robot, described["frame"], described["form"], described["middle"])
 
     def __repr__(self) -> str:
         m = ", ".join(f"{x:.4g}" for x in self.middle)

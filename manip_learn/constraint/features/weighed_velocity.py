@@ -1,17 +1,86 @@
-"""Rows W(p) J(q): the velocity of a frame, weighed by where its origin is."""
+"""Rows W(p) J(q): the velocity of a frame, weighed by where its origin is; one form for every mechanism."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, Weigh
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.frame import Frame
-from manip_learn.robot.robot import Robot
+from manip_learn.robot.robot import Reference, Robot
+
+ON_AXIS = 1e-5  # [m] below this distance from the axis (or the centre) a direction fades to zero instead of flipping
+WIDTH = 12  # columns of the table for compiled code
+FREE = 6  # column of a row of Lambda, behind its six weights, where its shares of the rows of unit length begin
+SLOPES, FREE_ROWS = 2, 2  # rows of the table for the slopes of a row, and for a row of unit length
+
+EVERY_ROW = np.eye(6)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PlaceWeights:
+    """W(p) = T_0 + sum_k p_k T_k; row i weighs (v, w) of a frame whose origin is at p, in the base frame.
+
+    Attributes:
+        constant: T_0, shape (r, 6).
+        by_place: T_k, shape (r, 6, 3).
+        free: Rows whose weights of v, y = T_0 + sum_k p_k T_k, are made unit length, y / sqrt(|y|^2 + e^2) with
+            e = `ON_AXIS`; with a direction b (otherwise zero) and a pitch h those of a helix about b at any distance,
+            (|y|^2 b - h y) / sqrt((|y|^2 + e^2) (|y|^2 + h^2 + e^2)). By number: b and h.
+    """
+
+    constant: Float[np.ndarray, "r 6"]
+    by_place: Float[np.ndarray, "r 6 3"]
+    free: Mapping[int, tuple[Float[np.ndarray, " 3"], float]] = field(default_factory=dict)
+
+    def at(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
+        """W(p) and dW/dp at n places [m]."""
+        W = self.constant + (p @ self.by_place.reshape(-1, 3).T).reshape(len(p), -1, 6)
+        dW = np.broadcast_to(self.by_place, (len(p), *self.by_place.shape))
+        if self.free:
+            dW = dW.copy()
+        for i in self.free:
+            W[:, i, :3], dW[:, i, :3] = self.unit_length(i, p)
+        return W, dW
+
+    def unit_length(
+        self, i: int, p: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
+        """The weights of v in a free row, and their derivative along p."""
+        (b, h), Y = self.free[i], self.by_place[i, :3]
+        y = self.constant[i, :3] + p @ Y.T
+        s, along = (y * y).sum(1)[:, None], y @ Y
+        edge, turned, rise = s + ON_AXIS**2, 1.0, 1.0
+        size, df = np.sqrt(edge), Y
+        if b.any():
+            size, turned, rise = np.sqrt(edge * (edge + h * h)), -h, 2.0 * edge + h * h
+            df = 2.0 * b[:, None] * along[:, None] - h * Y
+        f = (s * b + turned * y) / size
+        return f, (df - f[:, :, None] * (rise * along / size)[:, None]) / size[:, None]
+
+    def mixed(self, selection: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "s k"]:
+        """Lambda T_0 (6 columns) and Lambda T_k (18) of the affine rows, then Lambda's shares of the free ones."""
+        free, affine = list(self.free), selection.copy()
+        affine[:, free] = 0.0
+        numbers = np.concatenate([self.constant, self.by_place.reshape(-1, 18)], axis=1)
+        return np.concatenate([affine @ numbers, selection[:, free]], axis=1)
+
+    def table(self, selection: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "k 12"]:
+        """Lambda W(p) as compiled code reads it: `constraint.compiled_rows`."""
+        s, mixed, slopes = len(selection), self.mixed(selection), np.zeros((len(selection), SLOPES * WIDTH))
+        rows, free_rows = np.zeros((s, WIDTH)), np.zeros((len(self.free), FREE_ROWS * WIDTH))
+        rows[:, :6], rows[:, FREE : FREE + len(self.free)], slopes[:, :18] = mixed[:, :6], mixed[:, 24:], mixed[:, 6:24]
+        for row, (i, (b, h)) in zip(free_rows, self.free.items(), strict=True):
+            row[: WIDTH + 4] = [*self.constant[i, :3], *self.by_place[i, :3].reshape(-1), *b, h]
+        return np.concatenate([rows, slopes.reshape(-1, WIDTH), free_rows.reshape(-1, WIDTH)])
 
 
 class WeighedVelocity(FeatureMap):
@@ -20,14 +89,20 @@ class WeighedVelocity(FeatureMap):
     Attributes:
         robot: The robot.
         frame: The frame.
+        place_weights: W.
     """
 
     robot: Robot
     frame: Frame
+    place_weights: PlaceWeights
 
-    @abstractmethod
+    def __init__(self, robot: Robot, frame: str):
+        self.robot, self.frame, self.nv = robot, robot.frame(frame), robot.nv
+        self._kinematics = robot.frame_kinematics(self.frame)
+
     def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
         """W(p) and dW/dp at n places [m]; row i of W weighs (v, w) of the frame."""
+        return self.place_weights.at(p)
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q) = W(p) J(q).
@@ -52,18 +127,28 @@ class WeighedVelocity(FeatureMap):
         turned = W @ H.reshape(6, -1)
         return W @ J, turned.reshape(-1, self.nv, self.nv) + J.T @ (dW @ J[:3])
 
-    def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s p"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
+    def padded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s k"]:
+        """Lambda T_0, Lambda T_k and Lambda's shares of the rows of unit length."""
+        return self.place_weights.mixed(selection)
+
+    def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s k"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
         """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
-        W, dW = self._weights_at(q)
-        mix = padded.dot(W)
-        A, vjp = self.robot.weighted_jacobian_vjp(q, self.frame, "world", mix)
-        J = self.robot.jacobian(q, self.frame, "world").copy()  # may be a view of data that later calls overwrite
-        by_place = padded.dot(dW.reshape(len(W), -1)).reshape(-1, 3)
+        J, vjp = self._kinematics.weighted_vjp(q, "world", EVERY_ROW)
+        p = self._kinematics.placement(q)[0]  # there already
+        slopes = padded[:, 6:24].reshape(-1, 6, 3)
+        mix = padded[:, :6] + slopes.dot(p)
+        if self.place_weights.free:
+            slopes = slopes.copy()
+        for share, i in zip(padded[:, 24:].T, self.place_weights.free, strict=True):
+            f, df = self.place_weights.unit_length(i, p[None])
+            mix[:, :3] += share[:, None] * f
+            slopes[:, :3] += share[:, None, None] * df
+        by_place = slopes.reshape(-1, 3)
 
-        def weighted(weights_of_A: np.ndarray) -> np.ndarray:
-            return vjp(weights_of_A) + weights_of_A.dot(J.T).reshape(-1).dot(by_place).dot(J[:3])
+        def weighted(weights: np.ndarray) -> np.ndarray:
+            return vjp(mix.T.dot(weights)) + weights.dot(J.T).reshape(-1).dot(by_place).dot(J[:3])
 
-        return A, weighted
+        return mix.dot(J), weighted
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
         """Phi at n postures, the rows of q, in bulk.
@@ -103,3 +188,19 @@ class WeighedVelocity(FeatureMap):
 
     def _batch_weights(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         return self.weights(batch_kinematics(self.robot, self.frame).pose(q)[:, :3, 3])
+
+
+def compiled_form(
+    features: FeatureMap, selection: Float[np.ndarray, "s p"]
+) -> tuple[Float[np.ndarray, "k 12"], int, Reference] | None:
+    """What `constraint.compiled_rows` needs of A: Lambda's table, its form, and the reference of its Jacobian.
+
+    None for features that are not compiled; children of those that are are not: what they change would be lost.
+    """
+    if type(features) is FrameJacobian:
+        table = np.zeros((len(selection), WIDTH))
+        table[:, :6] = features.padded(selection)
+        return table, 0, features.reference
+    if isinstance(features, WeighedVelocity):
+        return features.place_weights.table(selection), 1 + len(features.place_weights.free), "world"
+    return None
