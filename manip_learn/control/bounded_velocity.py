@@ -12,7 +12,7 @@ from jaxtyping import Float
 from manip_learn.constraint.small_matrices import svd
 from manip_learn.control.limits import Bounds
 from manip_learn.control.polytope_projection import Projection
-from manip_learn.control.tip_speed import Barrier
+from manip_learn.control.tip_limits import Barrier
 
 # weight of the task's scale against the null-space policy, in multiples of the task part
 TASK_WEIGHT = 100.0

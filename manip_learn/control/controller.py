@@ -28,7 +28,7 @@ from manip_learn.control.resolved_rate_law import ResolvedRateLaw
 from manip_learn.control.singularity import approach_bound
 from manip_learn.control.status import Status
 from manip_learn.control.tasks import Hold, Task
-from manip_learn.control.tip_speed import Barrier
+from manip_learn.control.tip_limits import Barrier
 from manip_learn.errors import ConfigurationError, ConstraintError, advice, an
 from manip_learn.linalg import Inverse
 from manip_learn.robot.frame_kinematics import is_plain
@@ -231,10 +231,10 @@ class ResolvedRateController:
         if limits is None:
             return plain_command(law, velocity, damped)
         slope, far = self._law.approach(q, dt, law, velocity), previous is None and limits.far(q, dt, velocity)
-        tip, jacobians, fast = limits.tip, [], None
+        tip, tips, fast = limits.tip, None, None
         if tip is not None:
-            jacobians = tip.jacobians(q)
-            fast = tip.rows(jacobians, velocity)
+            tips = tip.at(q, dt, limits.acceleration, previous)
+            fast = tip.rows(tips, velocity)
         if far and slope is None and fast is None:
             return plain_command(law, velocity, damped)
         if self._compiled is not None:
@@ -256,10 +256,14 @@ class ResolvedRateController:
                 decomposition=law.decomposition,
             )
 
-        found = within(barrier) if tip is None else tip.bounded(jacobians, velocity, barrier, within)
+        found = within(barrier) if tip is None or tips is None else tip.bounded(tips, velocity, barrier, within)
         command = bounded_command(law, wish, found, bounds, damped)
         held_back = fast is not None and not damped and command.status is Status.DAMPED
-        return command._replace(status=Status.VELOCITY_LIMITED) if held_back else command
+        if tip is None or tips is None or not held_back:
+            return command
+        return command._replace(
+            status=Status.POSITION_LIMITED if tip.at_wall(tips, velocity) else Status.VELOCITY_LIMITED
+        )
 
     def __repr__(self) -> str:
         return (

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.control.approach import Approach, approach_of
-from manip_learn.control.tip_speed import TipSpeed
+from manip_learn.control.tip_limits import TipLimits, walls_of
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
@@ -103,12 +103,15 @@ class Limits:
         jerk: shape (nv,) or a number [rad/s3 or m/s3]; None for none. A `ServoLoop` keeps it.
         position: False ignores the position limits.
         margin: Distance to keep from the position limits [rad or m].
-        tip_speed: Largest speed of the frames' origins [m/s], e.g. 0.25 beside people; None for none. A row of the same
-            program (see `TipSpeed`), which is then solved in Python.
+        tip_speed: Largest speed of the frames' origins [m/s], e.g. 0.25 beside people; None for none. Rows of the same
+            program (see `TipLimits`), which is then solved in Python.
+        tip_box: shape (2, 3), lowest and highest x, y, z of the frames' origins in the base frame [m], -inf and inf
+            where there is none; None for no box.
+        tip_walls: shape (w, 4), rows (n, d): the frames' origins p stay where n^T p <= d [m]; None for no walls.
         frames: Name or names of these frames; by default the robot's likeliest tip.
 
     Attributes:
-        tip: The limit on the speed of frames, or None.
+        tip: The limits of frames, or None.
         velocity: shape (nv,) [rad/s or m/s].
         acceleration: shape (nv,) [rad/s2 or m/s2].
         jerk: shape (nv,) [rad/s3 or m/s3], or None.
@@ -131,6 +134,8 @@ class Limits:
         position: bool = True,
         margin: float = 0.0,
         tip_speed: float | None = None,
+        tip_box: ArrayLike | None = None,
+        tip_walls: ArrayLike | None = None,
         frames: str | Sequence[str] | None = None,
     ):
         self.robot = robot
@@ -143,7 +148,9 @@ class Limits:
         self.jerk = None if jerk is None else _positive("jerk", jerk, names)
         if not (math.isfinite(margin) and margin >= 0.0):
             raise ConfigurationError(f"margin must be a distance of at least 0, got {margin!r}")
-        self.tip = None if tip_speed is None else TipSpeed(robot, tip_speed, frames)
+        self.tip = None
+        if not (tip_speed is None and tip_box is None and tip_walls is None):
+            self.tip = TipLimits(robot, tip_speed, walls_of(tip_box, tip_walls), frames)
         self.position, self.margin = bool(position), float(margin)
         infinite = np.full(robot.nv, np.inf)
         self.lower = robot.position_lower + margin if position else -infinite

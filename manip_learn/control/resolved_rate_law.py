@@ -91,7 +91,8 @@ class ResolvedRateLaw:
             A = self.constraint(q)
         else:  # one Hessian and one inverse serve the task and the policy
             A, vjp = self.constraint.value_and_vjp(q)
-        b, E = self.task.velocity_and_jacobian(self.constraint, q, t)
+        sampled = (dt,) if self.task.sampled else ()
+        b, E = self.task.velocity_and_jacobian(self.constraint, q, t, *sampled)
         if not self._own_task:
             b = self._checked(b, A.shape[0], "the task's velocity b")
         if E is not None:  # orientation targets: the rows whose velocity b is are those of the error

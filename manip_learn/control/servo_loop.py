@@ -410,7 +410,8 @@ class ServoLoop:
         if wish.shape != self._velocity.shape or not np.all(np.isfinite(wish)):
             raise ConfigurationError(f"the controller's velocity is not {self.robot.nv} finite numbers: {wish}")
         if self.limits.tip is not None:
-            wish = self.limits.tip.slowed(q, wish)
+            tips = self.limits.tip.at(q, held, self.limits.acceleration, None)
+            wish = self.limits.tip.slowed(tips, wish)
         bounds = self._bounds(q, held)
         if bounds.admit(wish):
             return command._replace(velocity=wish)

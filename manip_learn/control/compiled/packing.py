@@ -35,7 +35,7 @@ def why_not(controller: ResolvedRateController) -> str | None:
     if controller.robot is not features.robot:
         return "its limits are those of another robot"
     if controller.limits is not None and controller.limits.tip is not None:
-        return "the speed of frames is limited"
+        return "the speed or the place of frames is limited"
     if any(b.kind in ("floating", "planar", "other") for b in features.robot.blocks):
         return "the robot's base moves"
     if constraint.n_constraints > len(kinematics.public_columns):

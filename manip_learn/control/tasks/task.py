@@ -18,6 +18,8 @@ class Task(ABC):
     slides: bool = True
     # whether the task's time stands still while a `ServoLoop` does, and goes on as the commanded posture does
     waits: bool = False
+    # whether b is the mean one of the time for which it is held: `velocity_and_jacobian` then gets that as well [s]
+    sampled: bool = False
 
     @abstractmethod
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:

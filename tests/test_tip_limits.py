@@ -85,6 +85,45 @@ def test_a_controller_of_the_users_own_is_slowed_down(robot_of: RobotOf) -> None
     assert np.linalg.norm(u) > 0.05
 
 
+@pytest.mark.parametrize("gain", [1.0, 10.0])
+def test_the_tip_stays_in_its_box(gain: float, robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Targets beyond each face: the tip rests at the face, 0.1 mm beyond it at most, within all other limits."""
+    robot = robot_of("sawyer")
+    constraint = ml.Constraint(np.eye(3), ml.FrameJacobian(robot, TIP, "xyz"))
+    q0 = np.array([0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0])
+    start = robot.position(q0, TIP)
+    box = np.array([start - 0.06, start + 0.08])
+    limits = ml.Limits(robot, tip_box=box)
+    for way in np.vstack([np.eye(3), -np.eye(3), rng.uniform(-1.0, 1.0, (2, 3))]):
+        task, climb = ml.PointAttractor(start + 0.2 * way, gain=gain), ml.ManipulabilityAscent(constraint)
+        loop = ml.ServoLoop(ml.ResolvedRateController(constraint, task, climb, limits=limits), 0.001)
+        q, beyond, before, words = q0, -np.inf, np.zeros(7), []
+        for k in range(2000):
+            command = loop.update(q, 0.001 * k)
+            assert np.all(np.abs(command.velocity - before) <= 0.001 * limits.acceleration * (1.0 + 1e-9))
+            before, q = command.velocity, q + 0.001 * command.velocity
+            place = robot.position(q, TIP)
+            beyond = max(beyond, float(np.max(np.maximum(place - box[1], box[0] - place))))
+            words.append(command.status)
+        assert -2e-3 < beyond < 1e-4
+        assert np.linalg.norm(robot.jacobian(q, TIP)[:3] @ command.velocity) < 5e-3
+        assert ml.Status.POSITION_LIMITED in words
+
+
+def test_an_oblique_wall_and_a_start_beyond_it(robot_of: RobotOf) -> None:
+    """Half-spaces are boxes' faces in any direction; a tip that starts behind one comes back."""
+    robot = robot_of("sawyer")
+    constraint = ml.Constraint(np.eye(3)[:2], ml.FrameJacobian(robot, TIP, "xyz"))
+    q = np.array([0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0])
+    n = np.array([1.0, 2.0, -1.0])
+    wall = [*n, n @ robot.position(q, TIP) - 0.02 * np.linalg.norm(n)]  # 20 mm behind it
+    limits = ml.Limits(robot, tip_walls=[wall], tip_speed=1.0)
+    controller = ml.ResolvedRateController(constraint, null_policy=ml.ManipulabilityAscent(constraint), limits=limits)
+    rollout = ml.simulate(robot, controller, q, 1.5, 0.002)
+    behind = [(n @ robot.position(x, TIP) - wall[3]) / np.linalg.norm(n) for x in rollout.q]
+    assert behind[0] == pytest.approx(0.02) and abs(behind[-1]) < 1e-3
+
+
 def test_bad_arguments(robot_of: RobotOf) -> None:
     """Speeds that are none, unknown frames, and what is not compiled."""
     robot = robot_of("sawyer")
@@ -93,7 +132,13 @@ def test_bad_arguments(robot_of: RobotOf) -> None:
             ml.Limits(robot, tip_speed=speed)  # type: ignore[arg-type]
     with pytest.raises(UnknownNameError):
         ml.Limits(robot, tip_speed=1.0, frames="nowhere")
+    for box in ([0.0, 1.0], [[0.0] * 3, [1.0, 0.0, 1.0]], [[0.0] * 3, [np.nan] * 3]):
+        with pytest.raises(ConfigurationError, match="a box is two rows"):
+            ml.Limits(robot, tip_box=box)
+    for walls in ([1.0, 0.0, 0.0, 1.0], [[0.0, 0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0, np.inf]]):
+        with pytest.raises(ConfigurationError, match="walls must be rows"):
+            ml.Limits(robot, tip_walls=walls)
     constraint = ml.Constraint(np.eye(3), ml.FrameJacobian(robot, TIP, "xyz"))
     controller = ml.ResolvedRateController(constraint, limits=ml.Limits(robot, tip_speed=1.0))
-    with pytest.raises(ConstraintError, match="speed of frames"):
+    with pytest.raises(ConstraintError, match="speed or the place of frames"):
         ml.CompiledController(controller)
