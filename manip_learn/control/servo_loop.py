@@ -284,25 +284,26 @@ class ServoLoop:
             return self._braked(Status.INVALID_INPUT)
         self.measured = measured
         held = self._accept_time(time, measured)
+        period = self.dt if held is None else held
         if self._reference is None or self._output is None:
             self._reference = self._output = measured
         if self._return is not None:
-            self._return = self._return.step(measured, held or self.dt)
+            self._return = self._return.step(measured, period)
             self._reference = self._output = measured
-            return self._braked(Status.FOLLOWING_ERROR)
+            return self._braked(Status.FOLLOWING_ERROR, period)
         if self._waited == 0.0:  # a state that is not new says nothing of the commands since
             self._following.compare(self._output, measured, self._correction)
         if self._following.tripped:
             # the average would go on pressing for its own length
             self._reference, self._velocity = self._output, self._sent
-            return self._unloading(self._output, measured)
+            return self._unloading(self._output, measured, period)
         if held is None or self._waited > self.stale_after:
-            return self._braked(Status.STALE)
+            return self._braked(Status.STALE, period)
         if self._correction_rate and self._waited == 0.0:
             slow = min(1.0, self._correction_rate * held) * self._following.distance
             self._correction = np.clip(self._correction - slow, -self._following.limit, self._following.limit)
         if self._stopping:
-            return self._braked(Status.STOPPED)
+            return self._braked(Status.STOPPED, period)
         if self._waited > 0.0 and self._last is not None:
             return self._held(self._last)
         return self._sent_on(self._command(self._reference, self._clock(time), held), held)
@@ -358,7 +359,8 @@ class ServoLoop:
             return None
         moved = 0.0
         if abs(late) > JITTER * self.dt:  # periods of another length than the one for which the command counted
-            moved = late * self._followed(late, measured)
+            # an early call takes back no more than it goes on by: the posture never moves against the velocity
+            moved = max(late, -since) * self._followed(late, measured)
             self._advance(moved, self._sent)
             self._ahead = 0.0
         if stood:
@@ -370,10 +372,11 @@ class ServoLoop:
     def _followed(self, late: float, measured: np.ndarray) -> float:
         """Which share of the motion that the last velocity makes in a time the arm has made [0, 1].
 
-        A velocity servo goes on moving until the next command comes; a position servo stands where it was sent.
+        A velocity servo goes on moving until the next command comes; a position servo stands where it was sent. While a
+        blocked arm lets go, it is not the arm that moves towards where it was measured.
         """
         square = float(self._sent.dot(self._sent))
-        if self._output is None or square == 0.0:
+        if self._output is None or square == 0.0 or self._following.tripped:
             return 0.0
         along = float(self.robot.difference(self._output, measured).dot(self._sent)) / (late * square)
         return min(1.0, max(0.0, along))
@@ -419,9 +422,9 @@ class ServoLoop:
         velocity = self.limits.towards(wish, self._velocity, bounds, held)
         return command._replace(velocity=velocity, status=status, outside=bounds.outside)
 
-    def _braked(self, status: Status) -> Command:
-        """The arm brakes along the motion it was in, as hard as the acceleration limits allow."""
-        u, dt = self._velocity, self.dt
+    def _braked(self, status: Status, held: float | None = None) -> Command:
+        """The arm brakes along the motion it was in, as hard as the acceleration limits allow in a time [s]."""
+        u, dt = self._velocity, self.dt if held is None else held
         hardest = float(np.max(np.abs(u) / (self.limits.acceleration * dt), initial=0.0))
         if np.all(np.isfinite(self.limits.acceleration)):
             u = u * max(0.0, 1.0 - 1.0 / hardest) if hardest > 0.0 else u
@@ -431,9 +434,9 @@ class ServoLoop:
             bounds = self._bounds(self._reference, dt)
             # slower towards a limit, but at rest outside one
             u = np.clip(u, np.minimum(bounds.low, 0.0), np.maximum(bounds.high, 0.0))
-        return self._beside_the_law(u, status)
+        return self._beside_the_law(u, status, dt)
 
-    def _unloading(self, commanded: np.ndarray, measured: np.ndarray) -> Command:
+    def _unloading(self, commanded: np.ndarray, measured: np.ndarray, held: float) -> Command:
         """The arm lets go of what blocks it: it goes slowly to where it was measured when that was found."""
         if self._relief is None:
             self._relief = self.robot.integrate(commanded, self._following.relief())
@@ -441,17 +444,31 @@ class ServoLoop:
         left = self.robot.difference(commanded, self._relief)
         farthest = float(np.abs(left).max(initial=0.0))
         if farthest < ARRIVED and not self._velocity.any():
-            return self._braked(Status.FOLLOWING_ERROR)
-        wish = left * min(1.0 / self.dt, max(UNLOADING_RATE, SLOWEST / max(farthest, ARRIVED)))
-        bounds = self._bounds(commanded, self.dt)
-        return self._beside_the_law(self.limits.towards(wish, self._velocity, bounds, self.dt), Status.FOLLOWING_ERROR)
+            return self._braked(Status.FOLLOWING_ERROR, held)
+        wish = left * min(1.0 / held, max(UNLOADING_RATE, SLOWEST / max(farthest, ARRIVED)))
+        bounds = self._bounds(commanded, held)
+        return self._beside_the_law(
+            self.limits.towards(wish, self._velocity, bounds, held), Status.FOLLOWING_ERROR, held
+        )
 
-    def _beside_the_law(self, u: np.ndarray, status: Status) -> Command:
+    def _beside_the_law(self, u: np.ndarray, status: Status, held: float) -> Command:
         last, zero = self._last, np.zeros(self.robot.nv)
         mu, b, smallest = 0.0, zero[:0], 0.0
         if last is not None:
             mu, b, smallest = last.manipulability, last.task_velocity, last.smallest_singular_value
-        return self._sent_on(Command(*(u, status, mu, b, u, zero, 0.0, 0.0, smallest), progress=0.0))
+        command = Command(
+            velocity=u,
+            status=status,
+            manipulability=mu,
+            task_velocity=b,
+            task_part=u,
+            null_part=zero,
+            task_scale=0.0,
+            null_scale=0.0,
+            smallest_singular_value=smallest,
+            progress=0.0,
+        )
+        return self._sent_on(command, held)
 
     def _sent_on(self, command: Command, held: float | None = None) -> Command:
         """Average the velocity, and move the commanded posture on by one period."""
