@@ -74,6 +74,25 @@ def test_random_stamps(seed: int, calls: int, jerk: float | None, robot_of: Robo
         t += period
 
 
+@pytest.mark.parametrize("jerk", [None, 500.0])
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_random_stamps_of_a_velocity_servo(seed: int, jerk: float | None, robot_of: RobotOf) -> None:
+    """It goes on at the last velocity for up to 100 ms: once such a gap was seen, no position limit is exceeded."""
+    robot, rng = robot_of("sawyer"), np.random.default_rng(seed)
+    law = fast(robot, seed)
+    loop, q, t, before = ml.ServoLoop(law, DT, jerk_limit=jerk, compiled=False), start_of(robot), 0.0, np.zeros(7)
+    nearest = -np.inf
+    for k in range(4000):
+        if k % 700 == 699:
+            law.velocity[:] = -law.velocity
+        u, gap = loop.update(q, t).velocity, 10.0 ** rng.uniform(np.log10(2e-4), -1.0)
+        assert np.all(np.abs(u) <= robot.velocity_limit * ROUNDING)
+        assert np.all(np.abs(u - before) <= loop.acceleration_limit * DT * ROUNDING)
+        q, t, before = robot.integrate(q, gap * u), t + gap, u
+        nearest = max(nearest, outside(robot, q))
+    assert -0.02 < nearest <= 1e-9
+
+
 @pytest.mark.parametrize("gap", [0.02, 0.05, 0.09])
 @pytest.mark.parametrize("servo", ["position", "velocity"])
 def test_after_a_gap_nothing_steps(servo: str, gap: float, robot_of: RobotOf) -> None:

@@ -186,6 +186,7 @@ class ServoLoop:
         self._ahead = 0.0  # time by which the commanded posture has moved on since the newest state
         self._behind = 0.0  # time by which the clock of a task that waits for the arm is behind
         self._waited = 0.0  # periods since the newest state
+        self._runs_on = False  # whether the arm goes on between late calls, as a velocity servo does
         self._stopping = False
         self._slide = 0.0
         self._last: Command | None = None
@@ -360,7 +361,9 @@ class ServoLoop:
         moved = 0.0
         if abs(late) > JITTER * self.dt:  # periods of another length than the one for which the command counted
             # an early call takes back no more than it goes on by: the posture never moves against the velocity
-            moved = max(late, -since) * self._followed(late, measured)
+            followed = self._followed(late, measured)
+            self._runs_on = self._runs_on or (late > 0.0 and followed > 0.5)
+            moved = max(late, -since) * followed
             self._advance(moved, self._sent)
             self._ahead = 0.0
         if stood:
@@ -394,9 +397,11 @@ class ServoLoop:
         late = self._period.longest
         if late == self._period.usual:
             return self.limits.bounds(q, held, self._velocity)
+        return bound_changes(self._careful(q, late), self._velocity, self.limits.acceleration, held)
+
+    def _careful(self, q: np.ndarray, late: float) -> Bounds:
         share = self._period.usual / late
-        careful = self.limits.with_rates(share * self.limits.acceleration, None).bounds(q, late, None)
-        return bound_changes(careful, self._velocity, self.limits.acceleration, held)
+        return self.limits.with_rates(share * self.limits.acceleration, None).bounds(q, late, None)
 
     def _command(self, q: np.ndarray, time: float, held: float) -> Command:
         """The controller's command, within the limits."""
@@ -481,6 +486,12 @@ class ServoLoop:
         if self._average.averages and not self._following.tripped:
             # joined by straight lines, as in the average; what holding the mean adds to its own line is not lost
             moved = 0.5 * (before + moved + self._sent - sent)
+            late = self._period.longest
+            if self._runs_on and late > self._period.usual and self._output is not None:
+                # the mean comes to rest in as many calls, however long these last: it gives way to position limits
+                bounds = bound_changes(self._careful(self._output, late), sent, self.limits.acceleration, held)
+                slower = np.clip(self._sent, bounds.low, bounds.high)
+                moved, self._sent = moved - (self._sent - slower), slower
         self._advance(held, moved)
         b, task, null = (np.array(part) for part in (command.task_velocity, command.task_part, command.null_part))
         return command._replace(
