@@ -100,7 +100,7 @@ def run(name: str, robot: ml.Robot, tip: str, cycles: int, jerk: float | None) -
         blocked -= blocked > 0
         if tripped and not blocked and not v.any():
             loop.reset()
-            moving, sure = False, -1  # the loop has forgotten when it was called
+            moving, sure = False, 0  # the loop has forgotten when it was called
         u, rate, shortest = v, acceleration, held
         gap = float(np.exp(rng.uniform(*np.log(GAPS))))
         t += gap
