@@ -48,12 +48,12 @@ BESIDE = {
     "explanation.odd": {"rounding": "MEDIAN_SQUARE"},
     "explanation.proposals": {"time": "STRIDE MOST_PAIRED MOST_ALONE MOST_PAIRS MOST", "rounding": "TINY"},
     "explanation.row_motion": {"time": "SCAN_RATE FEW", "rounding": "RANK"},
-    "mechanisms.find_mechanism": {"time": "SAMPLES", "rounding": "BLIND"},
-    "mechanisms.fits": {"time": "ITERATIONS FIRST_ITERATIONS ASTRAY", "rounding": "TOLERANCE LEVERAGE_FLOOR"},
-    "mechanisms.refined": {"time": "SAMPLES LEAST"},
-    "mechanisms.residuals": {"rounding": "NEAR_AXIS QUANTITIES"},
-    "mechanisms.weighted_fit": {"time": "ITERATIONS SHORTEST LONGEST DRAWS", "rounding": "SETTLED UNSEEN"},
-    "mechanisms.weighted_residuals": {"rounding": "UNDETERMINED"},
+    "mechanisms.find_mechanism": {"time": "SAMPLES MOST LEAST", "rounding": "BLIND"},
+    "mechanisms.place_fit": {
+        "time": "ITERATIONS ROUNDS FIRST_DAMPING MOST_DAMPED ASTRAY LONGEST DRAWS",
+        "rounding": "SETTLED UNDETERMINED LEVERAGE_FLOOR UNSEEN",
+    },
+    "mechanisms.quantities": {"rounding": "NEAR_AXIS QUANTITIES"},
     "overview": {"time": "SPANS_SHOWN"},
     "recombination": {
         "time": "SURE MOST_BINS MOST_POINTS NODES_PER_BIN RECOMBINATIONS MOST_RECOMBINATIONS MOST_TRAJECTORIES SHIFTS",

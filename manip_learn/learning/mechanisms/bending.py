@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
 from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS, MechanismKind
 from manip_learn.learning.deciding import BEYOND_CHANCE, FARTHEST_M, LEAST_BEND_M, STANDARD_ERRORS
-from manip_learn.learning.mechanisms.fits import Fit, fit_candidate
-from manip_learn.learning.mechanisms.refined import radius_of
-from manip_learn.learning.mechanisms.residuals import QUANTITIES, Place
+from manip_learn.learning.mechanisms.place_fit import PlaceFit, fit_place
+from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 
 # what each mechanism becomes when it bends
@@ -21,85 +21,74 @@ BENT_FORMS = {
 }
 
 
-def straight_or_bent(paths: TipPaths, read: Fit) -> tuple[Fit, str]:
+def straight_or_bent(read: PlaceFit) -> tuple[PlaceFit, str]:
     """The form of a mechanism that the positions show, and its rival in words; empty if they exclude it.
 
     Velocities show neither the curvature of a short arc nor that a long one is none as well as positions do. The bent
     form is the answer if its radius or pitch is known to a fifth and the path leaves the straight form measurably.
 
     Args:
-        paths: Of the hand.
         read: The mechanism that the rows show, fitted.
     """
-    names = {bent: straight for straight, bent in BENT_FORMS.items()}
-    name = read.candidate.name
-    if name in names and not _bends(paths, straight := _fit(paths, names[name], read.place), read):
-        return straight, _rival(paths, read, straight)
+    straight_forms = {bent: straight for straight, bent in BENT_FORMS.items()}
+    name = read.kind.name
+    if name in straight_forms and not _bends(straight := _fit(read, straight_forms[name]), read):
+        return straight, _rival(read, straight)
     if name in BENT_FORMS:
-        bent = _fit(paths, BENT_FORMS[name], read.place)
-        if _bends(paths, read, bent):
-            return bent, ""
-        return read, _rival(paths, bent, read)
+        bent = _fit(read, BENT_FORMS[name])
+        return (bent, "") if _bends(read, bent) else (read, _rival(bent, read))
     return read, ""
 
 
-def _fit(paths: TipPaths, name: str, place: Place) -> Fit:
+def _fit(read: PlaceFit, name: str) -> PlaceFit:
     kind = next(k for k in MECHANISM_KINDS if k.name == name)
-    return fit_candidate(paths, kind, _starts(paths, kind, place))
+    return fit_place(read.paths, kind, _start(read.paths, kind, read.place))
 
 
-def _starts(paths: TipPaths, kind: MechanismKind, place: Place) -> list[Place]:
+def _start(paths: TipPaths, kind: MechanismKind, place: Place) -> Place:
     """Where the other form may be: the same axis, or the direction, the normal and the circle of the path."""
     x = paths.centred(paths.p)
-    spread = np.linalg.eigh(x.T @ x)[1].T
-    middle = paths.p.mean(axis=0)
+    spread, middle = np.linalg.eigh(x.T @ x)[1].T, paths.p.mean(axis=0)
     if kind.type == "line":
-        return [Place(spread[2], middle)]
+        return Place(spread[2], middle)
     if kind.type == "plane":
-        return [Place(spread[0], middle)]
+        return Place(spread[0], middle)
     if kind.type == "ball":
-        square = paths.centred(np.einsum("ni,ni->n", paths.p - middle, paths.p - middle)[:, None])[:, 0]
-        return [Place(place.axis, middle + 0.5 * np.linalg.lstsq(x, square, rcond=1e-9)[0])]
+        return Place(place.axis, _centre(paths, np.eye(3)))
     if kind.type == "hinge" and place.pitch == 0.0 and kind.orientation != "carried":
-        # |y|^2 - 2 c.y is constant along a circle (I. Kasa, 1976), seen along the normal of the path
-        y = x @ spread[1:].T
-        flat = (paths.p - middle) @ spread[1:].T
-        square = paths.centred(np.einsum("ni,ni->n", flat, flat)[:, None])[:, 0]
-        centre = 0.5 * np.linalg.lstsq(y, square, rcond=1e-9)[0]
-        return [Place(spread[0], middle + centre @ spread[1:])]
-    return [Place(place.axis, place.point)]
+        return Place(spread[0], _centre(paths, spread[1:]))  # a circle seen along the normal of the path
+    return Place(place.axis, place.point)
 
 
-def _bends(paths: TipPaths, straight: Fit, bent: Fit) -> bool:
+def _centre(paths: TipPaths, base: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " 3"]:
+    """|y|^2 - 2 c.y is constant along a circle or on a sphere about c (I. Kasa, 1976), y in an orthonormal base."""
+    middle = paths.p.mean(axis=0)
+    y = (paths.p - middle) @ base.T
+    square = paths.centred(np.sum(y * y, axis=1, keepdims=True))[:, 0]
+    return middle + 0.5 * np.linalg.lstsq(paths.centred(y), square, rcond=1e-9)[0] @ base
+
+
+def _bends(straight: PlaceFit, bent: PlaceFit) -> bool:
     """Whether the data show what the straight form lacks: measurable, and more than rails wobble."""
-    size = _size(paths, bent)
-    if size is None or ("pitch" not in bent.candidate.unknowns and size[0] > FARTHEST_M):
+    if bent.size is None or ("pitch" not in bent.kind.unknowns and bent.size[0] > FARTHEST_M):
         return False
-    rest = [
-        sum(float(np.sum(f.held_out[n] ** 2)) for n in f.candidate.holds if QUANTITIES[n].unit == "m")
+    size, sigma = bent.size
+    straight_rest, bent_rest = (
+        sum(float(np.sum(f.held_out[n] ** 2)) for n in f.kind.holds if QUANTITIES[n].unit == "m")
         for f in (straight, bent)
-    ]
-    return size[0] > BEYOND_CHANCE * size[1] and rest[0] - rest[1] > LEAST_BEND_M**2
+    )
+    return size > BEYOND_CHANCE * sigma and straight_rest - bent_rest > LEAST_BEND_M**2
 
 
-def _size(paths: TipPaths, bent: Fit) -> tuple[float, float] | None:
-    """Pitch [m/rad] or radius [m] with its standard deviation."""
-    if "pitch" in bent.candidate.unknowns:
-        index = int(np.argmax(bent.tangents[6]))
-        return abs(bent.place.pitch), float(np.sqrt(bent.covariance[index, index]))
-    return radius_of(paths, bent)
-
-
-def _rival(paths: TipPaths, bent: Fit, straight: Fit) -> str:
+def _rival(bent: PlaceFit, straight: PlaceFit) -> str:
     """A bent form near enough to matter, if the motion cannot exclude it."""
-    size = _size(paths, bent)
-    if size is None or "pitch" in bent.candidate.unknowns:
+    if bent.size is None or "pitch" in bent.kind.unknowns:
         return ""
-    radius, sigma = size
+    radius, sigma = bent.size
     curvature = 1.0 / radius + STANDARD_ERRORS * sigma / radius**2
     if not np.isfinite(curvature) or curvature < 1.0 / FARTHEST_M:
         return ""
     return (
-        f"a {bent.candidate.name} would fit as well, with more than {1.0 / curvature:.2g} m of radius: the motion is "
-        f"too short to tell it from a {straight.candidate.name}; move it farther"
+        f"a {bent.kind.name} would fit as well, with more than {1.0 / curvature:.2g} m of radius: the motion is "
+        f"too short to tell it from a {straight.kind.name}; move it farther"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,15 +15,15 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.place_rows import PlaceForm, PlaceRows
 from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.constraint.mechanism_kinds import MechanismKind
 from manip_learn.constraint.mechanism_reading import Read, read_kind, rows_of
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning.deciding import POOR_AXIS_DEG, POOR_RADIUS, WIDE_RADIUS
+from manip_learn.learning.deciding import POOR_AXIS_DEG, POOR_RADIUS, SHARED_LOSS, SMALLEST_RESIDUAL, WIDE_RADIUS
 from manip_learn.learning.explanation.explain import Hypothesis, explain
 from manip_learn.learning.explanation.row_motion import View, views_of
 from manip_learn.learning.mechanisms.bending import straight_or_bent
-from manip_learn.learning.mechanisms.fits import Fit, fit_candidate
-from manip_learn.learning.mechanisms.refined import refined
-from manip_learn.learning.mechanisms.residuals import QUANTITIES
+from manip_learn.learning.mechanisms.place_fit import PlaceErrors, PlaceFit, fit_place
+from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, angles_about, turn_about
 from manip_learn.learning.mechanisms.tip_paths import TipPaths, thinned
 from manip_learn.learning.recombination import recombination_test
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -32,6 +33,7 @@ from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 
 SAMPLES = 60  # of each trajectory in the first fit of a place
+MOST, LEAST = 4000, 60  # of all trajectories in the last fit, and of each
 BLIND = 1e-6  # rows of Phi below this are ones that the arm cannot move
 REPEATED = "held by the way of moving, not by a contact that all share"
 FORMS: tuple[PlaceForm, ...] = ("point and rotation", "twist", "surface")
@@ -139,13 +141,29 @@ def find_mechanism(
         read, members = (searched, members) if searched else (known, tuple(range(len(moved))))
     if read is None:
         return MechanismFit(None, None, None, {}, table, _why_none(table))
-    paths = paths.chosen(members)
-    start, rival = straight_or_bent(paths, fit_candidate(paths, read[0], [read[1]]))
+    start, rival = straight_or_bent(fit_place(paths.chosen(members), *read))
     last = chosen if recorded is None else [recorded[i] for i in numbers]
-    postures = [_postures(robot, last[i]) for i in members]
-    fit, mechanism = refined(robot, tip, postures, start, rng)
+    each = max(LEAST, MOST // len(members))
+    postures = [thinned(_postures(robot, last[i]), each) for i in members]
+    fine = TipPaths.of(robot, tip, postures)
+    fit = _with_shared(fit_place(fine, start.kind, start.place))
+    mechanism = _described(fit, fit.errors(rng))
+    held_out = {
+        unit: max(float(fit.held_out[n].max()) for n in fit.kind.holds if QUANTITIES[n].unit == unit)
+        for unit in {QUANTITIES[n].unit for n in fit.kind.holds}
+    }
+    features, selection = _constraint(robot, tip.name, fit, mechanism.radius, np.concatenate([thinned(q, 10) for q in postures]))
     odd = tuple(i for i in range(len(trajectories)) if i not in {numbers[k] for k in members})
-    return _judged(robot, tip, fit, mechanism, postures, table, rival, odd, confirm)
+    refused = MechanismFit(None, None, None, held_out, table, "", (), odd)
+    poor = _poor(mechanism)
+    if poor:
+        return dataclasses.replace(refused, reason=poor, warnings=(poor,))
+    if confirm is not None and not confirm(features, selection):
+        reason = f"the recordings look like {mechanism.sentence}, but the test of its rows refuses it"
+        return dataclasses.replace(refused, reason=reason)
+    lone = ("one trajectory only: a repeated motion cannot be told from a contact",) if len(postures) == 1 else ()
+    warnings = (*lone, *filter(None, (rival,)), *_wide(mechanism))
+    return MechanismFit(mechanism, features, selection, held_out, table, "", warnings, odd, rival)
 
 
 def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]:
@@ -190,42 +208,60 @@ def _read(
     return read, tuple(members.tolist()), tuple(table)
 
 
-def _judged(
-    robot: Robot,
-    tip: Frame,
-    fit: Fit,
-    mechanism: Mechanism,
-    postures: Sequence[Float[np.ndarray, "_ nv"]],
-    table: tuple[Alternative, ...],
-    rival: str,
-    odd: tuple[int, ...],
-    confirm: Confirm | None,
-) -> MechanismFit:
-    """The answer, unless its parameters are too uncertain or the further test refuses it."""
-    held_out = {
-        unit: max(float(fit.held_out[n].max()) for n in fit.candidate.holds if QUANTITIES[n].unit == unit)
-        for unit in {QUANTITIES[n].unit for n in fit.candidate.holds}
-    }
-    few = np.concatenate([thinned(q, 10) for q in postures])
-    features, selection = _constraint(robot, tip.name, fit, mechanism.radius, few)
-    poor = _poor(mechanism)
-    if poor:
-        return MechanismFit(None, None, None, held_out, table, poor, (poor,), odd)
-    if confirm is not None and not confirm(features, selection):
-        reason = f"the recordings look like {mechanism.sentence}, but the test of its rows refuses it"
-        return MechanismFit(None, None, None, held_out, table, reason, (), odd)
-    lone = ("one trajectory only: a repeated motion cannot be told from a contact",) if len(postures) == 1 else ()
-    return MechanismFit(
-        mechanism,
-        features,
-        selection,
-        held_out,
-        table,
-        "",
-        (*lone, *filter(None, (rival,)), *_wide(mechanism)),
-        odd,
-        rival,
+def _with_shared(fit: PlaceFit) -> PlaceFit:
+    """The fit with as many quantities as the data allow the same for all trajectories: better determined."""
+    names = tuple(n for n in fit.kind.holds if n in ("radius", "height", "distance", "across-line"))
+    for shared in (names, *((n,) for n in names if len(names) > 1)) if names else ():
+        tied, is_lost = fit_place(fit.paths, fit.kind, fit.place, shared), False
+        for name in fit.kind.holds:
+            after, before = (np.hypot(f.held_out[name], SMALLEST_RESIDUAL[QUANTITIES[name].unit]) for f in (tied, fit))
+            is_lost |= bool(np.any(after > SHARED_LOSS * before))
+        if not is_lost:
+            return tied
+    return fit
+
+
+def _described(fit: PlaceFit, errors: PlaceErrors) -> Mechanism:
+    """The mechanism of a fit, with the uncertainty of each parameter."""
+    kind, place, known = fit.kind, fit.place, set(fit.kind.unknowns)
+    axis = place.axis * (1.0 if place.axis[int(np.argmax(np.abs(place.axis)))] > 0.0 else -1.0)
+    uncertainty: dict[str, float] = {}
+    if "axis" in known:
+        uncertainty["axis"] = float(np.degrees(errors.within(slice(0, 3))))
+    if known & {"point", "point-across"}:
+        uncertainty["point"] = errors.within(slice(3, 6))
+    if errors.radius is not None:
+        uncertainty["radius"] = errors.radius
+    if "pitch" in known:
+        uncertainty["pitch"] = errors.within(slice(6, 7))
+    return Mechanism(
+        kind.type,
+        axis if "axis" in known else None,
+        None if kind.type == "held-orientation" else place.point,
+        None if fit.radius is None else fit.radius.value,
+        place.pitch if "pitch" in known else None,
+        "loose" if kind.orientation == "free" else "firm",
+        kind.orientation,
+        uncertainty,
+        _arc(fit.paths, fit.kind, place),
+        kind.name,
     )
+
+
+def _arc(paths: TipPaths, kind: MechanismKind, place: Place) -> float | None:
+    """How far the hand goes about the axis or the centre [rad]; None where there is none."""
+    if kind.orientation == "carried" and "axis" in kind.unknowns:
+        angle = turn_about(paths, place.axis)
+    elif "point-across" in kind.unknowns:
+        angle = angles_about(paths, place)
+    elif "point" in kind.unknowns:
+        d = paths.p - place.point
+        d /= np.linalg.norm(d, axis=1, keepdims=True)
+        mean = d.mean(axis=0) / np.linalg.norm(d.mean(axis=0))
+        return float(2.0 * np.arccos(np.clip(d @ mean, -1.0, 1.0)).max())
+    else:
+        return None
+    return float(max(np.ptp(angle[paths.part(i)]) for i in range(len(paths.starts))))
 
 
 def _poor(mechanism: Mechanism) -> str:
@@ -268,10 +304,10 @@ def _why_none(table: Sequence[Alternative]) -> str:
 
 
 def _constraint(
-    robot: Robot, frame: str, fit: Fit, radius: float | None, postures: Float[np.ndarray, "n nv"]
+    robot: Robot, frame: str, fit: PlaceFit, radius: float | None, postures: Float[np.ndarray, "n nv"]
 ) -> tuple[FeatureMap, Float[np.ndarray, "s p"]]:
     """Phi and Lambda, without the rows that the arm cannot move."""
-    features, selection = rows_of(fit.candidate, fit.place, radius, robot, frame)
+    features, selection = rows_of(fit.kind, fit.place, radius, robot, frame)
     A = np.einsum("sp,npj->nsj", selection, features.batch(postures))
     movable = np.sqrt(np.mean(np.sum(A * A, axis=2), axis=0)) > BLIND
     return features, selection[movable]
