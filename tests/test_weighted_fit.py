@@ -29,7 +29,10 @@ SETS, NOISE = 60, 1e-3
 
 def fitted(robot, kind, postures, shared, *, equal=False):
     """The place, by the errors of the joints or with equal weights for all directions of the hand's twist."""
-    paths, mechanism = TipPaths.of(robot, robot.frame(TIP), postures), next(k for k in MECHANISM_KINDS if k.name == kind)
+    paths, mechanism = (
+        TipPaths.of(robot, robot.frame(TIP), postures),
+        next(k for k in MECHANISM_KINDS if k.name == kind),
+    )
     if equal:
         paths = dataclasses.replace(paths, J=np.tile(np.eye(6), (len(paths.p), 1, 1)))
     return fit_place(paths, mechanism, Place(AXIS, POINT, 0.04 if "screw" in kind else 0.0), shared)

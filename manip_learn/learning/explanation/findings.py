@@ -26,7 +26,7 @@ from manip_learn.learning.deciding import (
 from manip_learn.learning.explanation.explain import Explanation, Hypothesis, explain
 from manip_learn.learning.explanation.lone import lone_contacts, parts_of
 from manip_learn.learning.explanation.odd import agreeing, drifting, missing, slipping
-from manip_learn.learning.explanation.row_motion import View, joints_at_once, mechanism_features, views_of
+from manip_learn.learning.explanation.row_motion import View, joints_at_once, kinds_tried, mechanism_features, views_of
 from manip_learn.learning.explanation.stretch import (
     BeforeSmoothing,
     Stretch,
@@ -148,7 +148,7 @@ def find(
     views = views_of([*usable, *(mechanism_features(usable, trajectories) if mechanisms else ())], trajectories)
     if not views:
         return unexplained(demonstrations, feature_maps)  # a single row: nothing to compare it with
-    believed = _Recombination(trajectories, _tried(views), int(rng.integers(2**32)))
+    believed = _Recombination(trajectories, kinds_tried(views), int(rng.integers(2**32)))
     explanation = explain(views, believed, SWITCH_NATS if phases else np.inf)
     elsewhere = _elsewhere(usable, trajectories, explanation)
     if elsewhere:  # what disagrees in this reference is no other task
@@ -205,11 +205,6 @@ def _moves(features: FeatureMap, trajectories: Sequence[Trajectory]) -> bool:
     return bool(np.any(np.abs(features.batch(few)) > 0.0))
 
 
-def _tried(views: Sequence[View]) -> int:
-    """Feature maps and numbers of rows that are tried."""
-    return sum(v.largest for v in views)
-
-
 @final
 @dataclass(frozen=True)
 class _Recombination:
@@ -262,7 +257,7 @@ def _findings(
     contacts: Sequence[Stretch],
 ) -> Findings:
     trajectories, states = demonstrations.trajectories, explanation.fine_states()
-    tried = _tried(explanation.views)
+    tried = kinds_tried(explanation.views)
     order = np.argsort(-explanation.supports).tolist()
     parts, odd, apart = list[Part](), dict[int, str](), list[Stretch]()
     views = [explanation.views[explanation.hypotheses[k].view] for k in order]

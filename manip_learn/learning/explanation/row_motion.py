@@ -259,6 +259,11 @@ def views_of(feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajecto
     return [v for v in views if v.largest > 0]
 
 
+def kinds_tried(views: Sequence[View]) -> int:
+    """Feature maps and numbers of rows that are tried."""
+    return sum(v.largest for v in views)
+
+
 def mechanism_features(feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory]) -> list[PlaceRows]:
     """The rows in which mechanisms that hold the frame asked for are constant; none where its velocity is not whole."""
     frames = [f for f in feature_maps if isinstance(f, FrameJacobian) and set(f.row_names) >= set(AXES[:3])]

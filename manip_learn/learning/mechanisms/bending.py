@@ -32,11 +32,11 @@ def straight_or_bent(read: PlaceFit) -> tuple[PlaceFit, str]:
     """
     straight_forms = {bent: straight for straight, bent in BENT_FORMS.items()}
     name = read.kind.name
-    if name in straight_forms and not _bends(straight := _fit(read, straight_forms[name]), read):
+    if name in straight_forms and not _bends(read, straight := _fit(read, straight_forms[name])):
         return straight, _rival(read, straight)
     if name in BENT_FORMS:
         bent = _fit(read, BENT_FORMS[name])
-        return (bent, "") if _bends(read, bent) else (read, _rival(bent, read))
+        return (bent, "") if _bends(bent, read, _fit(read, name)) else (read, _rival(bent, read))
     return read, ""
 
 
@@ -68,16 +68,17 @@ def _centre(paths: TipPaths, base: Float[np.ndarray, "k 3"]) -> Float[np.ndarray
     return middle + 0.5 * np.linalg.lstsq(paths.centred(y), square, rcond=1e-9)[0] @ base
 
 
-def _bends(straight: PlaceFit, bent: PlaceFit) -> bool:
-    """Whether the data show what the straight form lacks: measurable, and more than rails wobble."""
+def _bends(bent: PlaceFit, *straight: PlaceFit) -> bool:
+    """Whether the data show what the straight form lacks, wherever that is: measurable, and more than rails wobble."""
     if bent.size is None or ("pitch" not in bent.kind.unknowns and bent.size[0] > FARTHEST_M):
         return False
     size, sigma = bent.size
-    straight_rest, bent_rest = (
-        sum(float(np.sum(f.held_out[n] ** 2)) for n in f.kind.holds if QUANTITIES[n].unit == "m")
-        for f in (straight, bent)
-    )
-    return size > BEYOND_CHANCE * sigma and straight_rest - bent_rest > LEAST_BEND_M**2
+    return size > BEYOND_CHANCE * sigma and min(map(_rest, straight)) - _rest(bent) > LEAST_BEND_M**2
+
+
+def _rest(fit: PlaceFit) -> float:
+    """Mean square of what the form leaves of the positions [m^2]."""
+    return sum(float(np.sum(fit.held_out[n] ** 2)) for n in fit.kind.holds if QUANTITIES[n].unit == "m")
 
 
 def _rival(bent: PlaceFit, straight: PlaceFit) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import final
@@ -20,7 +19,8 @@ from manip_learn.constraint.mechanism_reading import Read, read_kind, rows_of
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.deciding import POOR_AXIS_DEG, POOR_RADIUS, SHARED_LOSS, SMALLEST_RESIDUAL, WIDE_RADIUS
 from manip_learn.learning.explanation.explain import Hypothesis, explain
-from manip_learn.learning.explanation.row_motion import View, views_of
+from manip_learn.learning.explanation.row_motion import View, kinds_tried, views_of
+from manip_learn.learning.explanation.stretch import stretches_of, ways_to_choose
 from manip_learn.learning.mechanisms.bending import straight_or_bent
 from manip_learn.learning.mechanisms.place_fit import PlaceErrors, PlaceFit, fit_place
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, angles_about, turn_about
@@ -152,7 +152,9 @@ def find_mechanism(
         unit: max(float(fit.held_out[n].max()) for n in fit.kind.holds if QUANTITIES[n].unit == unit)
         for unit in {QUANTITIES[n].unit for n in fit.kind.holds}
     }
-    features, selection = _constraint(robot, tip.name, fit, mechanism.radius, np.concatenate([thinned(q, 10) for q in postures]))
+    features, selection = _constraint(
+        robot, tip.name, fit, mechanism.radius, np.concatenate([thinned(q, 10) for q in postures])
+    )
     odd = tuple(i for i in range(len(trajectories)) if i not in {numbers[k] for k in members})
     refused = MechanismFit(None, None, None, held_out, table, "", (), odd)
     poor = _poor(mechanism)
@@ -186,19 +188,16 @@ def _read(
             verdict = "chosen"
             shown = np.unique(view.thin.trajectory[held])
             if len(moved) > 1:
-                evidence = recombination_test(
-                    view.features,
-                    [moved[i] for i in shown],
-                    np.random.default_rng(seed),
-                    math.comb(len(moved), len(shown)),
-                )
+                choices = kinds_tried(views) * ways_to_choose(view.thin, stretches_of(view.thin, held.astype(int), 1))
+                pieces, draws = [moved[i] for i in shown], np.random.default_rng(seed)
+                evidence = recombination_test(view.features, pieces, draws, choices)
                 strength = evidence.strengths[h.n_rows - 1] if len(evidence.strengths) >= h.n_rows else 0.0
                 verdict = "chosen" if evidence.n_rows >= h.n_rows else REPEATED
         table.append(Alternative(name, h.n_rows, h.support, strength, verdict))
         return verdict == "chosen"
 
-    seed = int(rng.integers(2**32))
-    found = explain(views_of(maps, moved), believed, np.inf)
+    views, seed = views_of(maps, moved), int(rng.integers(2**32))
+    found = explain(views, believed, np.inf)
     if not found.hypotheses:
         return None, (), tuple(table)
     k = int(np.argmax(found.supports))

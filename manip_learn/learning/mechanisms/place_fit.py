@@ -208,37 +208,39 @@ class PlaceFit:
         return Radius(float(each[middle]), spread, self.leaning[middle, j], own)
 
     @cached_property
-    def noise(self) -> Noise:
-        """What the residuals say of the errors."""
-        inverse = scaled_inverse(self.scores[1].sum(axis=0))
-        G = -self.slopes @ inverse
-        if self.radius is not None:
-            G = np.concatenate([G, (G @ self.radius.slope + self.radius.own)[:, :, None]], axis=2)
-        alone, offsets = self._without_offsets(G, inverse)
-        correlation = _correlation(alone)
+    def influence(self) -> Float[np.ndarray, "N d w"]:
+        """G_n: of the unknowns and, last, of the radius if there is one."""
+        G = -self.slopes @ scaled_inverse(self.scores[1].sum(axis=0))
+        if self.radius is None:
+            return G
+        return np.concatenate([G, (G @ self.radius.slope + self.radius.own)[:, :, None]], axis=2)
+
+    @cached_property
+    def noise(self) -> tuple[Float[np.ndarray, "w w"], float, float]:
+        """C, its degrees of freedom, and by how much neighbours that are alike make a variance larger."""
+        G, correlation = self.influence, _correlation(self)
         total = np.tensordot(G, G, axes=([0, 1], [0, 1]))
         for k, share in enumerate(correlation, start=1):
             for part in (p for p in self.clusters if p.stop - p.start > k):
                 products = share * np.tensordot(G[part][:-k], G[part][k:], axes=([0, 1], [0, 1]))
                 total += products + products.T
-        C = alone.variance * total
-        factor, freedom = _scatter(alone, C[: self.m, : self.m])
-        variance = (1.0 + 2.0 * sum(correlation)) * offsets.variance
-        return Noise(factor * C, freedom, dataclasses.replace(offsets, variance=variance))
+        C = self.variance * total
+        factor, freedom = _scatter(self, C[: self.m, : self.m])
+        return factor * C, freedom, 1.0 + 2.0 * sum(correlation)
 
-    def _without_offsets(
-        self, G: Float[np.ndarray, "N d w"], inverse: Float[np.ndarray, "u u"]
-    ) -> tuple[PlaceFit, JointOffsets]:
+    def _without_offsets(self) -> tuple[PlaceFit, JointOffsets]:
         """Residuals without the pattern that offsets of the joints explain, and what it says of them."""
         K, tied = self.weights.noise, _is_shared(self.kind, self.shared)
         left, _ = _without_constants(self.paths, self.weights.root[:, :, ~tied], K)
-        left = left - self.slopes @ (inverse @ np.tensordot(self.slopes, left, axes=([0, 1], [0, 1])))
+        left = left + self.influence[:, :, : self.slopes.shape[2]] @ np.tensordot(
+            self.slopes, left, axes=([0, 1], [0, 1])
+        )
         flat, energy = left.reshape(-1, K.shape[2]), float(np.sum(K * K))
         curvatures, V = np.linalg.eigh(flat.T @ flat)
         seen = curvatures > UNSEEN * energy
         pattern = np.where(seen, V.T @ (flat.T @ self.residuals.reshape(-1)), 0.0)
         delta = V @ np.divide(pattern, curvatures, out=np.zeros_like(pattern), where=seen)
-        response = np.tensordot(G, K, axes=([0, 1], [0, 1]))
+        response = np.tensordot(self.influence, K, axes=([0, 1], [0, 1]))
         alone = dataclasses.replace(self, residuals=self.residuals - left @ delta)
         return alone, JointOffsets(response, V, np.where(seen, curvatures, 0.0), pattern, alone.variance)
 
@@ -246,21 +248,23 @@ class PlaceFit:
     def size(self) -> tuple[float, float] | None:
         """What bends a path, the pitch [m/rad] or the radius [m], with its standard deviation; None where nothing does.
 
-        Offsets of the joints leave a straight path straight and are not in it.
+        What offsets of the joints may have bent counts as noise, and what the clusters scatter is the least of it.
         """
-        variances = np.diag(self.noise.covariance)
+        moves = [np.einsum("ndw,nd->w", self.influence[c], self.residuals[c]) for c in self.clusters]
+        variances = np.maximum(np.diag(self.noise[0]), len(moves) * np.var(moves, axis=0, ddof=1))
         if "pitch" in self.kind.unknowns:
             return abs(self.place.pitch), float(np.sqrt(variances[self.m - 1]))
         return None if self.radius is None else (self.radius.value, float(np.sqrt(variances[-1])))
 
     def errors(self, rng: np.random.Generator) -> PlaceErrors:
         """Draws of the error: that of the noise, and that of the joints' offsets."""
-        noise = self.noise
-        values, vectors = np.linalg.eigh(noise.covariance)
+        alone, offsets = self._without_offsets()
+        covariance, freedom, alike = alone.noise
+        values, vectors = np.linalg.eigh(covariance)
         drawn = rng.standard_normal((DRAWS, len(values))) @ (vectors * np.sqrt(values.clip(0.0))).T
-        if np.isfinite(noise.freedom):
-            drawn /= np.sqrt(rng.chisquare(noise.freedom, DRAWS) / noise.freedom)[:, None]
-        drawn += noise.offsets.errors(DRAWS, rng)
+        if np.isfinite(freedom):
+            drawn /= np.sqrt(rng.chisquare(freedom, DRAWS) / freedom)[:, None]
+        drawn += dataclasses.replace(offsets, variance=alike * offsets.variance).errors(DRAWS, rng)
         numbers = drawn[:, : self.m] @ tangents(self.kind, self.place).T
         if self.radius is None:
             return PlaceErrors(numbers, None)
@@ -285,22 +289,6 @@ class Radius:
     spread: float
     slope: Float[np.ndarray, " u"]
     own: Float[np.ndarray, "N d"]
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Noise:
-    """What the residuals say of the errors of the unknowns and, last, of the radius if there is one.
-
-    Attributes:
-        covariance: Of the noise's part of them, shape (w, w).
-        freedom: Degrees of freedom of that.
-        offsets: Of the joints.
-    """
-
-    covariance: Float[np.ndarray, "w w"]
-    freedom: float
-    offsets: JointOffsets
 
 
 @final
