@@ -152,9 +152,7 @@ def find_mechanism(
         unit: max(float(fit.held_out[n].max()) for n in fit.kind.holds if QUANTITIES[n].unit == unit)
         for unit in {QUANTITIES[n].unit for n in fit.kind.holds}
     }
-    features, selection = _constraint(
-        robot, tip.name, fit, mechanism.radius, np.concatenate([thinned(q, 10) for q in postures])
-    )
+    features, selection = _constraint(robot, tip.name, fit, mechanism.radius, postures)
     odd = tuple(i for i in range(len(trajectories)) if i not in {numbers[k] for k in members})
     refused = MechanismFit(None, None, None, held_out, table, "", (), odd)
     poor = _poor(mechanism)
@@ -303,10 +301,10 @@ def _why_none(table: Sequence[Alternative]) -> str:
 
 
 def _constraint(
-    robot: Robot, frame: str, fit: PlaceFit, radius: float | None, postures: Float[np.ndarray, "n nv"]
+    robot: Robot, frame: str, fit: PlaceFit, radius: float | None, postures: Sequence[Float[np.ndarray, "_ nv"]]
 ) -> tuple[FeatureMap, Float[np.ndarray, "s p"]]:
     """Phi and Lambda, without the rows that the arm cannot move."""
     features, selection = rows_of(fit.kind, fit.place, radius, robot, frame)
-    A = np.einsum("sp,npj->nsj", selection, features.batch(postures))
+    A = np.einsum("sp,npj->nsj", selection, features.batch(np.concatenate([thinned(q, 10) for q in postures])))
     movable = np.sqrt(np.mean(np.sum(A * A, axis=2), axis=0)) > BLIND
     return features, selection[movable]

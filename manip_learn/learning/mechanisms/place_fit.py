@@ -202,8 +202,8 @@ class PlaceFit:
         middle = int(np.argsort(each)[len(each) // 2])
         if not tied[j]:
             part, k = self.paths.part(middle), int(np.count_nonzero(~tied[:j]))
-            O = self.weights.root[part][:, :, ~tied]
-            own[part] = O @ np.linalg.inv(np.sum(O.transpose(0, 2, 1) @ O, axis=0))[:, k]
+            root = self.weights.root[part][:, :, ~tied]
+            own[part] = root @ np.linalg.inv(np.sum(root.transpose(0, 2, 1) @ root, axis=0))[:, k]
         spread = float(np.quantile(np.abs(each - each[middle]), STATED_SHARE_OF_PLACES))
         return Radius(float(each[middle]), spread, self.leaning[middle, j], own)
 
