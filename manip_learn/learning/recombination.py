@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Literal, final
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -33,6 +33,20 @@ RowState = Literal["held", "unclear", "free", "untried"]
 
 # standard errors by which a verdict must stand off for the next draw of recombinations to give the same one: 99 %
 SURE = NormalDist().inv_cdf(0.995)
+
+
+class RowSupport(NamedTuple):
+    """Evidence that one row is held, from the recombination test.
+
+    Attributes:
+        strength: How much more the motion uses the row when joints are exchanged between trajectories (a ratio).
+        p_value: Chance of so low a use if the joints moved independently of each other.
+        state: `"held"`, `"unclear"`, `"free"` or `"untried"`.
+    """
+
+    strength: float
+    p_value: float
+    state: str
 
 
 @final
@@ -133,11 +147,17 @@ class RowEvidence:
                 states.append("free" if level >= USED_SHARE * most and level > 0.0 else "untried")
         return tuple(states)
 
+    @property
+    def rows(self) -> tuple[RowSupport, ...]:
+        """The evidence for each row."""
+        return tuple(map(RowSupport, self.strengths, self.p_values, self.states))
+
     def sentence(self) -> str:
         """The evidence in words, for reports."""
         if not self.strengths:
             return "the recordings do not move, so nothing shows which rows are held"
-        return f"{self._held()}; {self._rest()}{self._few()}"
+        few = f"; too few to be sure with {counted(self.n_trajectories, 'recording')}, record 5 or more"
+        return f"{self._held()}; {self._rest()}{'' if self.enough else few}"
 
     def _held(self) -> str:
         n = self.n_rows
@@ -159,13 +179,6 @@ class RowEvidence:
             return f"{counted(states.count('untried'), 'direction')} hardly tried, so held or free cannot be told"
         kind = "is free" if states[n] == "free" else "may be held softly, or only at each place by itself"
         return f"the next row (strength {self.strengths[n]:.2g}) {kind}"
-
-    def _few(self) -> str:
-        return (
-            ""
-            if self.enough
-            else f"; too few to be sure with {counted(self.n_trajectories, 'recording')}, record 5 or more"
-        )
 
 
 MOST_BINS = 24  # of the phase

@@ -100,6 +100,10 @@ class JointFit:
     iterations: int
     model: PolicyModel
 
+    def leaves_only(self, share: float) -> bool:
+        """Whether no more than a share of the motion in the null space is left."""
+        return self.cost <= share * self.energy
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -164,10 +168,19 @@ class Estimate:
     levels: Float[np.ndarray, " r"] = field(default_factory=lambda: np.zeros(0))
 
     @property
+    def n_rows(self) -> int:
+        """Number of rows s."""
+        return len(self.whitened_selection)
+
+    @property
+    def gap(self) -> float:
+        """Gap that supports the number of rows."""
+        return self.table.gap(self.n_rows)
+
+    @property
     def is_held(self) -> bool:
         """Whether the motion obeys A u = 0 beyond doubt."""
-        gap = self.table.gap(len(self.whitened_selection))
-        return self.name == "null-space" and gap >= CLEAR_GAP and self.unexplained < HELD_ENERGY
+        return self.name == "null-space" and self.gap >= CLEAR_GAP and self.unexplained < HELD_ENERGY
 
 
 class Iterate(Protocol):

@@ -317,7 +317,7 @@ def _scaled(
 def _rows(motion: RowMotion, held: Bool[np.ndarray, " n"], h: Hypothesis) -> Float[np.ndarray, "s r"]:
     """Rows from the held samples, each weighted by the inverse of the variance that is expected of it."""
     variance = h.scale.steady**2 * motion.noise + h.scale.share**2 * motion.free
-    return fitted_rows(motion, np.where(held, motion.weight / variance, 0.0), h.n_rows)[0]
+    return fitted_rows(motion, np.where(held, motion.weight / variance, 0.0), h.n_rows)
 
 
 def _similar(first: Hypothesis, second: Hypothesis) -> bool:

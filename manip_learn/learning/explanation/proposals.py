@@ -158,24 +158,8 @@ def _window_moments(motion: RowMotion, lengths: Sequence[float]) -> Moments:
     return Moments(M, S, noise, np.concatenate(numbers).astype(np.int64))
 
 
-def fitted_rows(
-    motion: RowMotion, weights: Float[np.ndarray, " n"], s: int
-) -> tuple[Float[np.ndarray, "s r"], Float[np.ndarray, " r"]]:
-    """The s rows that the weighted samples use least, orthonormal, and the levels of all directions, least first.
-
-    A level is the root of the mean energy along a direction [rad/s].
-    """
-    M = (motion.rates * weights[:, None]).T @ motion.rates
-    return rows_of_moments(M, np.tensordot(weights, motion.gram, axes=1), s)
-
-
-def rows_of_moments(
-    M: Float[np.ndarray, "r r"], S: Float[np.ndarray, "r r"], s: int
-) -> tuple[Float[np.ndarray, "s r"], Float[np.ndarray, " r"]]:
-    """The same from the weighted sums of r r^T and of Phi Phi^T."""
-    r = len(M)
-    L = np.linalg.cholesky(S + max(1e-9 * np.trace(S) / r, TINY) * np.eye(r))
-    inverse = np.linalg.inv(L)
-    values, vectors = np.linalg.eigh(inverse @ M @ inverse.T)
-    rows = np.linalg.qr((vectors[:, :s].T @ inverse).T)[0].T
-    return rows, np.sqrt(np.maximum(values, 0.0))
+def fitted_rows(motion: RowMotion, weights: Float[np.ndarray, " n"], s: int) -> Float[np.ndarray, "s r"]:
+    """The s rows that the weighted samples use least, orthonormal."""
+    M, S = (motion.rates * weights[:, None]).T @ motion.rates, np.tensordot(weights, motion.gram, axes=1)
+    _, directions = _least_used(Moments(M[None], S[None], np.zeros(1), np.zeros(1, dtype=np.int64)))
+    return np.linalg.qr(directions[0, :s].T)[0].T
