@@ -19,7 +19,7 @@ BESIDE = {
     "audit": {"time": "CHUNK", "rounding": "NOTABLE MAD_EFFICIENCY MAD_SMALL MAD_TO_SIGMA"},
     "candidate": {"time": "START_SHARE"},
     "effort_witness": {"time": "MOST_SAMPLES DRAWS", "rounding": "SHORTEST RANK"},
-    "estimators.estimate": {"rounding": "SHORTEST MOST_DAMPED FIRST_DAMPING CUTOFF"},
+    "descent": {"rounding": "FIRST_DAMPING MOST_DAMPED CUTOFF"},
     "estimators.joint_estimator": {
         "time": "RANDOM_STARTS COMPARE_LIMIT MAX_COLUMNS MOST_POSTURES FEW FEW_SAMPLES STARTS IDLE_ROUNDS REFINED LOOK",
         "rounding": "EXACT NOISY",
@@ -32,7 +32,7 @@ BESIDE = {
     "estimators.null_space": {"time": "MAX_ITERATIONS MAX_FOLDS", "rounding": "SAME_COST"},
     "estimators.policy_equations": {"time": "REFINEMENTS CHUNK", "rounding": "FLAT FLOOR"},
     "estimators.policy_prior": {
-        "time": "MAX_ITERATIONS SHORTEST FIRST_UPDATES UPDATES START KEEP_LIMIT",
+        "time": "MAX_ITERATIONS FIRST_UPDATES UPDATES START KEEP_LIMIT",
         "rounding": "SETTLED LEAST DETERMINED",
     },
     "estimators.row_count": {"time": "RANDOM_STARTS SUBSPACES PROGRESS"},
@@ -50,7 +50,7 @@ BESIDE = {
     "explanation.row_motion": {"time": "SCAN_RATE FEW", "rounding": "RANK"},
     "mechanisms.find_mechanism": {"time": "SAMPLES MOST LEAST", "rounding": "BLIND"},
     "mechanisms.place_fit": {
-        "time": "ITERATIONS ROUNDS FIRST_DAMPING MOST_DAMPED ASTRAY LONGEST DRAWS",
+        "time": "ITERATIONS ROUNDS ASTRAY LONGEST DRAWS",
         "rounding": "SETTLED UNDETERMINED LEVERAGE_FLOOR UNSEEN",
     },
     "mechanisms.quantities": {"rounding": "NEAR_AXIS QUANTITIES"},

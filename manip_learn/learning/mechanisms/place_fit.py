@@ -33,13 +33,13 @@ from jaxtyping import Float
 
 from manip_learn.constraint.mechanism_kinds import MechanismKind
 from manip_learn.learning.deciding import SCATTER_ERRORS, STANDARD_ERRORS, STATED_SHARE_OF_PLACES, VARIANCE_FLOOR
+from manip_learn.learning.descent import descend
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 from manip_learn.learning.uncertainty import JointOffsets, influences
 
 ITERATIONS, ROUNDS = 25, 2  # weights are those of the place where a round of steps begins
 SETTLED = 1e-6  # squared length of the last step in standard errors
-FIRST_DAMPING, MOST_DAMPED = 1e-3, 1e3  # of the curvatures, where a step gains nothing
 ASTRAY = 10.0  # [m] a centre that far away is not coming back
 UNDETERMINED = 1e-12  # curvatures below this share of the largest are none
 LEVERAGE_FLOOR = 1e-6
@@ -132,6 +132,16 @@ class PlaceFit:
         return PlaceFit(
             paths, kind, place, shared, weights, slopes, residuals + slopes[:, :, m:] @ common, constants, leaning
         )
+
+    def moved(self, step: Float[np.ndarray, " u"]) -> PlaceFit:
+        """After a step of the unknowns, with the same weights."""
+        place = self.place.moved(tangents(self.kind, self.place) @ step[: self.m])
+        return PlaceFit.at(self.paths, self.kind, place, self.shared, self.weights)
+
+    def equations(self) -> tuple[Float[np.ndarray, "u u"], Float[np.ndarray, " u"]]:
+        """Gauss-Newton Hessian and gradient of half the cost."""
+        gradients, hessians = self.scores
+        return hessians.sum(axis=0), gradients.sum(axis=0)
 
     @property
     def m(self) -> int:
@@ -322,24 +332,14 @@ def fit_place(paths: TipPaths, kind: MechanismKind, start: Place, shared: tuple[
     for _ in range(ROUNDS):
         if "point" not in kind.unknowns:
             place = Place(place.axis, place.point + ((middle - place.point) @ place.axis) * place.axis, place.pitch)
-        here = _descended(PlaceFit.at(paths, kind, place, shared), middle)
+        here, _ = descend(
+            PlaceFit.at(paths, kind, place, shared),
+            PlaceFit.moved,
+            ITERATIONS if kind.unknowns else 0,
+            lambda fit, step, H: bool(step @ H @ step <= SETTLED * fit.variance),
+            stop=lambda fit: bool(np.linalg.norm(fit.place.point - middle) > ASTRAY),
+        )
         place = here.place
-    return here
-
-
-def _descended(here: PlaceFit, middle: Float[np.ndarray, " 3"]) -> PlaceFit:
-    damping = 0.0
-    for _ in range(ITERATIONS if here.m else 0):
-        gradient, H = (one.sum(axis=0) for one in here.scores)
-        step = -scaled_inverse(H + damping * np.diag(np.diag(H))) @ gradient
-        if step @ H @ step <= SETTLED * here.variance or damping > MOST_DAMPED:
-            break
-        place = here.place.moved(tangents(here.kind, here.place) @ step[: here.m])
-        there = PlaceFit.at(here.paths, here.kind, place, here.shared, here.weights)
-        is_better = there.cost <= here.cost
-        here, damping = (there, 0.1 * damping) if is_better else (here, max(FIRST_DAMPING, 10.0 * damping))
-        if np.linalg.norm(here.place.point - middle) > ASTRAY:
-            break
     return here
 
 
