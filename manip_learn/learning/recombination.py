@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sys
 from collections.abc import Sequence
@@ -222,13 +223,8 @@ class PhasePath:
 
     def reverse(self) -> PhasePath:
         """The same way from its end to its start; displacements keep their sign."""
-        return PhasePath(
-            self.q[::-1],
-            1.0 - self.edges[::-1],
-            self.n_bins - 1 - self.bins[::-1],
-            self.weight[::-1],
-            self.steps[::-1],
-        )
+        q, weight, steps = self.q[::-1], self.weight[::-1], self.steps[::-1]
+        return PhasePath(q, 1.0 - self.edges[::-1], self.n_bins - 1 - self.bins[::-1], weight, steps)
 
     def displacements(self, steps: Float[np.ndarray, "g nv"], shift: float = 0.0) -> Float[np.ndarray, "n nv"]:
         """How far joints that move by `steps` come while this trajectory passes each of its postures.
@@ -296,7 +292,7 @@ def _turned(paths: list[PhasePath], scale: Float[np.ndarray, " nv"]) -> list[Pha
         own = np.linalg.svd(moved, full_matrices=False)[2][0]
         along = moved @ (own if own @ common >= 0.0 else -own)
         steps = path.steps * np.repeat(np.where(along < 0.0, -1.0, 1.0), NODES_PER_BIN)[:, None]
-        path = PhasePath(path.q, path.edges, path.bins, path.weight, steps)
+        path = dataclasses.replace(path, steps=steps)
         turned.append(path.reverse() if np.sum(along) < -0.5 * np.sum(np.abs(along)) else path)
     return turned
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
-from typing import final
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -25,9 +24,7 @@ MOST = 200
 TINY = 1e-200
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Moments:
+class Moments(NamedTuple):
     """Sums over windows or recordings.
 
     Attributes:
@@ -44,7 +41,7 @@ class Moments:
 
     def chosen(self, numbers: Int[np.ndarray, " k"]) -> Moments:
         """Some of them."""
-        return Moments(self.M[numbers], self.S[numbers], self.noise[numbers], self.trajectory[numbers])
+        return Moments(*(one[numbers] for one in self))
 
     def paired(self, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " k"]) -> Moments:
         """Sums over two together."""
@@ -54,8 +51,7 @@ class Moments:
     @staticmethod
     def joined(parts: Sequence[Moments]) -> Moments:
         """One after the other."""
-        names = ("M", "S", "noise", "trajectory")
-        return Moments(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+        return Moments(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def proposed(motion: RowMotion, states: Int[np.ndarray, " n"], largest: int) -> dict[int, Float[np.ndarray, "h s r"]]:
