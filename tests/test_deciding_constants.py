@@ -51,7 +51,7 @@ BESIDE = {
     "mechanisms.find_mechanism": {"time": "SAMPLES MOST LEAST", "rounding": "BLIND"},
     "mechanisms.place_fit": {
         "time": "ITERATIONS ROUNDS ASTRAY LONGEST DRAWS",
-        "rounding": "SETTLED UNDETERMINED LEVERAGE_FLOOR UNSEEN",
+        "rounding": "SETTLED UNDETERMINED LEVERAGE_FLOOR",
     },
     "mechanisms.quantities": {"rounding": "NEAR_AXIS QUANTITIES"},
     "overview": {"time": "SPANS_SHOWN"},

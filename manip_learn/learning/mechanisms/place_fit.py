@@ -45,7 +45,6 @@ UNDETERMINED = 1e-12  # curvatures below this share of the largest are none
 LEVERAGE_FLOOR = 1e-6
 LONGEST = 100  # samples over which neighbours may share their noise
 DRAWS = 1000
-UNSEEN = 1e-10  # share of the largest curvature below which a combination of offsets shows nowhere
 
 
 @final
@@ -245,14 +244,12 @@ class PlaceFit:
         left = left + self.influence[:, :, : self.slopes.shape[2]] @ np.tensordot(
             self.slopes, left, axes=([0, 1], [0, 1])
         )
-        flat, energy = left.reshape(-1, K.shape[2]), float(np.sum(K * K))
-        curvatures, V = np.linalg.eigh(flat.T @ flat)
-        seen = curvatures > UNSEEN * energy
-        pattern = np.where(seen, V.T @ (flat.T @ self.residuals.reshape(-1)), 0.0)
-        delta = V @ np.divide(pattern, curvatures, out=np.zeros_like(pattern), where=seen)
-        response = np.tensordot(self.influence, K, axes=([0, 1], [0, 1]))
-        alone = dataclasses.replace(self, residuals=self.residuals - left @ delta)
-        return alone, JointOffsets(response, V, np.where(seen, curvatures, 0.0), pattern, alone.variance)
+        response, e = np.tensordot(self.influence, K, axes=([0, 1], [0, 1])), self.residuals.reshape(-1)
+        rest, size = left.reshape(len(e), -1), float(np.sum(K * K))
+        offsets, patterns = JointOffsets.of_residual(e, rest, response, size)
+        residuals = (e - patterns @ (patterns.T @ e)).reshape(self.residuals.shape)
+        alone = dataclasses.replace(self, residuals=residuals)
+        return alone, dataclasses.replace(offsets, variance=alone.variance)
 
     @property
     def size(self) -> tuple[float, float] | None:
