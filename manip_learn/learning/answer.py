@@ -115,7 +115,7 @@ def _explained(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
     """
     asked = settings.n_constraints
     mechanism = _mechanism(part, settings)
-    features, n = part.feature_maps[0], part.n_constraints
+    features, n = part.feature_maps[0], None if part.found is None else len(part.found)
     rows = mechanism_rows(mechanism, part.asked, part.demonstrations) if asked is None else None
     evidence = None if rows is None else _evidence(rows, part, settings)
     if rows is not None and evidence is not None and evidence.n_rows == rows.n_rows:

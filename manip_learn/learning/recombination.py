@@ -157,29 +157,25 @@ class RowEvidence:
         """The evidence in words, for reports."""
         if not self.strengths:
             return "the recordings do not move, so nothing shows which rows are held"
-        few = f"; too few to be sure with {counted(self.n_trajectories, 'recording')}, record 5 or more"
-        return f"{self._held()}; {self._rest()}{'' if self.enough else few}"
-
-    def _held(self) -> str:
-        n = self.n_rows
-        if n == 0:
-            return (
-                f"no row is shown to be held (best strength {self.strengths[0]:.2g}, with 99 % confidence above "
-                f"{self.lower[0]:.2g}; {BELIEVED_STRENGTH:g} is the least that counts)"
-            )
-        softly = "held softly, or by the way of moving only" if self.enough else "held, it seems"
-        firmly = "held" if self.verdict == "clear" else softly
-        strengths = listed(f"{s:.3g}" for s in self.strengths[:n])
-        return f"{counted(n, 'row')} {firmly} (strength {strengths}, p = {max(self.p_values[:n]):.2g})"
-
-    def _rest(self) -> str:
         n, states = self.n_rows, self.states
-        if n == len(states):
-            return "nothing of the features is left free"
+        held = (
+            f"no row is shown to be held (best strength {self.strengths[0]:.2g}, with 99 % confidence above "
+            f"{self.lower[0]:.2g}; {BELIEVED_STRENGTH:g} is the least that counts)"
+        )
+        if n:
+            softly = "held softly, or by the way of moving only" if self.enough else "held, it seems"
+            firmly = "held" if self.verdict == "clear" else softly
+            strengths = listed(f"{s:.3g}" for s in self.strengths[:n])
+            held = f"{counted(n, 'row')} {firmly} (strength {strengths}, p = {max(self.p_values[:n]):.2g})"
+        rest = "nothing of the features is left free"
         if "untried" in states:
-            return f"{counted(states.count('untried'), 'direction')} hardly tried, so held or free cannot be told"
-        kind = "is free" if states[n] == "free" else "may be held softly, or only at each place by itself"
-        return f"the next row (strength {self.strengths[n]:.2g}) {kind}"
+            untried = counted(states.count("untried"), "direction")
+            rest = f"{untried} hardly tried, so held or free cannot be told"
+        elif n < len(states):
+            kind = "is free" if states[n] == "free" else "may be held softly, or only at each place by itself"
+            rest = f"the next row (strength {self.strengths[n]:.2g}) {kind}"
+        few = f"; too few to be sure with {counted(self.n_trajectories, 'recording')}, record 5 or more"
+        return f"{held}; {rest}{'' if self.enough else few}"
 
 
 MOST_BINS = 24  # of the phase

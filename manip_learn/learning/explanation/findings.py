@@ -70,11 +70,6 @@ class Part:
     source: BeforeSmoothing | None = None
 
     @property
-    def n_constraints(self) -> int | None:
-        """Number of rows that explain these stretches; None: from the data."""
-        return None if self.found is None else len(self.found)
-
-    @property
     def recorded(self) -> list[Trajectory] | None:
         """The demonstrations as they were recorded; None if they are."""
         return None if self.source is None else self.source.of(self.stretches, self.demonstrations)

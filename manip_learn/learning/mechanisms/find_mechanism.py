@@ -173,14 +173,14 @@ def find_mechanism(
     features, selection = _constraint(robot, tip.name, fit, mechanism.radius, postures)
     odd = tuple(i for i in range(len(trajectories)) if i not in {numbers[k] for k in members})
     refused = MechanismFit(None, None, None, held_out, table, "", (), odd)
-    poor = _poor(mechanism)
+    poor, wide = _doubts(mechanism)
     if poor:
         return dataclasses.replace(refused, reason=poor, warnings=(poor,))
     if confirm is not None and not confirm(features, selection):
         reason = f"the recordings look like {mechanism.sentence}, but the test of its rows refuses it"
         return dataclasses.replace(refused, reason=reason)
     lone = ("one trajectory only: a repeated motion cannot be told from a contact",) if len(postures) == 1 else ()
-    warnings = (*lone, *filter(None, (rival,)), *_wide(mechanism))
+    warnings = (*lone, *filter(None, (rival, wide)))
     return MechanismFit(mechanism, features, selection, held_out, table, "", warnings, odd, rival)
 
 
@@ -353,31 +353,29 @@ def _arc(paths: TipPaths, kind: MechanismKind, place: Place) -> float | None:
     return float(max(np.ptp(angle[paths.part(i)]) for i in range(len(paths.starts))))
 
 
-def _poor(mechanism: Mechanism) -> str:
-    """A sentence if the parameters are too uncertain to be used, which says how much more motion is needed."""
+def _doubts(mechanism: Mechanism) -> tuple[str, str]:
+    """A sentence if the parameters are too uncertain to be used, and one if the motion determines the place badly; each
+    says how much more motion is needed. Empty where there is no doubt.
+    """
     u, radius, arc = mechanism.uncertainty, mechanism.radius, mechanism.arc
     if radius is None or arc is None:
-        return ""
+        return "", ""
     # the curvature of an arc, and with it the radius, is known to its residual over the square of the arc
-    worst = max(u.get("axis", 0.0) / POOR_AXIS_DEG, u.get("point", 0.0) / (POOR_RADIUS * max(radius, 0.02)))
-    if worst <= 1.0:
-        return ""
-    needed = min(np.degrees(arc) * np.sqrt(4.0 * worst), 90.0)
-    return (
-        f"move it by at least {needed:.0f} degrees, not {np.degrees(arc):.0f}: it looks like {mechanism.sentence}, but "
-        f"the axis is known to {u.get('axis', 0.0):.1f} degrees only and its place to {1e3 * u['point']:.0f} mm"
-    )
-
-
-def _wide(mechanism: Mechanism) -> tuple[str, ...]:
-    """A warning if the motion determines the place of an axis or a centre badly."""
-    radius, arc, place = mechanism.radius, mechanism.arc, mechanism.uncertainty.get("point", 0.0)
-    if radius is None or arc is None or place <= WIDE_RADIUS * radius or mechanism.grip == "firm":
-        return ()
-    needed = min(np.degrees(arc) * np.sqrt(place / (WIDE_RADIUS / 3.0 * radius)), 90.0)
-    return (
-        f"the hand goes {np.degrees(arc):.0f} degrees about the axis or the centre only, whose place is known to "
-        f"+- {1e3 * place:.0f} mm: move it by at least {needed:.0f} degrees",
+    far, axis, place = np.degrees(arc), u.get("axis", 0.0), u.get("point", 0.0)
+    worst = max(axis / POOR_AXIS_DEG, place / (POOR_RADIUS * max(radius, 0.02)))
+    if worst > 1.0:
+        return (
+            f"move it by at least {min(far * np.sqrt(4.0 * worst), 90.0):.0f} degrees, not {far:.0f}: it looks like "
+            f"{mechanism.sentence}, but the axis is known to {axis:.1f} degrees only and its place to "
+            f"{1e3 * place:.0f} mm",
+            "",
+        )
+    if place <= WIDE_RADIUS * radius or mechanism.grip == "firm":
+        return "", ""
+    needed = min(far * np.sqrt(place / (WIDE_RADIUS / 3.0 * radius)), 90.0)
+    return "", (
+        f"the hand goes {far:.0f} degrees about the axis or the centre only, whose place is known to "
+        f"+- {1e3 * place:.0f} mm: move it by at least {needed:.0f} degrees"
     )
 
 
