@@ -155,8 +155,9 @@ class PlaceFit:
     @property
     def variance(self) -> float:
         """sigma^2 [rad^2]."""
-        u, (n, d) = self.slopes.shape[2], self.constants.shape
-        return self.cost / max(self.weights.n_residuals - u - n * (d - (u - self.m)), 1.0)
+        n_shared, (n, d) = self.slopes.shape[2] - self.m, self.constants.shape
+        n_unknowns = self.m + n_shared + n * (d - n_shared)
+        return self.cost / max(self.weights.n_residuals - n_unknowns, 1.0)
 
     @cached_property
     def clusters(self) -> list[slice]:
