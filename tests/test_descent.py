@@ -44,16 +44,21 @@ def test_it_ends_in_the_optimum(start):
         costs.append(point.cost)
         return point.moved(step)
 
-    end, steps = descend(Valley(np.array(start)), moved, 200, short)
+    end, steps = descend(Valley(np.array(start)), moved, 200, settled=short)
     np.testing.assert_allclose(end.x, [1.0, 1.0, start[2]], atol=1e-10)
     assert np.all(np.diff(costs) <= 0.0) and steps == len(costs)
 
 
 def test_it_stops_where_it_is_told_to():
-    """After so many steps; where a step gains too little; at a point that ends it; and before a step that is short."""
+    """After so many steps; where a step gains too little; at a point that ends it; before a step that is too short to be
+    taken; and after one that is short enough to be the last.
+    """
     start = Valley(np.array([-1.2, 1.0, 0.0]))
-    assert descend(start, Valley.moved, 0, short) == (start, 0)
-    assert descend(start, Valley.moved, 3, short)[1] == 3
-    assert descend(start, Valley.moved, 200, short, gain=1.0)[0].cost < start.cost
-    assert descend(start, Valley.moved, 200, short, stop=lambda point: point.cost < 4.0)[0].cost > 1e-3
-    assert descend(start, Valley.moved, 200, lambda *_: True) == (start, 0)
+    assert descend(start, Valley.moved, 0, settled=short) == (start, 0)
+    assert descend(start, Valley.moved, 3, settled=short)[1] == 3
+    assert descend(start, Valley.moved, 200, settled=short, gain=1.0)[0].cost < start.cost
+    assert descend(start, Valley.moved, 200, settled=short, stop=lambda point: point.cost < 4.0)[0].cost > 1e-3
+    assert descend(start, Valley.moved, 200, settled=lambda *_: True) == (start, 0)
+    last = descend(start, Valley.moved, 200, tolerance=1e-3)
+    np.testing.assert_allclose(last[0].x, [1.0, 1.0, 0.0], atol=1e-6)
+    assert last[1] <= descend(start, Valley.moved, 200, settled=short)[1]

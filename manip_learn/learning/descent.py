@@ -34,8 +34,9 @@ def descend(
     here: Point,
     moved: Callable[[Point, Float[np.ndarray, " m"]], Point],
     max_iterations: int,
-    settled: Callable[[Point, Float[np.ndarray, " m"], Float[np.ndarray, "m m"]], bool],
     *,
+    settled: Callable[[Point, Float[np.ndarray, " m"], Float[np.ndarray, "m m"]], bool] = lambda point, step, H: False,
+    tolerance: float = 0.0,
     stop: Callable[[Point], bool] = lambda point: False,
     gain: float = 0.0,
     rise: float = 0.0,
@@ -47,6 +48,7 @@ def descend(
         moved: The point after a step.
         max_iterations: Largest number of steps; 0 judges the start as it is.
         settled: Whether a step is so short that it is not taken, by the point, the step and the Hessian.
+        tolerance: Length of a step that is the last.
         stop: Whether to go no further from a point.
         gain: Relative decrease of the cost below which to stop.
         rise: Relative rise of the cost that is rounding.
@@ -62,12 +64,14 @@ def descend(
         if settled(here, step, H):
             break
         iterations += 1
-        trial = moved(here, step)
+        trial, length = moved(here, step), float(np.linalg.norm(step))
         if trial.cost <= here.cost * (1.0 + rise):
-            is_last = trial.cost >= here.cost * (1.0 - gain)
+            is_last = trial.cost >= here.cost * (1.0 - gain) or length < tolerance
             here, damping = trial, damping * 0.1 if damping > 1e-9 else 0.0
             if is_last:
                 break
+        elif length < tolerance:
+            break  # rounding is all that is left
         else:
             damping = max(FIRST_DAMPING, damping * 10.0)
     return here, iterations

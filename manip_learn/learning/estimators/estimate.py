@@ -214,7 +214,7 @@ def descend_rows(
         here,
         lambda point, B: at(turned(point.whitened_selection, B)),
         max_iterations if 0 < s < r else 0,
-        lambda _, B, __: float(np.linalg.norm(B)) < tolerance,
+        tolerance=tolerance,
         gain=gain,
         **further,
     )

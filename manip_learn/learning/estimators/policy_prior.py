@@ -154,7 +154,9 @@ def fit_marginal(samples: Samples, fit: JointFit, most_columns: int) -> ScoredFi
     n_grades = int(regressors.grades.max()) + 1
     noise = max(fit.cost / max(samples.nv - len(fit.whitened_selection), 1), LEAST * scale)
     here.settle(Variances(noise, np.full(n_grades, START * scale)), FIRST_UPDATES)
-    here, _ = descend(here, _Posterior.moved, MAX_ITERATIONS, lambda _, step, H: float(step @ H @ step) < SETTLED)
+    here, _ = descend(
+        here, _Posterior.moved, MAX_ITERATIONS, settled=lambda _, step, H: float(step @ H @ step) < SETTLED
+    )
     gradients, hessians = here.scores()
     precision = np.append(here.precision, np.zeros(hessians.shape[1] - len(here.precision)))
     return ScoredFit(here.Lambda, gradients, hessians, PolicyPrior(precision, here.variances.noise))

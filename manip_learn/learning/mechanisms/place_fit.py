@@ -334,7 +334,7 @@ def fit_place(paths: TipPaths, kind: MechanismKind, start: Place, shared: tuple[
             PlaceFit.at(paths, kind, place, shared),
             PlaceFit.moved,
             ITERATIONS if kind.unknowns else 0,
-            lambda fit, step, H: bool(step @ H @ step <= SETTLED * fit.variance),
+            settled=lambda fit, step, H: bool(step @ H @ step <= SETTLED * fit.variance),
             stop=lambda fit: bool(np.linalg.norm(fit.place.point - middle) > ASTRAY),
         )
         place = here.place
