@@ -50,8 +50,8 @@ def test_it_ends_in_the_optimum(start):
 
 
 def test_it_stops_where_it_is_told_to():
-    """After so many steps; where a step gains too little; at a point that ends it; before a step that is too short to be
-    taken; and after one that is short enough to be the last.
+    """After so many steps; where a step gains too little; at a point that ends it; before a step too short to be taken;
+    and after one short enough to be the last.
     """
     start = Valley(np.array([-1.2, 1.0, 0.0]))
     assert descend(start, Valley.moved, 0, settled=short) == (start, 0)
