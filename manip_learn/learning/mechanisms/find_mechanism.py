@@ -238,7 +238,8 @@ def _straight_or_bent(read: PlaceFit) -> tuple[PlaceFit, str]:
         return straight, _rival(read, straight)
     if name in BENT_FORMS:
         bent = _other_form(read, BENT_FORMS[name])
-        return (bent, "") if _bends(bent, read, _other_form(read, name)) else (read, _rival(bent, read))
+        leaves = _bends(bent, read) and _bends(bent, _other_form(read, name))  # wherever the straight form is
+        return (bent, "") if leaves else (read, _rival(bent, read))
     return read, ""
 
 
@@ -270,12 +271,12 @@ def _centre(paths: TipPaths, base: Float[np.ndarray, "k 3"]) -> Float[np.ndarray
     return middle + 0.5 * np.linalg.lstsq(paths.centred(y), square, rcond=1e-9)[0] @ base
 
 
-def _bends(bent: PlaceFit, *straight: PlaceFit) -> bool:
-    """Whether the data show what the straight form lacks, wherever that is: measurable, and more than rails wobble."""
+def _bends(bent: PlaceFit, straight: PlaceFit) -> bool:
+    """Whether the data show what the straight form lacks: measurable, and more than rails wobble."""
     if bent.size is None or ("pitch" not in bent.kind.unknowns and bent.size[0] > FARTHEST_M):
         return False
     size, sigma = bent.size
-    return size > BEYOND_CHANCE * sigma and min(map(_rest, straight)) - _rest(bent) > LEAST_BEND_M**2
+    return size > BEYOND_CHANCE * sigma and _rest(straight) - _rest(bent) > LEAST_BEND_M**2
 
 
 def _rest(fit: PlaceFit) -> float:
@@ -301,7 +302,7 @@ def _with_shared(fit: PlaceFit) -> PlaceFit:
     """The fit with as many quantities as the data allow the same for all trajectories: better determined."""
     names = tuple(n for n in fit.kind.holds if n in ("radius", "height", "distance", "across-line"))
     for shared in (names, *((n,) for n in names if len(names) > 1)) if names else ():
-        tied, is_lost = fit_place(fit.paths, fit.kind, fit.place, shared), False
+        tied, is_lost = fit_place(fit.paths, fit.kind, fit.place, shared, fit.weights), False
         for name in fit.kind.holds:
             after, before = (np.hypot(f.held_out[name], SMALLEST_RESIDUAL[QUANTITIES[name].unit]) for f in (tied, fit))
             is_lost |= bool(np.any(after > SHARED_LOSS * before))

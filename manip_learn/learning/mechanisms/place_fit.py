@@ -317,7 +317,13 @@ class PlaceErrors:
         return float(np.quantile(np.linalg.norm(self.numbers[:, chosen], axis=1), STATED_SHARE_OF_PLACES))
 
 
-def fit_place(paths: TipPaths, kind: MechanismKind, start: Place, shared: tuple[str, ...] = ()) -> PlaceFit:
+def fit_place(
+    paths: TipPaths,
+    kind: MechanismKind,
+    start: Place,
+    shared: tuple[str, ...] = (),
+    weights: Weights | None = None,
+) -> PlaceFit:
     """The mechanism at its most likely place: Levenberg-Marquardt, the point of an axis beside the hand.
 
     Args:
@@ -325,13 +331,14 @@ def fit_place(paths: TipPaths, kind: MechanismKind, start: Place, shared: tuple[
         kind: What is fitted.
         start: Where it may be.
         shared: Quantities that are the same for all trajectories.
+        weights: Those of a place near enough; by default they are found along with the place.
     """
     middle, place = paths.p.mean(axis=0), start
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS if weights is None else 1):
         if "point" not in kind.unknowns:
             place = Place(place.axis, place.point + ((middle - place.point) @ place.axis) * place.axis, place.pitch)
         here, _ = descend(
-            PlaceFit.at(paths, kind, place, shared),
+            PlaceFit.at(paths, kind, place, shared, weights),
             PlaceFit.moved,
             ITERATIONS if kind.unknowns else 0,
             settled=lambda fit, step, H: bool(step @ H @ step <= SETTLED * fit.variance),
