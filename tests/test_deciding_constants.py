@@ -19,7 +19,7 @@ BESIDE = {
     "audit": {"time": "CHUNK", "rounding": "NOTABLE MAD_EFFICIENCY MAD_SMALL MAD_TO_SIGMA"},
     "candidate": {"time": "START_SHARE"},
     "effort_witness": {"time": "MOST_SAMPLES DRAWS", "rounding": "SHORTEST RANK"},
-    "estimators.estimate": {"rounding": "SHORTEST MOST_DAMPED FIRST_DAMPING CUTOFF"},
+    "descent": {"rounding": "FIRST_DAMPING MOST_DAMPED CUTOFF"},
     "estimators.joint_estimator": {
         "time": "RANDOM_STARTS COMPARE_LIMIT MAX_COLUMNS MOST_POSTURES FEW FEW_SAMPLES STARTS IDLE_ROUNDS REFINED LOOK",
         "rounding": "EXACT NOISY",
@@ -32,7 +32,7 @@ BESIDE = {
     "estimators.null_space": {"time": "MAX_ITERATIONS MAX_FOLDS", "rounding": "SAME_COST"},
     "estimators.policy_equations": {"time": "REFINEMENTS CHUNK", "rounding": "FLAT FLOOR"},
     "estimators.policy_prior": {
-        "time": "MAX_ITERATIONS SHORTEST FIRST_UPDATES UPDATES START KEEP_LIMIT",
+        "time": "MAX_ITERATIONS FIRST_UPDATES UPDATES START KEEP_LIMIT",
         "rounding": "SETTLED LEAST DETERMINED",
     },
     "estimators.row_count": {"time": "RANDOM_STARTS SUBSPACES PROGRESS"},
@@ -48,12 +48,12 @@ BESIDE = {
     "explanation.odd": {"rounding": "MEDIAN_SQUARE"},
     "explanation.proposals": {"time": "STRIDE MOST_PAIRED MOST_ALONE MOST_PAIRS MOST", "rounding": "TINY"},
     "explanation.row_motion": {"time": "SCAN_RATE FEW", "rounding": "RANK"},
-    "mechanisms.find_mechanism": {"time": "SAMPLES", "rounding": "BLIND"},
-    "mechanisms.fits": {"time": "ITERATIONS FIRST_ITERATIONS ASTRAY", "rounding": "TOLERANCE LEVERAGE_FLOOR"},
-    "mechanisms.refined": {"time": "SAMPLES LEAST"},
-    "mechanisms.residuals": {"rounding": "NEAR_AXIS QUANTITIES"},
-    "mechanisms.weighted_fit": {"time": "ITERATIONS SHORTEST LONGEST DRAWS", "rounding": "SETTLED UNSEEN"},
-    "mechanisms.weighted_residuals": {"rounding": "UNDETERMINED"},
+    "mechanisms.find_mechanism": {"time": "SAMPLES MOST LEAST", "rounding": "BLIND"},
+    "mechanisms.place_fit": {
+        "time": "ITERATIONS ROUNDS ASTRAY LONGEST DRAWS",
+        "rounding": "SETTLED UNDETERMINED LEVERAGE_FLOOR",
+    },
+    "mechanisms.quantities": {"rounding": "NEAR_AXIS QUANTITIES"},
     "overview": {"time": "SPANS_SHOWN"},
     "recombination": {
         "time": "SURE MOST_BINS MOST_POINTS NODES_PER_BIN RECOMBINATIONS MOST_RECOMBINATIONS MOST_TRAJECTORIES SHIFTS",

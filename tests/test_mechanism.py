@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import pickle
 
 import numpy as np
@@ -15,6 +16,7 @@ from manip_learn.constraint.features.place_fields import across
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.errors import NotIdentifiableError, UnknownNameError
 from manip_learn.learning.mechanisms.find_mechanism import find_mechanism
+from manip_learn.learning.recombination import recombination_test
 
 AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
 PITCH = 0.04
@@ -201,6 +203,23 @@ def test_doors_in_different_places_are_not_one_hinge(robot_of):
     fit = find(robot_of, "panda", demos)
     assert fit.mechanism is None
     assert "all of them share" in fit.reason or "holds the hand" in fit.reason
+
+
+def test_the_choice_of_rows_pays_for_all_kinds_that_were_tried(robot_of, monkeypatch):
+    """Whoever takes the best of several kinds of rows and of any four of five recordings is told a chance that has paid
+    for both.
+    """
+    demos, seen = record(robot_of, "panda", along(AXIS[None], 0.2, False), n=5), []
+    module = "manip_learn.learning.mechanisms.find_mechanism."
+
+    def noted(features, pieces, rng, choices):
+        seen.append((len(pieces), choices))
+        return recombination_test(features, pieces, rng, choices)
+
+    monkeypatch.setattr(module + "recombination_test", noted)
+    assert find(robot_of, "panda", demos).mechanism is not None
+    kinds = 4  # the pose and three kinds of rows about a place, of several numbers of rows each
+    assert seen and all(choices >= kinds * math.comb(5, n) for n, choices in seen)
 
 
 def test_confirm_has_the_last_word(robot_of):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from mechanism_motions import about, ball, demonstrate
@@ -9,12 +11,9 @@ from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
 from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS
-from manip_learn.learning.mechanisms.fits import fit_candidate
-from manip_learn.learning.mechanisms.joint_slopes import SLOPES
-from manip_learn.learning.mechanisms.residuals import QUANTITIES, Place
+from manip_learn.learning.mechanisms.place_fit import fit_place
+from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
-from manip_learn.learning.mechanisms.weighted_fit import fit_weighted
-from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 
 AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
 POINT = np.array([0.55, 0.25, 0.35])
@@ -28,26 +27,29 @@ KINDS = {
 SETS, NOISE = 60, 1e-3
 
 
-def weighted(robot, kind, postures, shared):
-    frame = robot.frame(TIP)
-    paths, candidate = TipPaths.of(robot, frame, postures), next(k for k in MECHANISM_KINDS if k.name == kind)
-    fit = fit_candidate(paths, candidate, [Place(AXIS, POINT, 0.04 if "screw" in kind else 0.0)], shared)
-    J = batch_kinematics(robot, frame).jacobian(np.concatenate(postures))
-    return fit, fit_weighted(paths, J, fit, np.random.default_rng(0))
+def fitted(robot, kind, postures, shared, *, equal=False):
+    """The place, by the errors of the joints or with equal weights for all directions of the hand's twist."""
+    paths, mechanism = (
+        TipPaths.of(robot, robot.frame(TIP), postures),
+        next(k for k in MECHANISM_KINDS if k.name == kind),
+    )
+    if equal:
+        paths = dataclasses.replace(paths, J=np.tile(np.eye(6), (len(paths.p), 1, 1)))
+    return fit_place(paths, mechanism, Place(AXIS, POINT, 0.04 if "screw" in kind else 0.0), shared)
 
 
-def errors_of(kind, answer, radius):
+def errors_of(kind, fit, radius):
     """Error and what is stated, by parameter."""
-    e = answer.place.point - POINT
+    e, stated = fit.place.point - POINT, fit.errors(np.random.default_rng(0))
     out = {}
     if kind != "ball":
         e = e - (e @ AXIS) * AXIS
-        out["axis"] = np.linalg.norm(np.cross(AXIS, answer.place.axis)), answer.within(slice(0, 3))
-    out["point"] = np.linalg.norm(e), answer.within(slice(3, 6))
-    if answer.radius is not None:
-        out["radius"] = abs(answer.radius[0] - radius), answer.radius[1]
+        out["axis"] = np.linalg.norm(np.cross(AXIS, fit.place.axis)), stated.within(slice(0, 3))
+    out["point"] = np.linalg.norm(e), stated.within(slice(3, 6))
+    if fit.shared:
+        out["radius"] = abs(fit.radius.value - radius), stated.radius
     if "screw" in kind:
-        out["pitch"] = abs(answer.place.pitch - 0.04), answer.within(slice(6, 7))
+        out["pitch"] = abs(fit.place.pitch - 0.04), stated.within(slice(6, 7))
     return out
 
 
@@ -67,8 +69,8 @@ def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, smoothed):
         noise = [rng.normal(0.0, NOISE, q.shape) for q in exact]
         if smoothed:
             noise = [np.apply_along_axis(np.convolve, 0, e, np.full(5, 0.2), "same") for e in noise]
-        _, answer = weighted(robot, kind, [q + e for q, e in zip(exact, noise, strict=True)], shared)
-        for name, (error, stated) in errors_of(kind, answer, radius).items():
+        fit = fitted(robot, kind, [q + e for q, e in zip(exact, noise, strict=True)], shared)
+        for name, (error, stated) in errors_of(kind, fit, radius).items():
             inside.setdefault(name, []).append(error / stated)
     for name, ratios in inside.items():
         assert np.mean(np.array(ratios) <= 1.0) >= 0.52, name
@@ -83,20 +85,21 @@ def test_weights_make_the_place_better(robot_of):
     exact = [t.q for t in demonstrate(robot, TIP, MIDDLE, path, np.random.default_rng(5), grip=0.5, noise=0.0)]
     rng, squares = np.random.default_rng(12), []
     for _ in range(SETS):
-        fit, answer = weighted(robot, "hinge", [q + rng.normal(0.0, NOISE, q.shape) for q in exact], shared)
-        squares.append([np.sum(np.cross(AXIS, place.axis) ** 2) for place in (fit.place, answer.place)])
+        noisy = [q + rng.normal(0.0, NOISE, q.shape) for q in exact]
+        fits = [fitted(robot, "hinge", noisy, shared, equal=equal) for equal in (True, False)]
+        squares.append([np.sum(np.cross(AXIS, fit.place.axis) ** 2) for fit in fits])
     equal, unequal = np.sqrt(np.mean(squares, axis=0))
     assert unequal < equal
 
 
-@pytest.mark.parametrize("name", SLOPES)
+@pytest.mark.parametrize("name", QUANTITIES)
 def test_slopes_of_the_held_quantities(robot_of, name):
     """They are the derivatives along small motions of the frame in base axes."""
     rng, h = np.random.default_rng(7), 1e-6
     R = Rotation.from_rotvec(0.4 * rng.standard_normal((6, 3))).as_matrix()
-    paths = TipPaths(POINT + 0.3 * rng.standard_normal((6, 3)), R, np.zeros(1, dtype=int))
-    place = Place(AXIS, POINT, 0.04)
-    slopes = SLOPES[name](paths, place)
+    paths = TipPaths(POINT + 0.3 * rng.standard_normal((6, 3)), R, np.zeros((6, 6, 7)), np.zeros(1, dtype=int))
+    place, quantity = Place(AXIS, POINT, 0.04), QUANTITIES[name]
+    slopes = quantity.by_twist(paths, place, quantity.evaluate(paths, place)[1])
     for k in (1, 4):  # the last sample that moves by itself, the others as they are
         for i in range(6):
             v, w = (h * np.eye(6)[i][:3], h * np.eye(6)[i][3:])
@@ -105,7 +108,7 @@ def test_slopes_of_the_held_quantities(robot_of, name):
                 p, turned = paths.p.copy(), R.copy()
                 p[k] += sign * v
                 turned[k] = Rotation.from_rotvec(sign * w).as_matrix() @ R[k]
-                moved.append(QUANTITIES[name].evaluate(TipPaths(p, turned, paths.starts), place)[0][k])
+                moved.append(quantity.evaluate(dataclasses.replace(paths, p=p, R=turned), place)[0][k])
             numeric = (moved[0] - moved[1]) / (2.0 * h)
             if name == "orientation":  # the mean that it is measured from moves along by a sixth
                 numeric = numeric * 6.0 / 5.0
@@ -129,9 +132,9 @@ def test_offsets_of_the_joints_are_part_of_what_is_stated(robot_of, kind):
     for offset in sizes:
         for _ in range(30 if offset else 5):
             delta = offset * rng.standard_normal(7)
-            _, answer = weighted(robot, kind, [q + delta + rng.normal(0.0, 1e-4, q.shape) for q in exact], shared)
-            sizes[offset].append(answer.within(slice(3, 6)))
-            for name, (error, stated) in errors_of(kind, answer, 0.0).items():
+            fit = fitted(robot, kind, [q + delta + rng.normal(0.0, 1e-4, q.shape) for q in exact], shared)
+            sizes[offset].append(fit.errors(np.random.default_rng(0)).within(slice(3, 6)))
+            for name, (error, stated) in errors_of(kind, fit, 0.0).items():
                 if offset and name != "radius":
                     inside.setdefault(name, []).append(error <= stated)
     for name, answers in inside.items():

@@ -75,8 +75,8 @@ def rows_of(
         of_one = set(kind.rows) & set(AT_A_DISTANCE) and kind.type != "screw"
         options: dict[str, Any] = {"axis": place.axis, "point": place.point, "pitch": place.pitch}
         return MechanismRows(robot, frame, kind.rows, **options, radius=radius if of_one else None), np.eye(kind.n_rows)
-    # the point of the hand that is held is its own origin
-    rows = mechanism_weights(kind.rows, place, None).at(place.point[None])[0][0]
+    # the point of the hand that is held is its own origin, wherever that is
+    rows = mechanism_weights(kind.rows, Place(place.axis, np.zeros(3)), None).at(np.zeros((1, 3)))[0][0]
     used = [part for part in (slice(0, 3), slice(3, 6)) if np.any(rows[:, part])]
     axes = [name for part in used for name in AXES[part]]
     return FrameJacobian(robot, frame, axes), np.concatenate([rows[:, part] for part in used], axis=1)

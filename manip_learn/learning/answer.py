@@ -87,7 +87,7 @@ def find_answers(
         raise refused[0][1]
     best = answers[0]
     confirmed = best.evidence is not None and best.evidence.verdict == "clear"
-    if settings.estimator == "auto" and not confirmed and not best.candidate.is_held:
+    if settings.estimator == "auto" and not confirmed and not best.candidate.estimate.is_held:
         imposed = _imposed(everything, settings, fit)
         if imposed is not None:
             return [imposed], dataclasses.replace(findings, parts=(everything,), free=(), odd=(), unlearnt=())
@@ -115,7 +115,7 @@ def _explained(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
     """
     asked = settings.n_constraints
     mechanism = _mechanism(part, settings)
-    features, n = part.feature_maps[0], part.n_constraints
+    features, n = part.feature_maps[0], None if part.found is None else len(part.found)
     rows = mechanism_rows(mechanism, part.asked, part.demonstrations) if asked is None else None
     evidence = None if rows is None else _evidence(rows, part, settings)
     if rows is not None and evidence is not None and evidence.n_rows == rows.n_rows:
@@ -124,12 +124,12 @@ def _explained(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
         features, n = _straight(mechanism, part) or (features, n)
     held = dataclasses.replace(settings, estimator="null-space", n_constraints=asked or n)
     candidate, data = fit(dataclasses.replace(part, feature_maps=(features,)), held)
-    if isinstance(features, PlaceRows) and candidate.estimate.table.verdict(candidate.n_constraints) == "none":
+    if isinstance(features, PlaceRows) and candidate.estimate.table.verdict(candidate.estimate.n_rows) == "none":
         # so few rows of so many are not determined by a contact that gives way: plainer ones are
         candidate, data = fit(dataclasses.replace(part, feature_maps=part.asked), held)
     if evidence is None or candidate.samples.features is not rows:
         evidence = _evidence(candidate.samples.features, part, settings)
-    return Answer(part, candidate, data, evidence, mechanism, _doubts(evidence, candidate.n_constraints, asked))
+    return Answer(part, candidate, data, evidence, mechanism, _doubts(evidence, candidate.estimate.n_rows, asked))
 
 
 def _straight(found: MechanismFit | None, part: Part) -> tuple[FeatureMap, int] | None:
@@ -153,15 +153,16 @@ def _undivided(part: Part, settings: LearnerSettings, fit: Fit, *, elsewhere: bo
     candidate, data = fit(part, settings)
     if candidate.estimate.name != "null-space":
         return Answer(part, candidate, data, None, None, ())
-    evidence, s = _evidence(candidate.samples.features, part, settings), candidate.n_constraints
+    evidence, s = _evidence(candidate.samples.features, part, settings), candidate.estimate.n_rows
     answer = Answer(part, candidate, data, evidence, None, _doubts(evidence, s, settings.n_constraints))
     if settings.n_constraints is not None or not evidence.strengths or (elsewhere and evidence.n_rows == s):
         return answer
     if evidence.enough:
         gaps = candidate.estimate.table
+        unused = f"{counted(s, 'direction')}, gap {candidate.estimate.gap:.3g}"
         raise NotIdentifiableError(
-            f"nothing shows that what the motion leaves unused ({counted(s, 'direction')}, gap {candidate.gap:.3g}) is "
-            f"held rather than never tried: {evidence.sentence()}",
+            f"nothing shows that what the motion leaves unused ({unused}) is held rather than never tried: "
+            f"{evidence.sentence()}",
             code="no-evidence",
             gaps=dict(zip(gaps.counts, gaps.gaps, strict=True)),
             advice=("vary the way and the posture between recordings" + number_if_known(s),),
@@ -181,13 +182,9 @@ def _evidence(features: FeatureMap, part: Part, settings: LearnerSettings) -> Ro
 
 def _doubts(evidence: RowEvidence, s: int, asked: int | None) -> tuple[str, ...]:
     if evidence.n_rows == s or not evidence.strengths:
-        return _doubt(evidence)
+        return () if evidence.verdict == "clear" else (f"weak evidence: {evidence.sentence()}",)
     wanted = "asked for" if asked is not None else "explain the recordings"
     return (f"{counted(s, 'row')} {wanted}, the recombination test supports {evidence.n_rows}: {evidence.sentence()}",)
-
-
-def _doubt(evidence: RowEvidence) -> tuple[str, ...]:
-    return () if evidence.verdict == "clear" else (f"weak evidence: {evidence.sentence()}",)
 
 
 def _mechanism(part: Part, settings: LearnerSettings) -> MechanismFit | None:

@@ -60,21 +60,6 @@ class Candidate:
     warnings: tuple[str, ...]
     rng: np.random.Generator
 
-    @property
-    def n_constraints(self) -> int:
-        """Number of rows s."""
-        return len(self.estimate.whitened_selection)
-
-    @property
-    def gap(self) -> float:
-        """Gap that supports the number of rows."""
-        return self.estimate.table.gap(self.n_constraints)
-
-    @property
-    def is_held(self) -> bool:
-        """Whether the motion obeys A u = 0 beyond doubt."""
-        return self.estimate.is_held
-
 
 def learn_best(
     feature_maps: Sequence[FeatureMap], data: DataSummary, joint_names: tuple[str, ...], settings: LearnerSettings
@@ -93,7 +78,7 @@ def learn_best(
         except NotIdentifiableError as error:
             refusals.append(error)
             continue
-        if best is None or (candidate is not None and candidate.gap > EQUALLY_GOOD * best.gap):
+        if best is None or (candidate is not None and candidate.estimate.gap > EQUALLY_GOOD * best.estimate.gap):
             best = candidate
     if best is None:
         raise refusals[0]
@@ -125,9 +110,9 @@ def learn_candidate(
     samples = Samples.of(features, data)
     check_fastest(data, joint_names)
     warnings = check_samples(samples, joint_names, settings.n_constraints)
-    rival_is_held = rival is not None and rival.is_held
+    rival_is_held = rival is not None and rival.estimate.is_held
     if rival is not None and (rival_is_held and settings.estimator == "auto" or settings.estimator == "null-space"):
-        if null_space_gap(samples, settings.n_constraints) <= EQUALLY_GOOD * rival.gap:
+        if null_space_gap(samples, settings.n_constraints) <= EQUALLY_GOOD * rival.estimate.gap:
             return None
     rng = np.random.default_rng(settings.seed)
     # what all samples refine afterwards need not be as good as these can make it
@@ -160,7 +145,7 @@ def _estimate(
     except NotIdentifiableError:
         return held  # no policy model predicts this motion: the evidence is how little some directions are used
     # both explain the motion: it is held if the held directions show no more than the noise
-    is_noise = held.unexplained * samples.energy / len(held.whitened_selection) <= RESIDUAL_RATIO**2 * joint.noise
+    is_noise = held.unexplained * samples.energy / held.n_rows <= RESIDUAL_RATIO**2 * joint.noise
     return held if is_noise else joint
 
 
@@ -196,8 +181,8 @@ def _doubts(estimate: Estimate, nv: int, n_constraints: int | None) -> list[str]
         NotIdentifiableError: It was to be found and the data support none, or no joint motion is left free.
     """
     warnings = []
-    s, table = len(estimate.whitened_selection), estimate.table
-    verdict, gap = table.verdict(s), table.gap(s)
+    s, table, gap = estimate.n_rows, estimate.table, estimate.gap
+    verdict = table.verdict(s)
     if verdict == "none" and n_constraints is None:
         raise NotIdentifiableError(
             f"the recordings do not show a constraint: the largest gap is {gap:.2g}, for {counted(s, 'row')}, and "

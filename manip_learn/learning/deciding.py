@@ -3,8 +3,9 @@
 A number stands here if another value of it can change an answer: what is accepted or refused, told apart, chosen,
 warned of or stated. Each has its unit, the reason for its value with where that comes from, and what half and twice
 its value change on a panel of recordings (`python benchmarks/half_and_double.py`, the table is in docs/constants.md);
-no remark: nothing changes on the panel. "Set by hand" says that there is no derivation and no study of it. "Share"
-and "ratio" have no unit. What bounds time and memory, and what is rounding, stands beside the code that it serves.
+no remark: nothing changes on the panel, or the section says that they were not tried. "Set by hand" says that there is
+no derivation and no study of it. "Share" and "ratio" have no unit. What bounds time and memory, and what is rounding,
+stands beside the code that it serves.
 """
 
 # --- motion and noise ---
@@ -123,41 +124,32 @@ SLIP_FACTOR, LEAST_SLIP = 5.0, 2e-3
 # twice: drawer, 1 of 6 odd: odd none, not demo_5, warnings 1, not 2
 SHOWN_BY_SHARE = 0.6
 
-# --- repeats ---
+# --- repeats; half and twice not tried ---
 
 # [rad] two passes of one path are as near as this to each other: arms repeat a posture to 0.1 mm at half a metre
-# half, twice: not tried
 REPEATED_RAD = 2e-4
 # distance over what noise and chords allow, up to which a posture lies on a path: the noise of seven joints reaches
 # twice its root mean square once in 5,000 samples, that of two joints once in 50
-# half, twice: not tried
 LIES_ON_PATH = 2.0
 # least share of a recording's way that lies on another's: copies are trimmed by a few samples at their ends
-# half, twice: not tried
 REPEATED_SHARE = 0.9
 # largest distance that may be allowed, over the extent of the path; where noise or long chords exceed it nothing can be
 # told. Of 28 kinds of generated sets, whole and cut (6 recordings, 4 arms, no noise, seeds 30000 to 30003), the nearest
 # two are 3.6 % of their extent apart in reaches that are repeated, 6.7 % in contacts
-# half, twice: not tried
 NEAREST_PATH_SHARE = 0.01
 # steps that the end of one piece may be from the beginning of the next: one without noise, where noise is as large as a
 # step as often as not two
-# half, twice: not tried
 SEAM_STEPS = 3.0
 # what a cubic leaves at a seam over the most that it leaves elsewhere; 1.25 and 1.5 tell the same of 256 sets
 # (benchmarks/repeated_recordings.py, seeds from 30100)
-# half, twice: not tried
 SEAM_ROUGHNESS = 2.0
 # what it leaves over the way through the seam, above which nothing moves there: noise alone leaves 0.6
-# half, twice: not tried
 SEAM_LEFT = 0.25
 # speed at a seam over the mean one, above which a motion was cut rather than ended: the last 10 of 200 samples of a
 # motion that comes to rest have 0.03
-# half, twice: not tried
 SEAM_SPEED = 0.2
 # mean step over the extent of a recording, above which samples are no path: it is 0.5 for postures at random, 0.1 for
 # ten samples of a straight motion
-# half, twice: not tried
 PATH_STEP = 0.25
 
 # --- velocities ---
@@ -215,105 +207,78 @@ POORLY_EXPLAINED = 0.03
 # ratio of the held-out cost by which a richer model must lower it to be worth its parameters. Set by hand
 # half: nothing; twice: reaching: model harmonic1, not affine, angle x 2.1
 WORTH = 0.8
+# --- chance and size of models, noise; half and twice not tried ---
+
 # standard errors of a difference, an autocorrelation or a curvature that are more than chance: 95 %
-# half, twice: not tried
 STANDARD_ERRORS = 2.0
 # the same beyond doubt: of a radius or a pitch, and of the chi-square that tells unequal noise; one in 3 million
-# half, twice: not tried
 BEYOND_CHANCE = 5.0
 # how many times the regressors of the best a richer model may have. Set by hand
-# half, twice: not tried
 ONE_DEGREE = 3.0
 # residuals for each of its parameters that make a richer model cheap. Set by hand
-# half, twice: not tried
 CHEAP = 25.0
 # residual variance over that of a smaller model that is not chance with `RESIDUALS_PER_PARAMETER`. Set by hand
-# half, twice: not tried
 CLOSER = 0.9
 # residuals, or samples, for each parameter or centre of a model: a rule of thumb of regression
-# half, twice: not tried
 RESIDUALS_PER_PARAMETER = 10
 # degree up to which every policy is thought possible. Set by hand
-# half, twice: not tried
 MOST_LIKELY_DEGREE = 3
 # largest variance of a joint's noise over the least below which equal weights cost a few per cent at most
-# half, twice: not tried
 UNEQUAL_NOISE = 2.0
 # residuals for each entry of the noise's covariance, below which it is not estimated. Set by hand
-# half, twice: not tried
 RESIDUALS_PER_ENTRY = 20
 # variances of the joints' noise beside their mean stay between these. Set by hand
-# half, twice: not tried
 NOISE_RANGE = (1e-2, 1e2)
 # centres of the radial policy models of the joint estimator and, at least and at most, of the separation. Set by hand
-# RADIAL_CENTRES not tried. FEWEST_CENTRES not tried. MOST_CENTRES not tried
 RADIAL_CENTRES, FEWEST_CENTRES, MOST_CENTRES = 32, 4, 96
 
-# --- mechanisms ---
+# --- mechanisms; half and twice not tried ---
 
 # [m] beyond this an axis or a centre is not told from a line or a plane. Set by hand
-# half, twice: not tried
 FARTHEST_M = 3.0
 # [m] by which a path must leave a simpler mechanism: rails wobble. Set by hand
-# half, twice: not tried
 LEAST_BEND_M = 5e-5
 # one standard deviation above which a fit of a place is no answer: relative to the radius, and [deg]. Set by hand
-# POOR_RADIUS not tried. POOR_AXIS_DEG not tried
 POOR_RADIUS, POOR_AXIS_DEG = 0.2, 5.0
 # uncertainty of the radius, relative, that is worth a warning; a third of it is aimed at. Set by hand
-# half, twice: not tried
 WIDE_RADIUS = 0.015
 # residuals below these do not count as better: what hardware holds. Set by hand
-# half, twice: not tried
 SMALLEST_RESIDUAL = {"m": 2e-5, "rad": 4e-5}
 # a quantity is the same for all trajectories if its residual grows by less than this ratio. Set by hand
-# half, twice: not tried
 SHARED_LOSS = 1.15
 # standard errors by which the scatter over trajectories must exceed its expectation to count. Set by hand
-# half, twice: not tried
 SCATTER_ERRORS = 1.5
 # share of the mean variance of a quantity that every sample has besides: hardware does not hold to nothing
-# half, twice: not tried
 VARIANCE_FLOOR = 0.05
 
-# --- uncertainty ---
+# --- uncertainty; half and twice not tried ---
 
 # share of the cases in which the truth lies within a stated angle, and within what is stated of a mechanism's place:
 # one standard deviation of a normal error, 0.683, in two roundings; one of them would change stated numbers by 0.7 %
-# STATED_SHARE not tried. STATED_SHARE_OF_PLACES not tried
 STATED_SHARE, STATED_SHARE_OF_PLACES = 0.68, 0.683
 # [deg] 68 % within this angle is no answer: of all directions in space 13 % are as close to any
-# half, twice: not tried
 MOST_UNCERTAIN_DEG = 30.0
 # [rad] offsets of the joints' zeros to be thought of: from an encoder's rounding to what the eye sees
-# half, twice: not tried
 OFFSET_RANGE_RAD = (1e-6, 3e-2)
 # odds beforehand of no offsets: strong evidence for them is wanted (Kass and Raftery, 1995). At even odds 11 of 180
 # sets of drawers with 1e-3 rad of noise alone were stated more than three times as wide (100 Hz, seeds from 30000)
-# half, twice: not tried
 NONE_TO_SOME = 20.0
 # mean square of the effort in contact over that left in free motion below which less than half of it is contact
-# half, twice: not tried
 EFFORT_STANDS_OUT = 2.0
 
-# --- audit ---
+# --- audit; half and twice not tried ---
 
 # chance that an audit of equally good episodes leaves any of them out, and that rows at random reach a share of effort
 # that is shown beside that of the rows. Convention
-# half, twice: not tried
 FALSE_ALARMS = 0.05
 # z-score: Iglewicz and Hoaglin, How to Detect and Handle Outliers (1993)
-# half, twice: not tried
 SMALLEST_THRESHOLD = 3.5
 # episodes, below which no spread can be told. Set by hand
-# half, twice: not tried
 FEWEST_EPISODES = 5
 # spread below which differences do not matter: 10 %, and 5 points of a share. Set by hand
-# LOG_SPREAD not tried. SHARE_SPREAD not tried
 LOG_SPREAD, SHARE_SPREAD = 0.1, 0.05
 # values below which differences do not matter: a share of the motion, [mm], [deg], a share of the velocity limit,
 # [rad/s^3], [s]; and the smallest singular value that is told from zero. Set by hand
-# half, twice: not tried
 NEGLIGIBLE = {
     "singular value": 1e-6,
     "violation": 0.01,

@@ -300,7 +300,7 @@ class ConstraintLearner:
             best = answer.candidate
             uncertainty = uncertainty_of(best.samples, best.estimate, best.rng)
             seconds = time.perf_counter() - started
-            constraint, report = build_report(best, answer.data, joint_names, uncertainty, seconds, answer, overview)
+            constraint, report = build_report(answer, overview, joint_names, uncertainty, seconds)
             constraints.append(constraint)
             reports.append(report)
         self.constraints_, self.reports_ = tuple(constraints), tuple(reports)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Literal, final
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -33,6 +34,20 @@ RowState = Literal["held", "unclear", "free", "untried"]
 
 # standard errors by which a verdict must stand off for the next draw of recombinations to give the same one: 99 %
 SURE = NormalDist().inv_cdf(0.995)
+
+
+class RowSupport(NamedTuple):
+    """Evidence that one row is held, from the recombination test.
+
+    Attributes:
+        strength: How much more the motion uses the row when joints are exchanged between trajectories (a ratio).
+        p_value: Chance of so low a use if the joints moved independently of each other.
+        state: `"held"`, `"unclear"`, `"free"` or `"untried"`.
+    """
+
+    strength: float
+    p_value: float
+    state: str
 
 
 @final
@@ -133,39 +148,34 @@ class RowEvidence:
                 states.append("free" if level >= USED_SHARE * most and level > 0.0 else "untried")
         return tuple(states)
 
+    @property
+    def rows(self) -> tuple[RowSupport, ...]:
+        """The evidence for each row."""
+        return tuple(map(RowSupport, self.strengths, self.p_values, self.states))
+
     def sentence(self) -> str:
         """The evidence in words, for reports."""
         if not self.strengths:
             return "the recordings do not move, so nothing shows which rows are held"
-        return f"{self._held()}; {self._rest()}{self._few()}"
-
-    def _held(self) -> str:
-        n = self.n_rows
-        if n == 0:
-            return (
-                f"no row is shown to be held (best strength {self.strengths[0]:.2g}, with 99 % confidence above "
-                f"{self.lower[0]:.2g}; {BELIEVED_STRENGTH:g} is the least that counts)"
-            )
-        softly = "held softly, or by the way of moving only" if self.enough else "held, it seems"
-        firmly = "held" if self.verdict == "clear" else softly
-        strengths = listed(f"{s:.3g}" for s in self.strengths[:n])
-        return f"{counted(n, 'row')} {firmly} (strength {strengths}, p = {max(self.p_values[:n]):.2g})"
-
-    def _rest(self) -> str:
         n, states = self.n_rows, self.states
-        if n == len(states):
-            return "nothing of the features is left free"
-        if "untried" in states:
-            return f"{counted(states.count('untried'), 'direction')} hardly tried, so held or free cannot be told"
-        kind = "is free" if states[n] == "free" else "may be held softly, or only at each place by itself"
-        return f"the next row (strength {self.strengths[n]:.2g}) {kind}"
-
-    def _few(self) -> str:
-        return (
-            ""
-            if self.enough
-            else f"; too few to be sure with {counted(self.n_trajectories, 'recording')}, record 5 or more"
+        held = (
+            f"no row is shown to be held (best strength {self.strengths[0]:.2g}, with 99 % confidence above "
+            f"{self.lower[0]:.2g}; {BELIEVED_STRENGTH:g} is the least that counts)"
         )
+        if n:
+            softly = "held softly, or by the way of moving only" if self.enough else "held, it seems"
+            firmly = "held" if self.verdict == "clear" else softly
+            strengths = listed(f"{s:.3g}" for s in self.strengths[:n])
+            held = f"{counted(n, 'row')} {firmly} (strength {strengths}, p = {max(self.p_values[:n]):.2g})"
+        rest = "nothing of the features is left free"
+        if "untried" in states:
+            untried = counted(states.count("untried"), "direction")
+            rest = f"{untried} hardly tried, so held or free cannot be told"
+        elif n < len(states):
+            kind = "is free" if states[n] == "free" else "may be held softly, or only at each place by itself"
+            rest = f"the next row (strength {self.strengths[n]:.2g}) {kind}"
+        few = f"; too few to be sure with {counted(self.n_trajectories, 'recording')}, record 5 or more"
+        return f"{held}; {rest}{'' if self.enough else few}"
 
 
 MOST_BINS = 24  # of the phase
@@ -209,13 +219,8 @@ class PhasePath:
 
     def reverse(self) -> PhasePath:
         """The same way from its end to its start; displacements keep their sign."""
-        return PhasePath(
-            self.q[::-1],
-            1.0 - self.edges[::-1],
-            self.n_bins - 1 - self.bins[::-1],
-            self.weight[::-1],
-            self.steps[::-1],
-        )
+        q, weight, steps = self.q[::-1], self.weight[::-1], self.steps[::-1]
+        return PhasePath(q, 1.0 - self.edges[::-1], self.n_bins - 1 - self.bins[::-1], weight, steps)
 
     def displacements(self, steps: Float[np.ndarray, "g nv"], shift: float = 0.0) -> Float[np.ndarray, "n nv"]:
         """How far joints that move by `steps` come while this trajectory passes each of its postures.
@@ -283,7 +288,7 @@ def _turned(paths: list[PhasePath], scale: Float[np.ndarray, " nv"]) -> list[Pha
         own = np.linalg.svd(moved, full_matrices=False)[2][0]
         along = moved @ (own if own @ common >= 0.0 else -own)
         steps = path.steps * np.repeat(np.where(along < 0.0, -1.0, 1.0), NODES_PER_BIN)[:, None]
-        path = PhasePath(path.q, path.edges, path.bins, path.weight, steps)
+        path = dataclasses.replace(path, steps=steps)
         turned.append(path.reverse() if np.sum(along) < -0.5 * np.sum(np.abs(along)) else path)
     return turned
 

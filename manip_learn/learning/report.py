@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 
@@ -15,12 +15,11 @@ from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.selection_in_words import describe, free_directions, known_to, said_by_rows
 from manip_learn.errors import counted, listed
 from manip_learn.learning.answer import Answer
-from manip_learn.learning.candidate import Candidate
 from manip_learn.learning.deciding import CLEAR_GAP
 from manip_learn.learning.effort_witness import EffortWitness, effort_witness
 from manip_learn.learning.excitation import energy_shares
 from manip_learn.learning.overview import OddTrajectory, Phase, RecordingOverview
-from manip_learn.learning.samples import DataSummary
+from manip_learn.learning.recombination import RowSupport
 from manip_learn.learning.uncertainty import PARTS, Uncertainty, in_words, total_deg
 from manip_learn.recordings.demonstrations import distinct_names
 from manip_learn.recordings.preprocessing import evenly
@@ -31,43 +30,11 @@ MOST_NOTES = 20
 # to a centimetre or two, in 10 kB
 KEPT_POSTURES = 144
 _PHASE_COLUMNS = ("recording", "from [s]", "until [s]", "constraint")
-PROVENANCE = (
-    *(
-        "estimator",
-        "kind",
-        "gap",
-        "uncertainty_deg",
-        "uncertainty",
-        "n_samples",
-        "n_trajectories",
-        "sentence",
-        "warnings",
-    ),
-    *(
-        "warnings",
-        "phases",
-        "odd_trajectories",
-        "mechanism",
-        "evidence",
-        "row_evidence",
-        "held_out_residual",
-        "n_constraints",
-    ),
+# what of a report goes into the constraint's file
+PROVENANCE = set(
+    "estimator kind gap uncertainty_deg uncertainty n_samples n_trajectories sentence warnings phases odd_trajectories "
+    "mechanism evidence row_evidence held_out_residual n_constraints".split()
 )
-
-
-class RowSupport(NamedTuple):
-    """Evidence that one row is held, from the recombination test.
-
-    Attributes:
-        strength: How much more the motion uses the row when joints are exchanged between trajectories (a ratio).
-        p_value: Chance of so low a use if the joints moved independently of each other.
-        state: `"held"`, `"unclear"`, `"free"` or `"untried"`.
-    """
-
-    strength: float
-    p_value: float
-    state: str
 
 
 @final
@@ -233,28 +200,20 @@ def _plain(value: Any) -> Any:
 
 
 def build_report(
-    best: Candidate,
-    data: DataSummary,
-    joint_names: tuple[str, ...],
-    uncertainty: Uncertainty,
-    seconds: float,
-    answer: Answer | None = None,
-    overview: RecordingOverview | None = None,
+    answer: Answer, overview: RecordingOverview, joint_names: tuple[str, ...], uncertainty: Uncertainty, seconds: float
 ) -> tuple[Constraint, LearningReport]:
     """The constraint, and the evidence for it.
 
     Args:
-        best: The candidate chosen.
-        data: Summary of all samples.
+        answer: The candidate chosen, with its evidence and mechanism where they were looked for.
+        overview: What the recordings show as a whole.
         joint_names: One per velocity.
         uncertainty: Parts of the angle of the row space [deg], see `uncertainty_of`.
         seconds: Time for the fit [s].
-        answer: Evidence and mechanism, where they were looked for.
-        overview: What the recordings show as a whole.
     """
-    overview, uncertainty_deg = overview or RecordingOverview(), total_deg(uncertainty)
+    best, data, evidence, found = answer.candidate, answer.data, answer.evidence, answer.mechanism
     samples, estimate, warnings = best.samples, best.estimate, list(best.warnings)
-    features = samples.features
+    features, uncertainty_deg, mechanism = samples.features, total_deg(uncertainty), found and found.mechanism
     selection = samples.selection(estimate.whitened_selection)
     if isinstance(features, MechanismRows) and len(selection) == features.n_rows:
         selection = np.eye(features.n_rows)  # all of the rows: any basis of theirs will do, so the plainest
@@ -264,7 +223,6 @@ def build_report(
         warnings.append(f"always zero for this robot and frame, so left out: {listed(unused)}")
     kind = "motion-constrained" if estimate.name == "null-space" else "self-imposed"
     free = free_directions(selection, used)
-    mechanism = answer.mechanism.mechanism if answer and answer.mechanism else None
     report = LearningReport(
         sentence=describe(kind, free, features, used, uncertainty_deg, mechanism),
         estimator=estimate.name,
@@ -273,7 +231,7 @@ def build_report(
         row_names=features.row_names,
         reference=getattr(features, "reference", None),
         free_directions=tuple(tuple(float(c) for c in row) for row in free),
-        gap=best.gap,
+        gap=estimate.gap,
         gap_table=dict(zip(estimate.table.counts, estimate.table.gaps, strict=True)),
         levels=tuple(float(level) for level in estimate.levels),
         energy_fraction=float(estimate.unexplained),
@@ -286,9 +244,9 @@ def build_report(
         n_trajectories=data.n_trajectories,
         seconds=seconds,
         notes=_few_notes(data.notes),
-        warnings=(*warnings, *_doubts(answer), *overview.warnings),
-        row_evidence=_row_support(answer),
-        evidence=answer.evidence.sentence() if answer and answer.evidence else "",
+        warnings=(*warnings, *answer.warnings, *(found.warnings if found else ()), *overview.warnings),
+        row_evidence=() if evidence is None else evidence.rows,
+        evidence="" if evidence is None else evidence.sentence(),
         phases=overview.phases,
         odd_trajectories=overview.odd_trajectories,
         mechanism=mechanism,
@@ -300,16 +258,9 @@ def build_report(
     return Constraint(selection, features, provenance), report
 
 
-def _doubts(answer: Answer | None) -> tuple[str, ...]:
-    """About the number of rows and about the mechanism."""
-    if answer is None:
-        return ()
-    return (*answer.warnings, *(answer.mechanism.warnings if answer.mechanism else ()))
-
-
-def _effort(answer: Answer | None, overview: RecordingOverview, selection: np.ndarray) -> EffortWitness | None:
+def _effort(answer: Answer, overview: RecordingOverview, selection: np.ndarray) -> EffortWitness | None:
     """Of the contact from which was learnt, beside the free stretches of the same recordings."""
-    if answer is None or answer.part.source is None:
+    if answer.part.source is None:
         return None
     derived = answer.part.source.derived
     named = dict(zip(distinct_names(derived), derived, strict=True))
@@ -319,13 +270,6 @@ def _effort(answer: Answer | None, overview: RecordingOverview, selection: np.nd
         if p.constraint is None and not p.reason and p.trajectory in named
     ]
     return effort_witness(answer.candidate.samples.features, selection, answer.part.demonstrations, free)
-
-
-def _row_support(answer: Answer | None) -> tuple[RowSupport, ...]:
-    if answer is None or answer.evidence is None:
-        return ()
-    e = answer.evidence
-    return tuple(RowSupport(*row) for row in zip(e.strengths, e.p_values, e.states, strict=True))
 
 
 def _few_notes(notes: tuple[str, ...]) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ A combination that shows nowhere is taken to be as large as the others are found
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import final
 
@@ -48,7 +49,7 @@ MOST_STEPS, SPENT = 64, 1e-14
 TAU_STEPS = 60
 MOST_SAMPLES = 5000  # enough to see offsets
 LEAST_VARIANCE = 1e-200  # of a residual: none at all is a limit, not a division by zero
-UNSEEN = 1e-12  # share of the largest curvature below which a combination of offsets shows nowhere
+UNSEEN = 1e-12  # share of |K|^2 below which the curvature of a combination of offsets shows nowhere
 
 
 def uncertainty_of(samples: Samples, estimate: Estimate, rng: np.random.Generator) -> Uncertainty:
@@ -262,15 +263,25 @@ class JointOffsets:
         response = -np.linalg.lstsq(J, np.concatenate([K, e[:, None]], axis=1), rcond=1e-12)[0]
         rest = K + J @ response[:, :-1]
         e = e + J @ response[:, -1]
-        curvatures, V = np.linalg.eigh(rest.T @ rest)
-        curvatures = np.where(curvatures > UNSEEN * max(float(curvatures[-1]), 0.0), curvatures, 0.0)
-        pattern = np.where(curvatures > 0.0, V.T @ (rest.T @ e), 0.0)
-        seen = curvatures > 0.0
         # neither curvature nor pattern is scaled up to all samples: chance in the pattern would look like offsets
-        patterns = rest @ (V[:, seen] / np.sqrt(curvatures[seen]))
+        offsets, patterns = JointOffsets.of_residual(e, rest, response[:, :-1], float(np.sum(K * K)))
         unknowns = np.concatenate([J, patterns], axis=1)
         variance = _variance(e - patterns @ (patterns.T @ e), unknowns, np.repeat(few.trajectory, s))
-        return JointOffsets(response[:, :-1], V, curvatures, pattern, variance)
+        return dataclasses.replace(offsets, variance=variance)
+
+    @staticmethod
+    def of_residual(
+        e: Float[np.ndarray, " k"], rest: Float[np.ndarray, "k nv"], response: Float[np.ndarray, "m nv"], size: float
+    ) -> tuple[JointOffsets, Float[np.ndarray, "k s"]]:
+        """By a residual and what the unknowns leave of K, of which |K|^2 is the size; the variance is that of what the
+        patterns leave, sample by sample. And the patterns, orthonormal.
+        """
+        curvatures, V = np.linalg.eigh(rest.T @ rest)
+        seen = curvatures > UNSEEN * size
+        patterns = rest @ (V[:, seen] / np.sqrt(curvatures[seen]))
+        left = e - patterns @ (patterns.T @ e)
+        pattern, curvatures = (np.where(seen, one, 0.0) for one in (V.T @ (rest.T @ e), curvatures))
+        return JointOffsets(response, V, curvatures, pattern, float(left @ left) / len(e)), patterns
 
     def errors(self, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n m"]:
         """Draws of the error of B that the offsets make, given the data."""

@@ -1,22 +1,18 @@
-"""What the estimators of Lambda share: their answer, the evidence for the number of its rows, and the descent to it."""
+"""What the estimators of Lambda share: their answer, the evidence for the number of its rows, and the way to it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, TypeVar, final
+from typing import Any, Literal, Protocol, TypeVar, final
 
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.learning.deciding import CLEAR_GAP, HELD_ENERGY, RESIDUAL_RATIO, WEAK_GAP
+from manip_learn.learning.descent import State, descend
 from manip_learn.learning.estimators.policy_model import PolicyModel
 from manip_learn.linalg import turned
-
-# a step this short changes nothing but rounding (of rows of length 1), and so does one damped by this much
-SHORTEST, MOST_DAMPED = 1e-12, 1e6
-FIRST_DAMPING = 1e-3  # of the mean curvature, after the first step that gained nothing
-CUTOFF = 1e-14  # curvatures below this share of the largest are none
 
 Verdict = Literal["clear", "weak", "none"]
 
@@ -100,6 +96,10 @@ class JointFit:
     iterations: int
     model: PolicyModel
 
+    def leaves_only(self, share: float) -> bool:
+        """Whether no more than a share of the motion in the null space is left."""
+        return self.cost <= share * self.energy
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -164,74 +164,57 @@ class Estimate:
     levels: Float[np.ndarray, " r"] = field(default_factory=lambda: np.zeros(0))
 
     @property
+    def n_rows(self) -> int:
+        """Number of rows s."""
+        return len(self.whitened_selection)
+
+    @property
+    def gap(self) -> float:
+        """Gap that supports the number of rows."""
+        return self.table.gap(self.n_rows)
+
+    @property
     def is_held(self) -> bool:
         """Whether the motion obeys A u = 0 beyond doubt."""
-        gap = self.table.gap(len(self.whitened_selection))
-        return self.name == "null-space" and gap >= CLEAR_GAP and self.unexplained < HELD_ENERGY
+        return self.name == "null-space" and self.gap >= CLEAR_GAP and self.unexplained < HELD_ENERGY
 
 
-class Iterate(Protocol):
-    """Lambda, in whitened coordinates with orthonormal rows, and what a step from it needs."""
+class Rows(State, Protocol):
+    """Lambda, in whitened coordinates with orthonormal rows, and the equations for dLambda = B Lambda_perp."""
 
     @property
     def whitened_selection(self) -> Float[np.ndarray, "s r"]:
         """The rows."""
         ...
 
-    @property
-    def cost(self) -> float:
-        """What is made small."""
-        ...
 
-    def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
-        """Gauss-Newton Hessian and gradient for dLambda = B Lambda_perp, m = s (r - s)."""
-        ...
+Point = TypeVar("Point", bound=Rows)
 
 
-State = TypeVar("State", bound=Iterate)
-
-
-def descend(
-    here: State,
-    at: Callable[[Float[np.ndarray, "s r"]], State],
+def descend_rows(
+    here: Point,
+    at: Callable[[Float[np.ndarray, "s r"]], Point],
     max_iterations: int,
     tolerance: float,
     gain: float,
-    *,
-    rise: float = 0.0,
-    usable: Callable[[State], bool] | None = None,
-    enough: Callable[[State], bool] | None = None,
-) -> tuple[State, int]:
-    """Levenberg-Marquardt on the Grassmann manifold: each step solves for B, steps without gain are shortened.
+    **further: Any,
+) -> tuple[Point, int]:
+    """`descend` on the Grassmann manifold, from rows that have a choice.
 
     Args:
         here: The start.
-        at: The state of given rows.
-        max_iterations: Largest number of steps; 0 judges the start as it is.
+        at: The point of given rows.
+        max_iterations: Largest number of steps.
         tolerance: Step length at which to stop.
         gain: Relative decrease of the cost below which to stop.
-        rise: Relative rise of the cost that is rounding.
-        usable: Whether the equations at a state may be solved; all are by default.
-        enough: Whether to stop at a state that a step has led to.
-
-    Returns:
-        The best state, and the number of steps tried.
+        further: See `descend`.
     """
     s, r = here.whitened_selection.shape
-    damping, iterations = 0.0, 0
-    while iterations < max_iterations and 0 < s < r and (usable is None or usable(here)):
-        iterations += 1
-        H, gradient = here.equations()
-        scale = max(float(np.trace(H)) / len(H), np.finfo(np.float64).tiny)
-        B = -np.linalg.lstsq(H + damping * scale * np.eye(len(H)), gradient, rcond=CUTOFF)[0]
-        trial, length = at(turned(here.whitened_selection, B)), float(np.linalg.norm(B))
-        if trial.cost <= here.cost * (1.0 + rise):
-            done = length < tolerance or trial.cost >= here.cost * (1.0 - gain)
-            here, damping = trial, damping * 0.1 if damping > 1e-9 else 0.0
-            if done or (enough is not None and enough(here)):
-                break
-        elif length < SHORTEST or damping > MOST_DAMPED:
-            break  # rounding is all that is left
-        else:
-            damping = max(FIRST_DAMPING, damping * 10.0)
-    return here, iterations
+    return descend(
+        here,
+        lambda point, B: at(turned(point.whitened_selection, B)),
+        max_iterations if 0 < s < r else 0,
+        tolerance=tolerance,
+        gain=gain,
+        **further,
+    )

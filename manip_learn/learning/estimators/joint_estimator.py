@@ -110,13 +110,13 @@ def estimate_joint(
         own = _offsets_if_clear(weighted, n_constraints, first, chosen, rng)
         if own is not None:
             return own
-    if chosen.held_out > unexplained * null_energy(weighted, chosen.fit):
+    if chosen.unexplained > unexplained:
         raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
     samples = samples if isotropic else weighted
     samples, fit, scored = _fit_all(samples, chosen, rng, is_start=isotropic, is_free=policy_model == "auto")
     noise_seen = chosen.held_out / (samples.nv - s)
     warnings = () if n_constraints is not None else counted.warnings
-    estimate = _estimate(samples, fit, scored, counted.table, chosen.held_out / null_energy(weighted, chosen.fit))
+    estimate = _estimate(samples, fit, scored, counted.table, chosen.unexplained)
     return dataclasses.replace(estimate, policy_residuals=residuals, noise=noise_seen, warnings=warnings, joint=fit)
 
 
@@ -198,18 +198,13 @@ def _unequal_noise(samples: Samples, few: Samples, fit: JointFit) -> Float[np.nd
     believed where weights by it leave as much noise as is seen.
     """
     S = shape_in_time(samples)
-    if S is None or np.linalg.cond(S) < UNEQUAL_NOISE or fit.cost <= NOISY * fit.energy:
+    if S is None or np.linalg.cond(S) < UNEQUAL_NOISE or fit.leaves_only(NOISY):
         return None
     L = np.linalg.cholesky(S)
     weighted = whitened(few, L)
     again = fit_joint(weighted, fit.whitened_selection, fit.model, **COMPARE)
     left = again.cost / (samples.nv - len(again.whitened_selection)) / noise_in_time(whitened(samples, L))
     return L if 1.0 / ABOVE_NOISE < left < ABOVE_NOISE else None
-
-
-def _without_policy(samples: Samples, fit: JointFit) -> Float[np.ndarray, "n nv"]:
-    """u - pi."""
-    return samples.u - fit.model(samples.x, samples.trajectory) @ fit.theta
 
 
 def _offsets_if_clear(
@@ -230,11 +225,11 @@ def _offsets_if_clear(
         chosen: The fit with the selected policy model.
         rng: For the starts.
     """
-    if _is_exact(first.fit):
+    if first.fit.leaves_only(EXACT):
         return None
-    is_poor = chosen.held_out > POORLY_EXPLAINED * null_energy(samples, chosen.fit)
+    is_poor = chosen.unexplained > POORLY_EXPLAINED
     # rich models come close to separate rest postures, which alone are exact then
-    is_close = first.held_out > POORLY_EXPLAINED * null_energy(samples, first.fit) and not _is_exact(chosen.fit)
+    is_close = first.unexplained > POORLY_EXPLAINED and not chosen.fit.leaves_only(EXACT)
     few = _few_trajectories(samples)
     if not (is_poor or is_close) or len(few) < _fewest_for_offsets(few):
         return None
@@ -302,23 +297,14 @@ def _search_from_starts(samples: Samples, s: int, rng: np.random.Generator) -> J
     if s in (0, r):
         return fit_joint(samples, starts[0], model)
     best, idle = None, 0
-    while best is None or (idle < IDLE_ROUNDS and not _is_rounding(best)):
+    while best is None or (idle < IDLE_ROUNDS and not best.leaves_only(ROUNDING)):
         starts += [rng.standard_normal((s, r)) for _ in range(STARTS - len(starts))]
         looks = sorted((fit_joint(samples, start, model, **LOOK) for start in starts), key=lambda fit: fit.cost)
-        trial = best_of_starts(samples, model, [look.whitened_selection for look in looks[:REFINED]], _is_rounding)
+        begin = [look.whitened_selection for look in looks[:REFINED]]
+        trial = best_of_starts(samples, model, begin, lambda fit: fit.leaves_only(ROUNDING))
         idle = 0 if best is None or trial.cost < 0.9 * best.cost else idle + 1
         best, starts = trial if best is None or trial.cost < best.cost else best, []
     return best
-
-
-def _is_rounding(fit: JointFit) -> bool:
-    """Whether a fit by QR leaves no more than its own rounding."""
-    return fit.cost <= ROUNDING * fit.energy
-
-
-def _is_exact(fit: JointFit) -> bool:
-    """Whether rounding is all that the policy model leaves of the motion."""
-    return fit.cost <= EXACT * fit.energy
 
 
 def _fit_all(
@@ -335,16 +321,12 @@ def _fit_all(
     """
     fit = _fit_from_random_starts(samples, chosen.fit, rng)
     # the residual is noise, and has its covariance, only where the policy model explains the motion
-    if not is_start and chosen.held_out <= POORLY_EXPLAINED * null_energy(samples, chosen.fit):
+    if not is_start and chosen.unexplained <= POORLY_EXPLAINED:
         samples, fit = _fit_whitened(samples, fit)
-        if is_free and _is_noisy(fit):
+        # normal equations resolve what is left of the motion
+        if is_free and 0 < len(fit.whitened_selection) < samples.n_rows and not fit.leaves_only(NOISY):
             return samples, fit, fit_marginal(samples, fit, MAX_COLUMNS)
     return samples, fit, ScoredFit(fit.whitened_selection, *scores(samples, fit))
-
-
-def _is_noisy(fit: JointFit) -> bool:
-    """Whether normal equations resolve what is left of the motion."""
-    return 0 < len(fit.whitened_selection) < fit.whitened_selection.shape[1] and fit.cost > NOISY * fit.energy
 
 
 def _list_models(samples: Samples, rng: np.random.Generator, name: str) -> list[PolicyModel]:
@@ -372,10 +354,11 @@ def _make_radial(samples: Samples, rng: np.random.Generator) -> RadialModel:
 
 def _fit_whitened(samples: Samples, fit: JointFit) -> tuple[Samples, JointFit]:
     """The fit by generalised least squares where the noise is not the same in all joints, and its samples."""
-    if _is_rounding(fit):
+    if fit.leaves_only(ROUNDING):
         return samples, fit
     for _ in range(2):
-        L = whitening_factor(samples, fit.whitened_selection, _without_policy(samples, fit))
+        left = samples.u - fit.model(samples.x, samples.trajectory) @ fit.theta
+        L = whitening_factor(samples, fit.whitened_selection, left)
         if L is None:
             break
         samples = whitened(samples, L)
@@ -387,7 +370,7 @@ def _fit_from_random_starts(samples: Samples, chosen: JointFit, rng: np.random.G
     """The chosen fit on all samples, and a look from random starts whether there is a better one."""
     best = fit_joint(samples, chosen.whitened_selection, chosen.model)
     s, r = best.whitened_selection.shape
-    if s == r or _is_rounding(best):
+    if s == r or best.leaves_only(ROUNDING):
         return best
     few = samples.thinned(COMPARE_LIMIT)
     reference = best.cost

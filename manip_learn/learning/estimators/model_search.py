@@ -124,16 +124,25 @@ def best_of_starts(
 @final
 @dataclass(frozen=True, eq=False)
 class CrossValidatedFit:
-    """A fit with its cross-validated cost."""
+    """A fit, cross-validated over trajectories.
+
+    Attributes:
+        fit: To all of them.
+        held_out: Mean of |Z^T (u - pi)|^2 on left-out trajectories.
+        unexplained: The same, as a share of the energy that there is to explain; without any null-space motion,
+            rounding is not held against the model.
+    """
 
     fit: JointFit
-    held_out: float  # mean |Z^T (u - pi)|^2 on left-out trajectories
+    held_out: float
+    unexplained: float
 
 
 def cross_validated(samples: Samples, fit: JointFit) -> CrossValidatedFit:
     """A fit with its cost on trajectories that the policy was not fitted to."""
     folds = min(N_FOLDS, samples.n_trajectories)
-    return CrossValidatedFit(fit, float(held_out_costs(samples, fit.whitened_selection, fit.model, folds).sum()))
+    held_out = float(held_out_costs(samples, fit.whitened_selection, fit.model, folds).sum())
+    return CrossValidatedFit(fit, held_out, held_out / null_energy(samples, fit))
 
 
 @final
@@ -190,13 +199,13 @@ def _is_worse(costs: np.ndarray, best: np.ndarray) -> bool:
     return bool(difference.mean() > STANDARD_ERRORS * difference.std(ddof=1) / np.sqrt(len(difference)))
 
 
-def _is_better(samples: Samples, trial: CrossValidatedFit, best: CrossValidatedFit, factor: float) -> bool:
+def _is_better(trial: CrossValidatedFit, best: CrossValidatedFit, factor: float) -> bool:
     """Whether a fit costs less by a factor on left-out trajectories, and leaves less of the motion that there is.
 
     A Lambda that takes up all motion leaves little, explained or not.
     """
-    shares = [one.held_out / null_energy(samples, one.fit) for one in (trial, best)]
-    return trial.held_out < factor * best.held_out and shares[0] < max(factor, 1.0) * shares[1]
+    is_less = trial.held_out < factor * best.held_out
+    return is_less and trial.unexplained < max(factor, 1.0) * best.unexplained
 
 
 def has_enough(samples: Samples, s: int, model: PolicyModel) -> bool:
@@ -216,15 +225,15 @@ def search_model(
 
     All models are judged at the Lambda of the best so far, and again at that of the one chosen.
     """
-    best, residuals = first, {first.fit.model.name: first.held_out / null_energy(samples, first.fit)}
+    best, residuals = first, {first.fit.model.name: first.unexplained}
     usable = [model for model in models if has_enough(samples, s, model)]
     if s == 0 or len(usable) < 2:
         return best, residuals
-    if best.held_out > POORLY_EXPLAINED * null_energy(samples, best.fit):
+    if best.unexplained > POORLY_EXPLAINED:
         # a poor model has led Lambda astray: each model from its own closed-form start
         for model in (model for model in usable if model.n_terms * samples.nv <= len(samples)):
             trial = _tried(samples, model, conditional_pca(samples, model)[1][:s])
-            best = trial if _is_better(samples, trial, best, 1.0) else best
+            best = trial if _is_better(trial, best, 1.0) else best
     residuals_per_joint = len(samples) * (samples.nv - s) / samples.nv
     judged: list[JudgedModel] = []
     for _ in range(ROUNDS):
@@ -240,7 +249,7 @@ def search_model(
         chosen = choose_model(judged, residuals_per_joint / CHEAP) if settled else predicts_best
         if chosen.model.name != best.fit.model.name:
             trial = _tried(samples, chosen.model, best.fit.whitened_selection)
-            if not _is_better(samples, trial, best, EQUALLY_GOOD if settled else 1.0):
+            if not _is_better(trial, best, EQUALLY_GOOD if settled else 1.0):
                 break
             best = trial
         if settled:
@@ -261,14 +270,14 @@ def _try_closer_models(
     At the Lambda of a model that is too small, a richer one may extrapolate so badly to single trajectories that
     cross-validation rejects it; the variance of its residual shows nevertheless that it describes the motion.
     """
-    if best.held_out > POORLY_EXPLAINED * null_energy(samples, best.fit):
+    if best.unexplained > POORLY_EXPLAINED:
         return best
     own = next(one for one in judged if one.model.name == best.fit.model.name)
     most = _largest_size(best.fit.model, most_parameters)
     closer = [one for one in judged if one.variance < CLOSER * own.variance and one.model.n_terms <= most]
     for one in sorted(closer, key=lambda one: one.variance)[:MOST_TRIALS]:
         trial = _tried(samples, one.model, best.fit.whitened_selection)
-        if _is_better(samples, trial, best, WORTH) or trial.held_out < PREDICTED * null_energy(samples, trial.fit):
+        if _is_better(trial, best, WORTH) or trial.unexplained < PREDICTED:
             return trial
     return best
 
@@ -281,6 +290,6 @@ def _climb_exact_models(
         if model.name == best.fit.model.name or best.held_out <= ROUNDING * best.fit.energy:
             continue
         candidate = _tried(samples, model, best.fit.whitened_selection)
-        residuals[model.name] = candidate.held_out / null_energy(samples, candidate.fit)
-        best = candidate if _is_better(samples, candidate, best, WORTH) else best
+        residuals[model.name] = candidate.unexplained
+        best = candidate if _is_better(candidate, best, WORTH) else best
     return best, residuals

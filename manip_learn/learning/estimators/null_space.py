@@ -9,7 +9,7 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.learning.estimators.estimate import Estimate, descend, gaps_of_levels
+from manip_learn.learning.estimators.estimate import Estimate, descend_rows, gaps_of_levels
 from manip_learn.learning.samples import Block, Samples, rows_beside
 from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases
 
@@ -117,7 +117,7 @@ def fit_null_space(
 ) -> NullSpaceFit:
     """Gauss-Newton on the Grassmann manifold for equation (10), E = sum w^T A^+ A w, from a start.
 
-    With dLambda = B Lambda_perp the gradient is 2 sum (A^{+T} w)(Lambda_perp Phi N w)^T; see `descend` for the steps.
+    With dLambda = B Lambda_perp the gradient is 2 sum (A^{+T} w)(Lambda_perp Phi N w)^T; its steps: `descend`.
 
     Args:
         samples: What was recorded.
@@ -126,7 +126,7 @@ def fit_null_space(
         tolerance: Step length at which to stop.
         max_iterations: Largest number of steps; 0 judges the start as it is.
     """
-    here, iterations = descend(
+    here, iterations = descend_rows(
         _fit_at(samples, orthonormal_rows(start), velocity),
         lambda Lambda: _fit_at(samples, Lambda, velocity),
         *(max_iterations, tolerance, 1e-12),

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.learning.deciding import MOST_LIKELY_DEGREE
+from manip_learn.learning.descent import descend
 from manip_learn.learning.estimators.estimate import JointFit, PolicyPrior
 from manip_learn.learning.estimators.policy_equations import (
     CHUNK,
@@ -42,7 +43,6 @@ from manip_learn.linalg import turned
 MAX_ITERATIONS = 40
 # squared length of the last step in standard errors
 SETTLED = 1e-6
-SHORTEST = 1e-2  # share of a Gauss-Newton step
 # updates of the variances before the first step, and after each
 FIRST_UPDATES, UPDATES = 4, 2
 # variance of the parameters over the mean square of u: at the start, and least
@@ -154,31 +154,12 @@ def fit_marginal(samples: Samples, fit: JointFit, most_columns: int) -> ScoredFi
     n_grades = int(regressors.grades.max()) + 1
     noise = max(fit.cost / max(samples.nv - len(fit.whitened_selection), 1), LEAST * scale)
     here.settle(Variances(noise, np.full(n_grades, START * scale)), FIRST_UPDATES)
-    for _ in range(MAX_ITERATIONS):
-        H, gradient = here.equations()
-        step = -np.linalg.lstsq(H, gradient, rcond=1e-14)[0]
-        if -gradient @ step < SETTLED:
-            break
-        moved = _moved(here, step)
-        if moved is None:
-            break
-        here = moved
-        here.settle(here.variances, UPDATES)
+    here, _ = descend(
+        here, _Posterior.moved, MAX_ITERATIONS, settled=lambda _, step, H: float(step @ H @ step) < SETTLED
+    )
     gradients, hessians = here.scores()
     precision = np.append(here.precision, np.zeros(hessians.shape[1] - len(here.precision)))
     return ScoredFit(here.Lambda, gradients, hessians, PolicyPrior(precision, here.variances.noise))
-
-
-def _moved(here: _Posterior, step: Float[np.ndarray, " m"]) -> _Posterior | None:
-    """After a step, or as much of it as does not lower the likelihood; None if nothing is left of it."""
-    share, before = 1.0, here.deviance()
-    while share > SHORTEST:
-        trial = _Posterior(here.samples, here.regressors, turned(here.Lambda, share * step))
-        trial.settle(here.variances, 0)
-        if trial.deviance() <= before:
-            return trial
-        share *= 0.4
-    return None
 
 
 @final
@@ -207,7 +188,14 @@ class _Posterior:
         for _ in range(updates):
             self._solve(self._updated())
 
-    def deviance(self) -> float:
+    def moved(self, step: Float[np.ndarray, " m"]) -> _Posterior:
+        """After a step, settled from the variances here."""
+        there = _Posterior(self.samples, self.regressors, turned(self.Lambda, step))
+        there.settle(self.variances, UPDATES)
+        return there
+
+    @property
+    def cost(self) -> float:
         """2 l, see the module."""
         noise, n_rows = self.variances.noise, len(self.samples) * (self.samples.nv - len(self.Lambda))
         fit = (self._energy - float(self._pulled @ self._theta)) / noise

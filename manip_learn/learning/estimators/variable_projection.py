@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import qr, solve_triangular
 
-from manip_learn.learning.estimators.estimate import JointFit, descend
+from manip_learn.learning.estimators.estimate import JointFit, descend_rows
 from manip_learn.learning.estimators.policy_equations import (
     OrthonormalRegressors,
     Projections,
@@ -71,7 +71,7 @@ def fit_joint(
             return fast
         # normal equations lose half the digits: QR answers where there are digits, and goes on where it is expensive
         start = fast.whitened_selection if many else start
-    here, iterations = descend(
+    here, iterations = descend_rows(
         _ByRows.at(samples, orthonormal_rows(start), model),
         lambda Lambda: _ByRows.at(samples, Lambda, model),
         *(max_iterations, tolerance, gain),
@@ -92,12 +92,13 @@ def fit_projected(
     regressors = OrthonormalRegressors.of(samples, model)
     if least_pivot > 0.0 and regressors.values.shape[1] < model.n_terms:
         return None
-    here, iterations = descend(
+    here, iterations = descend_rows(
         _ByEquations.at(samples, orthonormal_rows(start), regressors),
         lambda Lambda: _ByEquations.at(samples, Lambda, regressors),
         *(max_iterations, tolerance, gain),
-        usable=lambda state: state.solver.least_pivot >= least_pivot,
-        enough=lambda state: least_pivot > 0.0 and state.cost <= NEARLY_EXACT * state.energy,
+        stop=lambda state: (
+            state.solver.least_pivot < least_pivot or (least_pivot > 0.0 and state.cost <= NEARLY_EXACT * state.energy)
+        ),
     )
     if here.solver.least_pivot < least_pivot:
         return None
@@ -133,7 +134,7 @@ class _ByEquations:
         return self.projections.energy(self.samples.u) / len(self.samples)
 
     def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
-        """See `descend`."""
+        """See `descend_rows`."""
         return self.projections.equations(self.regressors.values, self.y, self.solver)
 
 
@@ -159,7 +160,7 @@ class _ByRows:
         return _ByRows(samples, Lambda, model, theta.reshape(-1, samples.nv), cost / n, energy / n)
 
     def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
-        """See `descend`; Theta is projected off."""
+        """See `descend_rows`; Theta is projected off."""
         R = _triangle(_rows(self.samples, self.whitened_selection, self.model, self.theta))
         width = self.theta.size
         K, J, residual = R[:, :width], R[:, width:-1], R[:, -1]

@@ -71,12 +71,7 @@ def gains_of(
     whole = np.maximum(np.add.reduceat(values, first[:-1], axis=0), 0.0)
     if np.isinf(switch):
         return whole
-    padded = _padded(values, first)
-    free, half = np.zeros(padded.shape[1:]), 0.5 * switch
-    held = np.full_like(free, -half)
-    for step in padded:
-        held, free = np.maximum(held, free - half) + step, np.maximum(free, held - half)
-    return np.maximum(whole, np.maximum(free, held - half))
+    return np.maximum(whole, np.maximum(*_two_states(_padded(values, first), 0.5 * switch)))
 
 
 def held_by(
@@ -88,23 +83,39 @@ def held_by(
     throughout = np.repeat(whole > 0.0, lengths, axis=0)
     if np.isinf(switch):
         return throughout
-    padded, half = _padded(values, first), 0.5 * switch
+    padded = _padded(values, first)
     entered, left = np.zeros(padded.shape, dtype=bool), np.zeros(padded.shape, dtype=bool)
-    free = np.zeros(padded.shape[1:])
-    held = np.full_like(free, -half)
-    for t, step in enumerate(padded):
-        from_free, from_held = free - half, held - half
-        np.greater(from_free, held, out=entered[t])
-        np.greater(from_held, free, out=left[t])
-        held, free = np.maximum(held, from_free) + step, np.maximum(free, from_held)
-    state = held - half > free
-    best = np.maximum(free, held - half)
+    free, held = _two_states(padded, 0.5 * switch, (entered, left))
+    state, best = held > free, np.maximum(free, held)
     out = np.zeros(padded.shape, dtype=bool)
     for t in range(len(padded) - 1, -1, -1):
         out[t] = state
         state = np.where(state, ~entered[t], left[t])
     parts = np.concatenate([out[: b - a, i] for i, (a, b) in enumerate(pairwise(first))])
     return np.where(np.repeat(whole > best, lengths, axis=0), throughout, parts)
+
+
+def _two_states(
+    steps: Float[np.ndarray, "T g h"],
+    half: float,
+    changes: tuple[Bool[np.ndarray, "T g h"], Bool[np.ndarray, "T g h"]] | None = None,
+) -> tuple[Float[np.ndarray, "g h"], Float[np.ndarray, "g h"]]:
+    """Evidence of the best sequences that end in free motion, and in a contact, each change for half its price.
+
+    Args:
+        steps: Evidence of each sample.
+        half: Of what a stretch costs [nats].
+        changes: Where to note which samples are best entered from free motion, and from a contact; None: nowhere.
+    """
+    free = np.zeros(steps.shape[1:])
+    held = np.full_like(free, -half)
+    for t, step in enumerate(steps):
+        from_free, from_held = free - half, held - half
+        if changes is not None:
+            np.greater(from_free, held, out=changes[0][t])
+            np.greater(from_held, free, out=changes[1][t])
+        held, free = np.maximum(held, from_free) + step, np.maximum(free, from_held)
+    return free, held - half
 
 
 def states_of(

@@ -177,16 +177,14 @@ class Explanation:
                     continue
                 width = view.thin.rates.shape[1]
                 plain = dataclasses.replace(h, view=number, rows=np.eye(h.n_rows, width))
-                trial = now._with(k, now._refitted(k, plain))
+                others = now.hypotheses
+                fitted = (*others[:k], now._refitted(k, plain), *others[k + 1 :])
+                trial = Explanation(now.views, fitted, now.switch)
                 saved = h.price(seconds) - plain.price(seconds)
                 if float(trial.explained.sum()) + saved >= float(now.explained.sum()):
                     now = trial
                     break
         return now
-
-    def _with(self, k: int, hypothesis: Hypothesis) -> Explanation:
-        others = self.hypotheses
-        return Explanation(self.views, (*others[:k], hypothesis, *others[k + 1 :]), self.switch)
 
     def _refitted(self, k: int, start: Hypothesis) -> Hypothesis:
         """The start, fitted to the samples that the k-th hypothesis explains."""
@@ -285,12 +283,17 @@ def _again(
     baseline: Float[np.ndarray, " n"],
     switch: float,
 ) -> list[Hypothesis]:
-    """Each fitted to its held samples, where these are enough to determine its rows."""
+    """Each fitted to its held samples, where these are enough to determine its rows; each sample is weighted by the
+    inverse of the variance that is expected of it.
+    """
     fitted = []
     for h, own in zip(hypotheses, held.T, strict=True):
         thin = views[h.view].thin
-        enough = np.count_nonzero(own & thin.moving) >= SAMPLES_PER_DIRECTION * h.rows.shape[1]
-        fitted.append(dataclasses.replace(h, rows=_rows(thin, own, h)) if enough else h)
+        if np.count_nonzero(own & thin.moving) >= SAMPLES_PER_DIRECTION * h.rows.shape[1]:
+            variance = h.scale.steady**2 * thin.noise + h.scale.share**2 * thin.free
+            rows = fitted_rows(thin, np.where(own, thin.weight / variance, 0.0), h.n_rows)
+            h = dataclasses.replace(h, rows=rows)
+        fitted.append(h)
     return _scaled(views, fitted, baseline, switch)
 
 
@@ -312,12 +315,6 @@ def _scaled(
         dataclasses.replace(h, scale=SCALES[k], gains=gains[:, i, k])
         for i, (h, k) in enumerate(zip(hypotheses, most, strict=True))
     ]
-
-
-def _rows(motion: RowMotion, held: Bool[np.ndarray, " n"], h: Hypothesis) -> Float[np.ndarray, "s r"]:
-    """Rows from the held samples, each weighted by the inverse of the variance that is expected of it."""
-    variance = h.scale.steady**2 * motion.noise + h.scale.share**2 * motion.free
-    return fitted_rows(motion, np.where(held, motion.weight / variance, 0.0), h.n_rows)[0]
 
 
 def _similar(first: Hypothesis, second: Hypothesis) -> bool:

@@ -16,6 +16,7 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import counted, listed
 from manip_learn.learning.deciding import (
     FEWEST_TRAJECTORIES,
+    FIRM_ALONE_SHARE,
     FIRM_SHARE,
     JOINTS_AT_ONCE,
     LEAST_GAIN_NATS,
@@ -23,13 +24,13 @@ from manip_learn.learning.deciding import (
     SHORT_STRETCH_RATIO,
     SWITCH_NATS,
 )
-from manip_learn.learning.explanation.explain import Explanation, Hypothesis, explain
-from manip_learn.learning.explanation.lone import lone_contacts, parts_of
+from manip_learn.learning.explanation.explain import Explanation, Hypothesis, candidates, explain
 from manip_learn.learning.explanation.odd import agreeing, drifting, missing, slipping
-from manip_learn.learning.explanation.row_motion import View, joints_at_once, mechanism_features, views_of
+from manip_learn.learning.explanation.row_motion import View, joints_at_once, kinds_tried, mechanism_features, views_of
 from manip_learn.learning.explanation.stretch import (
     BeforeSmoothing,
     Stretch,
+    covered,
     pieces_of,
     sharpened,
     stretches_of,
@@ -67,11 +68,6 @@ class Part:
     asked: tuple[FeatureMap, ...] = ()
     choices: float = 1.0
     source: BeforeSmoothing | None = None
-
-    @property
-    def n_constraints(self) -> int | None:
-        """Number of rows that explain these stretches; None: from the data."""
-        return None if self.found is None else len(self.found)
 
     @property
     def recorded(self) -> list[Trajectory] | None:
@@ -148,12 +144,12 @@ def find(
     views = views_of([*usable, *(mechanism_features(usable, trajectories) if mechanisms else ())], trajectories)
     if not views:
         return unexplained(demonstrations, feature_maps)  # a single row: nothing to compare it with
-    believed = _Recombination(trajectories, _tried(views), int(rng.integers(2**32)))
+    believed = _Recombination(trajectories, kinds_tried(views), int(rng.integers(2**32)))
     explanation = explain(views, believed, SWITCH_NATS if phases else np.inf)
     elsewhere = _elsewhere(usable, trajectories, explanation)
     if elsewhere:  # what disagrees in this reference is no other task
         return dataclasses.replace(unexplained(demonstrations, feature_maps), warnings=elsewhere, elsewhere=True)
-    contacts = lone_contacts(explanation, believed.of_one) if phases and len(trajectories) > 1 else []
+    contacts = _lone_contacts(explanation, believed) if phases and len(trajectories) > 1 else []
     if not explanation.hypotheses:
         alone = tuple((s, IN_ONE_ONLY) for s in contacts)
         nearest = Explanation(explanation.views, explanation.refused[:1], explanation.switch)
@@ -205,11 +201,6 @@ def _moves(features: FeatureMap, trajectories: Sequence[Trajectory]) -> bool:
     return bool(np.any(np.abs(features.batch(few)) > 0.0))
 
 
-def _tried(views: Sequence[View]) -> int:
-    """Feature maps and numbers of rows that are tried."""
-    return sum(v.largest for v in views)
-
-
 @final
 @dataclass(frozen=True)
 class _Recombination:
@@ -239,7 +230,7 @@ class _Recombination:
     def of_one(self, view: View, h: Hypothesis, stretch: Stretch) -> bool:
         """Whether the parts of a single stretch confirm the hypothesis beyond doubt, each as a recording would."""
         stretches, pieces = pieces_of(self.trajectories, [stretch])
-        parts = [p[a:b] for p in pieces for a, b in pairwise(parts_of(float(p.time[0]), float(p.time[-1])))]
+        parts = [p[a:b] for p in pieces for a, b in pairwise(_parts_of(float(p.time[0]), float(p.time[-1])))]
         return self._confirmed(view, h, stretches, parts, 1)
 
     def _confirmed(
@@ -255,6 +246,44 @@ class _Recombination:
         return bool(shown) and evidence.n_rows >= h.n_rows and sure
 
 
+def _lone_contacts(explanation: Explanation, believed: _Recombination) -> list[Stretch]:
+    """Stretches beside those explained in which rows hold firmly, in one recording each: they are named, so that they
+    can be recorded again, and not learnt.
+
+    Args:
+        explanation: What several recordings show.
+        believed: The test of a hypothesis against chance, by a single stretch.
+    """
+    found = [h for h in candidates(explanation, alone=True) if h.scale.share <= FIRM_ALONE_SHARE]
+    out, motion = list[Stretch](), explanation.views[0].motion
+    for i in range(explanation.thin.n_trajectories if found else 0):
+        h = max(found, key=lambda h: h.gains[i])
+        if h.gains[i] <= LEAST_GAIN_NATS:
+            continue
+        alone = Explanation(explanation.views, (*explanation.hypotheses, h), explanation.switch)
+        states = alone.fine_states() * (motion.trajectory == i)
+        stretches = stretches_of(motion, states, len(alone.hypotheses))
+        worthy = [s for s in stretches if _worth(alone, s) > LEAST_GAIN_NATS]
+        out += [s for s in worthy if believed.of_one(explanation.views[h.view], h, s)]
+    return out
+
+
+def _parts_of(start: float, end: float) -> Float[np.ndarray, " k"]:
+    """Edges of the parts of a stretch that stand for recordings: one more than the fewest can be spared [s]."""
+    return np.linspace(start, end, FEWEST_TRAJECTORIES + 2)
+
+
+def _worth(alone: Explanation, stretch: Stretch) -> float:
+    """Gain of the last hypothesis in a stretch, without the part of it that gains most, less its price and that of the
+    change into it and out of it [nats].
+    """
+    thin, k = alone.thin, len(alone.hypotheses) - 1
+    inside = covered(thin, [stretch])
+    part = np.searchsorted(_parts_of(stretch.start, stretch.end)[1:-1], thin.time[inside])
+    gains = np.bincount(part, (alone.values[:, k] - alone.others(k))[inside])
+    return dataclasses.replace(alone.hypotheses[k], gains=gains).worth(stretch.duration) - alone.switch
+
+
 def _findings(
     demonstrations: Demonstrations,
     feature_maps: Sequence[FeatureMap],
@@ -262,7 +291,7 @@ def _findings(
     contacts: Sequence[Stretch],
 ) -> Findings:
     trajectories, states = demonstrations.trajectories, explanation.fine_states()
-    tried = _tried(explanation.views)
+    tried = kinds_tried(explanation.views)
     order = np.argsort(-explanation.supports).tolist()
     parts, odd, apart = list[Part](), dict[int, str](), list[Stretch]()
     views = [explanation.views[explanation.hypotheses[k].view] for k in order]

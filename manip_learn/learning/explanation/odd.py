@@ -79,7 +79,7 @@ def drifting(
     out = {}
     odd = pieces_of(trajectories, [s for s, good in zip(stretches, agrees, strict=True) if not good])
     for s, piece in zip(*odd, strict=True):
-        why = reason(features, [*members, piece], selection, len(members), range(len(members)))
+        why = reason(features, piece, members, selection)
         out[s.trajectory] = f"{why}, fastest at {_fastest(features, piece, selection):.2f} s"
     return out
 
@@ -106,7 +106,7 @@ def missing(
     out = {}
     for i, t in enumerate(trajectories):
         if i not in shown:
-            why = reason(features, [*usual, t], selection, len(usual), range(len(usual)))
+            why = reason(features, t, usual, selection)
             out[i] = f"constraint {number} is not seen in it, but in {len(shown)} of the others; {why}"
     return out
 
@@ -149,27 +149,22 @@ def slipping(
                 _drift(motion, rows, gap)[0] > SLIP_FACTOR * held
                 and _extent(way_along(features, between, selection)) > LEAST_SLIP
             ):
-                why = reason(features, [*whole, between], selection, len(whole), range(len(whole)))
+                why = reason(features, between, whole, selection)
                 out[i] = f"its contact is interrupted from {a.end:.2f} s to {b.start:.2f} s, as by a slip: {why}"
                 break
     return out
 
 
 def reason(
-    features: FeatureMap,
-    trajectories: Sequence[Trajectory],
-    selection: Float[np.ndarray, "s p"],
-    odd: int,
-    members: Sequence[int],
+    features: FeatureMap, t: Trajectory, members: Sequence[Trajectory], selection: Float[np.ndarray, "s p"]
 ) -> str:
     """One sentence: how far it moves along the direction that the others hold still, and how far they do."""
-    t = trajectories[odd]
     way = way_along(features, t, selection)
     centred = way - way.mean(axis=0)
     worst = np.linalg.svd(centred, full_matrices=False)[2][0]
     row = worst @ selection
     moved = float(np.ptp(way @ worst))
-    usual = float(np.median([np.ptp(way_along(features, trajectories[i], selection) @ worst) for i in members]))
+    usual = float(np.median([np.ptp(way_along(features, other, selection) @ worst) for other in members]))
     turns = np.array([unit.startswith("rad") for unit in features.row_units])
     rotation = float(np.sum(row[turns] ** 2)) > 0.5
     others = f"the other {len(members)} hold" if len(members) > 1 else "the other one holds"

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
-from typing import final
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -25,9 +24,7 @@ MOST = 200
 TINY = 1e-200
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Moments:
+class Moments(NamedTuple):
     """Sums over windows or recordings.
 
     Attributes:
@@ -44,7 +41,7 @@ class Moments:
 
     def chosen(self, numbers: Int[np.ndarray, " k"]) -> Moments:
         """Some of them."""
-        return Moments(self.M[numbers], self.S[numbers], self.noise[numbers], self.trajectory[numbers])
+        return Moments(*(one[numbers] for one in self))
 
     def paired(self, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " k"]) -> Moments:
         """Sums over two together."""
@@ -54,8 +51,7 @@ class Moments:
     @staticmethod
     def joined(parts: Sequence[Moments]) -> Moments:
         """One after the other."""
-        names = ("M", "S", "noise", "trajectory")
-        return Moments(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+        return Moments(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def proposed(motion: RowMotion, states: Int[np.ndarray, " n"], largest: int) -> dict[int, Float[np.ndarray, "h s r"]]:
@@ -158,24 +154,8 @@ def _window_moments(motion: RowMotion, lengths: Sequence[float]) -> Moments:
     return Moments(M, S, noise, np.concatenate(numbers).astype(np.int64))
 
 
-def fitted_rows(
-    motion: RowMotion, weights: Float[np.ndarray, " n"], s: int
-) -> tuple[Float[np.ndarray, "s r"], Float[np.ndarray, " r"]]:
-    """The s rows that the weighted samples use least, orthonormal, and the levels of all directions, least first.
-
-    A level is the root of the mean energy along a direction [rad/s].
-    """
-    M = (motion.rates * weights[:, None]).T @ motion.rates
-    return rows_of_moments(M, np.tensordot(weights, motion.gram, axes=1), s)
-
-
-def rows_of_moments(
-    M: Float[np.ndarray, "r r"], S: Float[np.ndarray, "r r"], s: int
-) -> tuple[Float[np.ndarray, "s r"], Float[np.ndarray, " r"]]:
-    """The same from the weighted sums of r r^T and of Phi Phi^T."""
-    r = len(M)
-    L = np.linalg.cholesky(S + max(1e-9 * np.trace(S) / r, TINY) * np.eye(r))
-    inverse = np.linalg.inv(L)
-    values, vectors = np.linalg.eigh(inverse @ M @ inverse.T)
-    rows = np.linalg.qr((vectors[:, :s].T @ inverse).T)[0].T
-    return rows, np.sqrt(np.maximum(values, 0.0))
+def fitted_rows(motion: RowMotion, weights: Float[np.ndarray, " n"], s: int) -> Float[np.ndarray, "s r"]:
+    """The s rows that the weighted samples use least, orthonormal."""
+    M, S = (motion.rates * weights[:, None]).T @ motion.rates, np.tensordot(weights, motion.gram, axes=1)
+    _, directions = _least_used(Moments(M[None], S[None], np.zeros(1), np.zeros(1, dtype=np.int64)))
+    return np.linalg.qr(directions[0, :s].T)[0].T

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -131,20 +132,10 @@ class RowMotion:
 
     def chosen(self, keep: Bool[np.ndarray, " n"], times: float = 1.0) -> RowMotion:
         """Some of the samples, each standing for `times` its own time."""
-        count = np.concatenate([[0], np.cumsum(keep)])
-        return RowMotion(
-            self.time[keep],
-            self.weight[keep] * times,
-            self.trajectory[keep],
-            count[self.first].astype(np.int64),
-            self.rates[keep],
-            self.gram[keep],
-            self.free[keep],
-            self.noise[keep],
-            self.whitening,
-            self.rank,
-            self.ends,
-        )
+        first = np.concatenate([[0], np.cumsum(keep)])[self.first].astype(np.int64)
+        of_samples = ("time", "trajectory", "rates", "gram", "free", "noise")
+        kept = {name: getattr(self, name)[keep] for name in of_samples}
+        return dataclasses.replace(self, first=first, weight=self.weight[keep] * times, **kept)
 
     def selection(self, rows: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "s p"]:
         """Lambda in the features' own basis, with orthonormal rows, from whitened rows."""
@@ -257,6 +248,11 @@ def views_of(feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajecto
     motions = [(f, RowMotion.collect(f, trajectories, noise)) for f in feature_maps]
     views = [View(f, motion, motion.thinned(), min(motion.rank, f.nv) - 1) for f, motion in motions]
     return [v for v in views if v.largest > 0]
+
+
+def kinds_tried(views: Sequence[View]) -> int:
+    """Feature maps and numbers of rows that are tried."""
+    return sum(v.largest for v in views)
 
 
 def mechanism_features(feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory]) -> list[PlaceRows]:

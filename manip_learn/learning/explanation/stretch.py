@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.learning.deciding import CHANGE_SECONDS, CUBIC, FAR_FROM_HELD, SHORTEST_STRETCH_SECONDS
+from manip_learn.learning.deciding import CHANGE_SECONDS, FAR_FROM_HELD, SHORTEST_STRETCH_SECONDS
 from manip_learn.learning.explanation.evidence import runs
 from manip_learn.learning.explanation.row_motion import RowMotion
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -88,12 +88,14 @@ def sharpened(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretches: Sequ
 
 
 def cut(trajectory: Trajectory, stretch: Stretch) -> slice | None:
-    """The samples of a stretch, without its ends where these are no ends of the recording; None if they are too few."""
+    """The samples of a stretch, without its ends where these are no ends of the recording; None if fewer than
+    three are left, which are no motion.
+    """
     time = trajectory.time
     start = stretch.start if stretch.start <= time[0] else stretch.start + CHANGE_SECONDS
     end = stretch.end if stretch.end >= time[-1] else stretch.end - CHANGE_SECONDS
     inside = np.flatnonzero((time >= start) & (time <= end))
-    return slice(int(inside[0]), int(inside[-1]) + 1) if len(inside) >= CUBIC else None
+    return slice(int(inside[0]), int(inside[-1]) + 1) if len(inside) > 2 else None
 
 
 def pieces_of(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import final
@@ -14,15 +14,25 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.place_rows import PlaceForm, PlaceRows
 from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS, MechanismKind
 from manip_learn.constraint.mechanism_reading import Read, read_kind, rows_of
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning.deciding import POOR_AXIS_DEG, POOR_RADIUS, WIDE_RADIUS
+from manip_learn.learning.deciding import (
+    BEYOND_CHANCE,
+    FARTHEST_M,
+    LEAST_BEND_M,
+    POOR_AXIS_DEG,
+    POOR_RADIUS,
+    SHARED_LOSS,
+    SMALLEST_RESIDUAL,
+    STANDARD_ERRORS,
+    WIDE_RADIUS,
+)
 from manip_learn.learning.explanation.explain import Hypothesis, explain
-from manip_learn.learning.explanation.row_motion import View, views_of
-from manip_learn.learning.mechanisms.bending import straight_or_bent
-from manip_learn.learning.mechanisms.fits import Fit, fit_candidate
-from manip_learn.learning.mechanisms.refined import refined
-from manip_learn.learning.mechanisms.residuals import QUANTITIES
+from manip_learn.learning.explanation.row_motion import View, kinds_tried, views_of
+from manip_learn.learning.explanation.stretch import stretches_of, ways_to_choose
+from manip_learn.learning.mechanisms.place_fit import PlaceErrors, PlaceFit, fit_place
+from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, angles_about, turn_about
 from manip_learn.learning.mechanisms.tip_paths import TipPaths, thinned
 from manip_learn.learning.recombination import recombination_test
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -32,9 +42,19 @@ from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 
 SAMPLES = 60  # of each trajectory in the first fit of a place
+MOST, LEAST = 4000, 60  # of all trajectories in the last fit, and of each
 BLIND = 1e-6  # rows of Phi below this are ones that the arm cannot move
 REPEATED = "held by the way of moving, not by a contact that all share"
 FORMS: tuple[PlaceForm, ...] = ("point and rotation", "twist", "surface")
+
+# what each mechanism becomes when it bends
+BENT_FORMS = {
+    "line": "hinge",
+    "line, not turning": "hinge, not turning",
+    "plane": "ball",
+    "hinge": "screw",
+    "hinge, firm": "screw, firm",
+}
 
 Held = tuple[FeatureMap, Float[np.ndarray, "s p"]]
 Confirm = Callable[[FeatureMap, Float[np.ndarray, "s p"]], bool]
@@ -139,13 +159,29 @@ def find_mechanism(
         read, members = (searched, members) if searched else (known, tuple(range(len(moved))))
     if read is None:
         return MechanismFit(None, None, None, {}, table, _why_none(table))
-    paths = paths.chosen(members)
-    start, rival = straight_or_bent(paths, fit_candidate(paths, read[0], [read[1]]))
+    start, rival = _straight_or_bent(fit_place(paths.chosen(members), *read))
     last = chosen if recorded is None else [recorded[i] for i in numbers]
-    postures = [_postures(robot, last[i]) for i in members]
-    fit, mechanism = refined(robot, tip, postures, start, rng)
+    each = max(LEAST, MOST // len(members))
+    postures = [thinned(_postures(robot, last[i]), each) for i in members]
+    fine = TipPaths.of(robot, tip, postures)
+    fit = _with_shared(fit_place(fine, start.kind, start.place))
+    mechanism = _described(fit, fit.errors(rng))
+    held_out = {
+        unit: max(float(fit.held_out[n].max()) for n in fit.kind.holds if QUANTITIES[n].unit == unit)
+        for unit in {QUANTITIES[n].unit for n in fit.kind.holds}
+    }
+    features, selection = _constraint(robot, tip.name, fit, mechanism.radius, postures)
     odd = tuple(i for i in range(len(trajectories)) if i not in {numbers[k] for k in members})
-    return _judged(robot, tip, fit, mechanism, postures, table, rival, odd, confirm)
+    refused = MechanismFit(None, None, None, held_out, table, "", (), odd)
+    poor, wide = _doubts(mechanism)
+    if poor:
+        return dataclasses.replace(refused, reason=poor, warnings=(poor,))
+    if confirm is not None and not confirm(features, selection):
+        reason = f"the recordings look like {mechanism.sentence}, but the test of its rows refuses it"
+        return dataclasses.replace(refused, reason=reason)
+    lone = ("one trajectory only: a repeated motion cannot be told from a contact",) if len(postures) == 1 else ()
+    warnings = (*lone, *filter(None, (rival, wide)))
+    return MechanismFit(mechanism, features, selection, held_out, table, "", warnings, odd, rival)
 
 
 def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]:
@@ -168,19 +204,16 @@ def _read(
             verdict = "chosen"
             shown = np.unique(view.thin.trajectory[held])
             if len(moved) > 1:
-                evidence = recombination_test(
-                    view.features,
-                    [moved[i] for i in shown],
-                    np.random.default_rng(seed),
-                    math.comb(len(moved), len(shown)),
-                )
+                choices = kinds_tried(views) * ways_to_choose(view.thin, stretches_of(view.thin, held.astype(int), 1))
+                pieces, draws = [moved[i] for i in shown], np.random.default_rng(seed)
+                evidence = recombination_test(view.features, pieces, draws, choices)
                 strength = evidence.strengths[h.n_rows - 1] if len(evidence.strengths) >= h.n_rows else 0.0
                 verdict = "chosen" if evidence.n_rows >= h.n_rows else REPEATED
         table.append(Alternative(name, h.n_rows, h.support, strength, verdict))
         return verdict == "chosen"
 
-    seed = int(rng.integers(2**32))
-    found = explain(views_of(maps, moved), believed, np.inf)
+    views, seed = views_of(maps, moved), int(rng.integers(2**32))
+    found = explain(views, believed, np.inf)
     if not found.hypotheses:
         return None, (), tuple(table)
     k = int(np.argmax(found.supports))
@@ -190,69 +223,160 @@ def _read(
     return read, tuple(members.tolist()), tuple(table)
 
 
-def _judged(
-    robot: Robot,
-    tip: Frame,
-    fit: Fit,
-    mechanism: Mechanism,
-    postures: Sequence[Float[np.ndarray, "_ nv"]],
-    table: tuple[Alternative, ...],
-    rival: str,
-    odd: tuple[int, ...],
-    confirm: Confirm | None,
-) -> MechanismFit:
-    """The answer, unless its parameters are too uncertain or the further test refuses it."""
-    held_out = {
-        unit: max(float(fit.held_out[n].max()) for n in fit.candidate.holds if QUANTITIES[n].unit == unit)
-        for unit in {QUANTITIES[n].unit for n in fit.candidate.holds}
-    }
-    few = np.concatenate([thinned(q, 10) for q in postures])
-    features, selection = _constraint(robot, tip.name, fit, mechanism.radius, few)
-    poor = _poor(mechanism)
-    if poor:
-        return MechanismFit(None, None, None, held_out, table, poor, (poor,), odd)
-    if confirm is not None and not confirm(features, selection):
-        reason = f"the recordings look like {mechanism.sentence}, but the test of its rows refuses it"
-        return MechanismFit(None, None, None, held_out, table, reason, (), odd)
-    lone = ("one trajectory only: a repeated motion cannot be told from a contact",) if len(postures) == 1 else ()
-    return MechanismFit(
-        mechanism,
-        features,
-        selection,
-        held_out,
-        table,
-        "",
-        (*lone, *filter(None, (rival,)), *_wide(mechanism)),
-        odd,
-        rival,
+def _straight_or_bent(read: PlaceFit) -> tuple[PlaceFit, str]:
+    """The form of a mechanism that the positions show, and its rival in words; empty if they exclude it.
+
+    Velocities show neither the curvature of a short arc nor that a long one is none as well as positions do. The bent
+    form is the answer if its radius or pitch is known to a fifth and the path leaves the straight form measurably.
+
+    Args:
+        read: The mechanism that the rows show, fitted.
+    """
+    straight_forms = {bent: straight for straight, bent in BENT_FORMS.items()}
+    name = read.kind.name
+    if name in straight_forms and not _bends(read, straight := _other_form(read, straight_forms[name])):
+        return straight, _rival(read, straight)
+    if name in BENT_FORMS:
+        bent = _other_form(read, BENT_FORMS[name])
+        leaves = _bends(bent, read) and _bends(bent, _other_form(read, name))  # wherever the straight form is
+        return (bent, "") if leaves else (read, _rival(bent, read))
+    return read, ""
+
+
+def _other_form(read: PlaceFit, name: str) -> PlaceFit:
+    kind = next(k for k in MECHANISM_KINDS if k.name == name)
+    return fit_place(read.paths, kind, _start_of(read.paths, kind, read.place))
+
+
+def _start_of(paths: TipPaths, kind: MechanismKind, place: Place) -> Place:
+    """Where the other form may be: the same axis, or the direction, the normal and the circle of the path."""
+    x = paths.centred(paths.p)
+    spread, middle = np.linalg.eigh(x.T @ x)[1].T, paths.p.mean(axis=0)
+    if kind.type == "line":
+        return Place(spread[2], middle)
+    if kind.type == "plane":
+        return Place(spread[0], middle)
+    if kind.type == "ball":
+        return Place(place.axis, _centre(paths, np.eye(3)))
+    if kind.type == "hinge" and place.pitch == 0.0 and kind.orientation != "carried":
+        return Place(spread[0], _centre(paths, spread[1:]))  # a circle seen along the normal of the path
+    return Place(place.axis, place.point)
+
+
+def _centre(paths: TipPaths, base: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " 3"]:
+    """|y|^2 - 2 c.y is constant along a circle or on a sphere about c (I. Kasa, 1976), y in an orthonormal base."""
+    middle = paths.p.mean(axis=0)
+    y = (paths.p - middle) @ base.T
+    square = paths.centred(np.sum(y * y, axis=1, keepdims=True))[:, 0]
+    return middle + 0.5 * np.linalg.lstsq(paths.centred(y), square, rcond=1e-9)[0] @ base
+
+
+def _bends(bent: PlaceFit, straight: PlaceFit) -> bool:
+    """Whether the data show what the straight form lacks: measurable, and more than rails wobble."""
+    if bent.size is None or ("pitch" not in bent.kind.unknowns and bent.size[0] > FARTHEST_M):
+        return False
+    size, sigma = bent.size
+    return size > BEYOND_CHANCE * sigma and _rest(straight) - _rest(bent) > LEAST_BEND_M**2
+
+
+def _rest(fit: PlaceFit) -> float:
+    """Mean square of what the form leaves of the positions [m^2]."""
+    return sum(float(np.sum(fit.held_out[n] ** 2)) for n in fit.kind.holds if QUANTITIES[n].unit == "m")
+
+
+def _rival(bent: PlaceFit, straight: PlaceFit) -> str:
+    """A bent form near enough to matter, if the motion cannot exclude it."""
+    if bent.size is None or "pitch" in bent.kind.unknowns:
+        return ""
+    radius, sigma = bent.size
+    curvature = 1.0 / radius + STANDARD_ERRORS * sigma / radius**2
+    if not np.isfinite(curvature) or curvature < 1.0 / FARTHEST_M:
+        return ""
+    return (
+        f"a {bent.kind.name} would fit as well, with more than {1.0 / curvature:.2g} m of radius: the motion is "
+        f"too short to tell it from a {straight.kind.name}; move it farther"
     )
 
 
-def _poor(mechanism: Mechanism) -> str:
-    """A sentence if the parameters are too uncertain to be used, which says how much more motion is needed."""
+def _with_shared(fit: PlaceFit) -> PlaceFit:
+    """The fit with as many quantities as the data allow the same for all trajectories: better determined."""
+    names = tuple(n for n in fit.kind.holds if n in ("radius", "height", "distance", "across-line"))
+    for shared in (names, *((n,) for n in names if len(names) > 1)) if names else ():
+        tied, is_lost = fit_place(fit.paths, fit.kind, fit.place, shared, fit.weights), False
+        for name in fit.kind.holds:
+            after, before = (np.hypot(f.held_out[name], SMALLEST_RESIDUAL[QUANTITIES[name].unit]) for f in (tied, fit))
+            is_lost |= bool(np.any(after > SHARED_LOSS * before))
+        if not is_lost:
+            return tied
+    return fit
+
+
+def _described(fit: PlaceFit, errors: PlaceErrors) -> Mechanism:
+    """The mechanism of a fit, with the uncertainty of each parameter."""
+    kind, place, known = fit.kind, fit.place, set(fit.kind.unknowns)
+    axis = place.axis * (1.0 if place.axis[int(np.argmax(np.abs(place.axis)))] > 0.0 else -1.0)
+    uncertainty: dict[str, float] = {}
+    if "axis" in known:
+        uncertainty["axis"] = float(np.degrees(errors.within(slice(0, 3))))
+    if known & {"point", "point-across"}:
+        uncertainty["point"] = errors.within(slice(3, 6))
+    if errors.radius is not None:
+        uncertainty["radius"] = errors.radius
+    if "pitch" in known:
+        uncertainty["pitch"] = errors.within(slice(6, 7))
+    return Mechanism(
+        kind.type,
+        axis if "axis" in known else None,
+        None if kind.type == "held-orientation" else place.point,
+        None if fit.radius is None else fit.radius.value,
+        place.pitch if "pitch" in known else None,
+        "loose" if kind.orientation == "free" else "firm",
+        kind.orientation,
+        uncertainty,
+        _arc(fit.paths, fit.kind, place),
+        kind.name,
+    )
+
+
+def _arc(paths: TipPaths, kind: MechanismKind, place: Place) -> float | None:
+    """How far the hand goes about the axis or the centre [rad]; None where there is none."""
+    if kind.orientation == "carried" and "axis" in kind.unknowns:
+        angle = turn_about(paths, place.axis)
+    elif "point-across" in kind.unknowns:
+        angle = angles_about(paths, place)
+    elif "point" in kind.unknowns:
+        d = paths.p - place.point
+        d /= np.linalg.norm(d, axis=1, keepdims=True)
+        mean = d.mean(axis=0) / np.linalg.norm(d.mean(axis=0))
+        return float(2.0 * np.arccos(np.clip(d @ mean, -1.0, 1.0)).max())
+    else:
+        return None
+    return float(max(np.ptp(angle[paths.part(i)]) for i in range(len(paths.starts))))
+
+
+def _doubts(mechanism: Mechanism) -> tuple[str, str]:
+    """A sentence if the parameters are too uncertain to be used, and one if the motion determines the place badly; each
+    says how much more motion is needed. Empty where there is no doubt.
+    """
     u, radius, arc = mechanism.uncertainty, mechanism.radius, mechanism.arc
     if radius is None or arc is None:
-        return ""
+        return "", ""
     # the curvature of an arc, and with it the radius, is known to its residual over the square of the arc
-    worst = max(u.get("axis", 0.0) / POOR_AXIS_DEG, u.get("point", 0.0) / (POOR_RADIUS * max(radius, 0.02)))
-    if worst <= 1.0:
-        return ""
-    needed = min(np.degrees(arc) * np.sqrt(4.0 * worst), 90.0)
-    return (
-        f"move it by at least {needed:.0f} degrees, not {np.degrees(arc):.0f}: it looks like {mechanism.sentence}, but "
-        f"the axis is known to {u.get('axis', 0.0):.1f} degrees only and its place to {1e3 * u['point']:.0f} mm"
-    )
-
-
-def _wide(mechanism: Mechanism) -> tuple[str, ...]:
-    """A warning if the motion determines the place of an axis or a centre badly."""
-    radius, arc, place = mechanism.radius, mechanism.arc, mechanism.uncertainty.get("point", 0.0)
-    if radius is None or arc is None or place <= WIDE_RADIUS * radius or mechanism.grip == "firm":
-        return ()
-    needed = min(np.degrees(arc) * np.sqrt(place / (WIDE_RADIUS / 3.0 * radius)), 90.0)
-    return (
-        f"the hand goes {np.degrees(arc):.0f} degrees about the axis or the centre only, whose place is known to "
-        f"+- {1e3 * place:.0f} mm: move it by at least {needed:.0f} degrees",
+    far, axis, place = np.degrees(arc), u.get("axis", 0.0), u.get("point", 0.0)
+    worst = max(axis / POOR_AXIS_DEG, place / (POOR_RADIUS * max(radius, 0.02)))
+    if worst > 1.0:
+        return (
+            f"move it by at least {min(far * np.sqrt(4.0 * worst), 90.0):.0f} degrees, not {far:.0f}: it looks like "
+            f"{mechanism.sentence}, but the axis is known to {axis:.1f} degrees only and its place to "
+            f"{1e3 * place:.0f} mm",
+            "",
+        )
+    if place <= WIDE_RADIUS * radius or mechanism.grip == "firm":
+        return "", ""
+    needed = min(far * np.sqrt(place / (WIDE_RADIUS / 3.0 * radius)), 90.0)
+    return "", (
+        f"the hand goes {far:.0f} degrees about the axis or the centre only, whose place is known to "
+        f"+- {1e3 * place:.0f} mm: move it by at least {needed:.0f} degrees"
     )
 
 
@@ -268,10 +392,10 @@ def _why_none(table: Sequence[Alternative]) -> str:
 
 
 def _constraint(
-    robot: Robot, frame: str, fit: Fit, radius: float | None, postures: Float[np.ndarray, "n nv"]
+    robot: Robot, frame: str, fit: PlaceFit, radius: float | None, postures: Sequence[Float[np.ndarray, "_ nv"]]
 ) -> tuple[FeatureMap, Float[np.ndarray, "s p"]]:
     """Phi and Lambda, without the rows that the arm cannot move."""
-    features, selection = rows_of(fit.candidate, fit.place, radius, robot, frame)
-    A = np.einsum("sp,npj->nsj", selection, features.batch(postures))
+    features, selection = rows_of(fit.kind, fit.place, radius, robot, frame)
+    A = np.einsum("sp,npj->nsj", selection, features.batch(np.concatenate([thinned(q, 10) for q in postures])))
     movable = np.sqrt(np.mean(np.sum(A * A, axis=2), axis=0)) > BLIND
     return features, selection[movable]

@@ -1,4 +1,4 @@
-"""Where the hand was: poses along several trajectories, thinned, and what they would be without coordination."""
+"""Where the hand was: poses along several trajectories, and how errors of the joints move them."""
 
 from __future__ import annotations
 
@@ -25,19 +25,22 @@ class TipPaths:
     Attributes:
         p: shape (N, 3), origins [m].
         R: shape (N, 3, 3), orientations.
+        J: shape (N, 6, nv), Jacobians along the base's axes, linear rows first; the unit matrix, where all directions
+            of the frame's twist are to weigh the same.
         starts: shape (n,), first row of each trajectory.
     """
 
     p: Float[np.ndarray, "N 3"]
     R: Float[np.ndarray, "N 3 3"]
+    J: Float[np.ndarray, "N 6 nv"]
     starts: Int[np.ndarray, " n"]
 
     @staticmethod
     def of(robot: Robot, frame: Frame, postures: Sequence[Float[np.ndarray, "_ n"]]) -> TipPaths:
         """The paths of a frame along trajectories given as postures."""
-        pose = batch_kinematics(robot, frame).pose(np.concatenate(postures))
-        lengths = [len(q) for q in postures]
-        return TipPaths(pose[:, :3, 3], pose[:, :3, :3], np.cumsum([0, *lengths[:-1]]))
+        q, kinematics = np.concatenate(postures), batch_kinematics(robot, frame)
+        pose, lengths = kinematics.pose(q), [len(q) for q in postures]
+        return TipPaths(pose[:, :3, 3], pose[:, :3, :3], kinematics.jacobian(q), np.cumsum([0, *lengths[:-1]]))
 
     @cached_property
     def counts(self) -> Int[np.ndarray, " n"]:
@@ -48,10 +51,8 @@ class TipPaths:
         """Mean over each trajectory."""
         return np.add.reduceat(values, self.starts, axis=0) / self.counts[:, None]
 
-    def centred(self, values: Float[np.ndarray, "N d"], shared: bool = False) -> Float[np.ndarray, "N d"]:
-        """Values less the mean of their trajectory, or less the mean of all."""
-        if shared:
-            return values - values.mean(axis=0)
+    def centred(self, values: Float[np.ndarray, "N d"]) -> Float[np.ndarray, "N d"]:
+        """Values less the mean of their trajectory."""
         return values - np.repeat(self.means(values), self.counts, axis=0)
 
     @cached_property
@@ -78,20 +79,11 @@ class TipPaths:
         jumps[self.starts] = 0.0
         return angle + np.cumsum(jumps, axis=0)  # whole turns that a trajectory inherits do not matter
 
-    def alone(self, number: int) -> TipPaths:
-        """One trajectory."""
-        rows = self.part(number)
-        return TipPaths(self.p[rows], self.R[rows], np.zeros(1, dtype=int))
-
     def chosen(self, numbers: Sequence[int]) -> TipPaths:
         """Some of the trajectories, in this order."""
-        parts = [self.part(i) for i in numbers]
-        lengths = [rows.stop - rows.start for rows in parts]
-        return TipPaths(
-            np.concatenate([self.p[rows] for rows in parts]),
-            np.concatenate([self.R[rows] for rows in parts]),
-            np.cumsum([0, *lengths[:-1]]),
-        )
+        rows = np.concatenate([np.arange(len(self.p))[self.part(i)] for i in numbers])
+        starts = np.cumsum([0, *self.counts[list(numbers[:-1])]])
+        return TipPaths(self.p[rows], self.R[rows], self.J[rows], starts)
 
     def part(self, number: int) -> slice:
         """Rows of one trajectory."""
@@ -100,6 +92,4 @@ class TipPaths:
 
 def thinned(q: Float[np.ndarray, "T n"], most: int) -> Float[np.ndarray, "t n"]:
     """At most so many samples of a trajectory, evenly spread, ends included."""
-    if len(q) <= most:
-        return q
     return q[evenly(len(q), most)]

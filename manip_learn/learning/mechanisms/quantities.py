@@ -1,8 +1,7 @@
-"""What each mechanism keeps constant: residuals of the hand's path and their derivatives.
+"""What each mechanism keeps constant along the hand's path, and how it moves with the mechanism's place and the hand.
 
-A quantity that a mechanism holds is constant along a trajectory, so its residual is the quantity less its mean over the
-trajectory (its grip differs from the next one's), or less the mean over all. Derivatives are taken along the seven
-numbers axis a (3), point c (3), pitch h (1).
+Derivatives are taken along the seven numbers of the place, axis a (3), point c (3), pitch h (1). How errors of the
+joints move a quantity follows from them: to move the hand is to move the place the other way, seen from the hand.
 """
 
 from __future__ import annotations
@@ -16,12 +15,13 @@ from jaxtyping import Float
 
 from manip_learn.constraint.features.place_fields import Place
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
-from manip_learn.robot.rotations import skew
+from manip_learn.robot.rotations import left_jacobian_inverse, skew
 
 NEAR_AXIS = 1e-4  # [m] angles about an axis are not trusted closer to it
 
 
-Values = tuple[Float[np.ndarray, "N d"], Float[np.ndarray, "N d 7"]]
+Slopes = Float[np.ndarray, "N d 7"]
+Values = tuple[Float[np.ndarray, "N d"], Slopes]
 
 
 @final
@@ -34,12 +34,14 @@ class Quantity:
         width: Number of values.
         rank: How many independent rows they stand for.
         unit: `"m"` or `"rad"`.
+        by_twist: Derivatives along the twist of the frame in base axes, linear part first, from those by the place.
     """
 
     evaluate: Callable[[TipPaths, Place], Values]
     width: int
     rank: int
     unit: Literal["m", "rad"]
+    by_twist: Callable[[TipPaths, Place, Slopes], Float[np.ndarray, "N d 6"]]
 
 
 def _cylindrical(paths: TipPaths, place: Place) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -55,7 +57,7 @@ def _across_line(paths: TipPaths, place: Place) -> Values:
     base = place.across
     d = paths.p - place.point
     J = np.zeros((len(d), 2, 7))
-    J[:, :, :3] = -(d @ place.axis)[:, None, None] * base
+    J[:, :, :3], J[:, :, 3:6] = -(d @ place.axis)[:, None, None] * base, -base
     return d @ base.T, J
 
 
@@ -140,15 +142,36 @@ def _orientation(paths: TipPaths, place: Place) -> Values:
     return paths.turns, np.zeros((len(paths.p), 3, 7))
 
 
+def _of_position(paths: TipPaths, place: Place, J: Slopes) -> Float[np.ndarray, "N d 6"]:
+    return np.concatenate([-J[:, :, 3:6], np.zeros((*J.shape[:2], 3))], axis=2)
+
+
+def _seen_from_hand(paths: TipPaths, place: Place, J: Slopes) -> Float[np.ndarray, "N d 6"]:
+    lever = -np.cross((place.point - paths.p)[:, None, :], np.eye(3))  # [c - p]_x
+    return np.concatenate([-J[:, :, 3:6], J[:, :, :3] @ skew(place.axis) + J[:, :, 3:6] @ lever], axis=2)
+
+
+def _along_screw(paths: TipPaths, place: Place, J: Slopes) -> Float[np.ndarray, "N d 6"]:
+    """The hand's turn about the axis moves it along the axis, too."""
+    out = _seen_from_hand(paths, place, J)
+    out[:, :, 3:] += paths.R.transpose(0, 2, 1) @ (place.pitch * np.outer(place.axis, place.axis))
+    return out
+
+
+def _of_turns(paths: TipPaths, place: Place, J: Slopes) -> Float[np.ndarray, "N d 6"]:
+    turning = np.array([left_jacobian_inverse(v) for v in paths.turns])
+    return np.concatenate([np.zeros_like(turning), turning], axis=2)
+
+
 QUANTITIES: dict[str, Quantity] = {
-    "across-line": Quantity(_across_line, 2, 2, "m"),
-    "height": Quantity(_height, 1, 1, "m"),
-    "radius": Quantity(_radius, 1, 1, "m"),
-    "distance": Quantity(_distance, 1, 1, "m"),
-    "thread": Quantity(_thread, 1, 1, "m"),
-    "axis-in-hand": Quantity(_axis_in_hand, 3, 2, "rad"),
-    "point-in-hand": Quantity(_point_in_hand, 3, 3, "m"),
-    "screw-in-hand": Quantity(_screw_in_hand, 3, 3, "m"),
-    "axis-line-in-hand": Quantity(_axis_line_in_hand, 3, 2, "m"),
-    "orientation": Quantity(_orientation, 3, 3, "rad"),
+    "across-line": Quantity(_across_line, 2, 2, "m", _of_position),
+    "height": Quantity(_height, 1, 1, "m", _of_position),
+    "radius": Quantity(_radius, 1, 1, "m", _of_position),
+    "distance": Quantity(_distance, 1, 1, "m", _of_position),
+    "thread": Quantity(_thread, 1, 1, "m", _of_position),
+    "axis-in-hand": Quantity(_axis_in_hand, 3, 2, "rad", _seen_from_hand),
+    "point-in-hand": Quantity(_point_in_hand, 3, 3, "m", _seen_from_hand),
+    "screw-in-hand": Quantity(_screw_in_hand, 3, 3, "m", _along_screw),
+    "axis-line-in-hand": Quantity(_axis_line_in_hand, 3, 2, "m", _seen_from_hand),
+    "orientation": Quantity(_orientation, 3, 3, "rad", _of_turns),
 }
