@@ -101,6 +101,9 @@ def learn(
     options: ReadOptions,
     phases: shared.Phases = "auto",
     mechanism: Annotated[str, typer.Option(help="auto: say what holds the hand (hinge, line, ...); off.")] = "auto",
+    strength: Annotated[
+        float | None, typer.Option(help="How much less than by chance a row must be used to be believed; default: 1.8.")
+    ] = None,
     start: Annotated[float | None, typer.Option("--from", help="Leave out what was recorded before [s].")] = None,
     until: Annotated[float | None, typer.Option(help="Leave out what was recorded after [s].")] = None,
     points: Annotated[int | None, typer.Option(help="Use at most this many samples of each trajectory.")] = None,
@@ -116,8 +119,8 @@ def learn(
         learnt = run(
             robot, recordings, frame=frame, relative_to=relative_to, axes=axes, reference=reference,
             n_constraints=constraints, estimator=estimator, out=out, html=html, seed=seed, points=points,
-            phases=phases, mechanism=mechanism, start=start, until=until, robot_options=robot_options,
-            options=options, dask=dask, progress=report
+            phases=phases, mechanism=mechanism, strength=strength, start=start, until=until,
+            robot_options=robot_options, options=options, dask=dask, progress=report
         )  # fmt: skip
     answer(as_json, learnt.to_dict(), "print_learnt", learnt, explain=explain)
 

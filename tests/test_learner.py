@@ -202,3 +202,18 @@ def test_settings_out_of_range():
 def test_repr_names_what_was_asked_for():
     """The learner prints its settings."""
     assert "estimator='joint'" in repr(ConstraintLearner(planar_features(), 2, "joint"))
+
+
+def test_a_user_may_ask_for_more_evidence():
+    """`strength` is the least that a row must show: what is known beyond doubt stays until more is wanted."""
+    demos = shipped("sawyer_drawer", "sawyer")[:5]
+    features = FrameJacobian(load_robot("sawyer"), "right_gripper_tip", axes="xyz")
+    usual = ConstraintLearner(features).fit(demos).report_
+    least = min(row.strength for row in usual.row_evidence[:2])
+    strict = ConstraintLearner(features, strength=0.2 * least).fit(demos).report_
+    assert strict.n_constraints == usual.n_constraints == 2
+    with pytest.raises(NotIdentifiableError, match=r"is the least that counts"):
+        ConstraintLearner(features, strength=10.0 * least).fit(demos)
+    for bad in (0.5, np.nan, np.inf, True, "strong"):
+        with pytest.raises(FeatureError, match="strength must be"):
+            ConstraintLearner(features, strength=bad)

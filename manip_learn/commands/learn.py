@@ -16,6 +16,7 @@ from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeF
 from manip_learn.errors import FeatureError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.candidate import EstimatorName
+from manip_learn.learning.deciding import BELIEVED_STRENGTH
 from manip_learn.learning.learner import ESTIMATORS, Switch
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.episode_numbers import numbers_read
@@ -90,6 +91,7 @@ def learn(
     points: int | None = None,
     phases: str = "auto",
     mechanism: str = "auto",
+    strength: float | None = None,
     start: float | None = None,
     until: float | None = None,
     robot_options: RobotOptions | None = None,
@@ -138,6 +140,7 @@ def learn(
         phases=_switch("--phases", phases),
         mechanism=_switch("--mechanism", mechanism),
         seed=seed,
+        strength=BELIEVED_STRENGTH if strength is None else strength,
     )
     with cluster_client(dask) as client:
         learner.fit(demos, client=client, progress=progress)

@@ -177,7 +177,7 @@ def _undivided(part: Part, settings: LearnerSettings, fit: Fit, *, elsewhere: bo
 
 def _evidence(features: FeatureMap, part: Part, settings: LearnerSettings) -> RowEvidence:
     rng = np.random.default_rng(settings.seed)
-    return recombination_test(features, part.demonstrations, rng, choices=part.choices)
+    return recombination_test(features, part.demonstrations, rng, part.choices, settings.strength)
 
 
 def _doubts(evidence: RowEvidence, s: int, asked: int | None) -> tuple[str, ...]:
@@ -197,7 +197,8 @@ def _mechanism(part: Part, settings: LearnerSettings) -> MechanismFit | None:
     rng, motion = np.random.default_rng(settings.seed), [part.demonstrations[i] for i in chosen]
     try:
         held = None if part.found is None else (part.feature_maps[0], part.found)
-        return find_mechanism(maps[0].robot, maps[0].frame.name, motion, rng, recorded=before, held=held)
+        robot, frame, strength = maps[0].robot, maps[0].frame.name, settings.strength
+        return find_mechanism(robot, frame, motion, rng, recorded=before, held=held, strength=strength)
     except NotIdentifiableError:
         return None
 

@@ -10,7 +10,14 @@ import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError, advice, counted
-from manip_learn.learning.deciding import CLEAR_GAP, EQUALLY_GOOD, EXPLAINED, RESIDUAL_RATIO, SOFT_ENERGY
+from manip_learn.learning.deciding import (
+    BELIEVED_STRENGTH,
+    CLEAR_GAP,
+    EQUALLY_GOOD,
+    EXPLAINED,
+    RESIDUAL_RATIO,
+    SOFT_ENERGY,
+)
 from manip_learn.learning.estimators.estimate import Estimate
 from manip_learn.learning.estimators.null_space import estimate_null_space, null_space_gap
 from manip_learn.learning.excitation import check_fastest, check_samples
@@ -34,6 +41,7 @@ class LearnerSettings:
         policy_model: Of the joint estimator.
         seed: Of everything random.
         mechanism: Whether to look for a mechanism.
+        strength: From which on a row is believed.
     """
 
     n_constraints: int | None
@@ -41,6 +49,7 @@ class LearnerSettings:
     policy_model: str
     seed: int
     mechanism: bool = True
+    strength: float = BELIEVED_STRENGTH
 
 
 @final

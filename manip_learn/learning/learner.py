@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, final
@@ -15,6 +16,7 @@ from manip_learn.errors import FeatureError, NotFittedError, NotIdentifiableErro
 from manip_learn.learning.advice import advise, advise_in_general
 from manip_learn.learning.answer import Answer, find_answers
 from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
+from manip_learn.learning.deciding import BELIEVED_STRENGTH
 from manip_learn.learning.excitation import check_fastest, doubt_velocities
 from manip_learn.learning.explanation.findings import Findings, Part, find, unexplained
 from manip_learn.learning.explanation.stretch import BeforeSmoothing
@@ -56,6 +58,8 @@ class ConstraintLearner:
             `"off"` takes every recording as a whole.
         mechanism: `"auto"` looks for a mechanism (line, plane, hinge, ball, screw, held orientation) where Phi is a
             `FrameJacobian`; `"off"` does not.
+        strength: How much less than by chance a row must be used, with 99 % confidence, to be believed. A larger number
+            refuses more, a smaller one believes more; free motion reaches 1.5 now and then.
         seed: Seed of everything random (bootstrap, recombination, random starts, k-means).
 
     Attributes:
@@ -97,6 +101,7 @@ class ConstraintLearner:
         velocities: VelocityMethod = "auto",
         phases: Switch = "auto",
         mechanism: Switch = "auto",
+        strength: float = BELIEVED_STRENGTH,
         seed: int = 0,
     ):
         for name, value in (("phases", phases), ("mechanism", mechanism)):
@@ -111,6 +116,9 @@ class ConstraintLearner:
         self.velocities: VelocityMethod = velocities
         self.phases: Switch = phases
         self.mechanism: Switch = mechanism
+        if isinstance(strength, bool) or not isinstance(strength, int | float) or not 1.0 <= strength < math.inf:
+            raise FeatureError(f"strength must be a finite number of at least 1, got {strength!r}")
+        self.strength = float(strength)
         self.seed = seed
         candidates = [features] if not isinstance(features, Sequence) else list(features)
         if not candidates:
@@ -239,7 +247,8 @@ class ConstraintLearner:
             return unexplained(demonstrations, self._feature_maps)
         rng = np.random.default_rng(self.seed)
         mechanisms = self.mechanism == "auto" and self.n_constraints is None
-        return find(demonstrations, self._feature_maps, rng, phases=self.phases == "auto", mechanisms=mechanisms)
+        phases, strength = self.phases == "auto", self.strength
+        return find(demonstrations, self._feature_maps, rng, phases=phases, mechanisms=mechanisms, strength=strength)
 
     def _fit_stream(self, source: TrajectorySource, client: Any, progress: Progress | None) -> None:
         """From recordings that are not held in memory together: some of them say what holds, all of them how exactly.
@@ -309,7 +318,12 @@ class ConstraintLearner:
     @property
     def _settings(self) -> LearnerSettings:
         return LearnerSettings(
-            self.n_constraints, self.estimator, self.policy_model, self.seed, mechanism=self.mechanism == "auto"
+            self.n_constraints,
+            self.estimator,
+            self.policy_model,
+            self.seed,
+            mechanism=self.mechanism == "auto",
+            strength=self.strength,
         )
 
     def _with_velocities(self, demonstrations: Demonstrations) -> Demonstrations:

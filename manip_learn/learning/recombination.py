@@ -65,6 +65,7 @@ class RowEvidence:
         n_recombinations: Recombinations that the recorded motion was compared with.
         spread: Standard deviation of the logarithm of each strength over the recombinations.
         choices: Hypotheses of which this one, the best, was chosen: kinds of rows, and parts of the recordings.
+        believed: Strength from which on a row counts, with 99 % confidence.
     """
 
     strengths: tuple[float, ...]
@@ -76,6 +77,7 @@ class RowEvidence:
     n_recombinations: int
     spread: tuple[float, ...] = ()
     choices: float = 1.0
+    believed: float = BELIEVED_STRENGTH
 
     @property
     def _z(self) -> float:
@@ -94,7 +96,7 @@ class RowEvidence:
         for i, (strength, lower, p) in enumerate(zip(self.strengths, self.lower, self.p_values, strict=True)):
             if p > ROW_CHANCE or strength < LEANING_STRENGTH:
                 break
-            supported = i + 1 if lower >= BELIEVED_STRENGTH else supported
+            supported = i + 1 if lower >= self.believed else supported
         return supported
 
     @property
@@ -109,7 +111,7 @@ class RowEvidence:
                 return True
             if p > ROW_CHANCE or strength < LEANING_STRENGTH:
                 return False
-            if abs(math.log(max(lower, sys.float_info.min) / BELIEVED_STRENGTH)) < error * sd:
+            if abs(math.log(max(lower, sys.float_info.min) / self.believed)) < error * sd:
                 return True
         return False
 
@@ -128,7 +130,7 @@ class RowEvidence:
     @property
     def clear(self) -> bool:
         """Whether the weakest row that is supported is so beyond doubt, however few the trajectories are."""
-        return bool(self.n_rows) and self.lower[self.n_rows - 1] >= CLEAR_STRENGTH
+        return bool(self.n_rows) and self.lower[self.n_rows - 1] >= max(CLEAR_STRENGTH, self.believed)
 
     @property
     def states(self) -> tuple[RowState, ...]:
@@ -142,7 +144,7 @@ class RowEvidence:
         for i, level in enumerate(self.levels):
             if i < self.n_rows:
                 states.append("held")
-            elif self.strengths[i] >= BELIEVED_STRENGTH and self.p_values[i] <= ROW_CHANCE:
+            elif self.strengths[i] >= self.believed and self.p_values[i] <= ROW_CHANCE:
                 states.append("unclear")
             else:
                 states.append("free" if level >= USED_SHARE * most and level > 0.0 else "untried")
@@ -160,7 +162,7 @@ class RowEvidence:
         n, states = self.n_rows, self.states
         held = (
             f"no row is shown to be held (best strength {self.strengths[0]:.2g}, with 99 % confidence above "
-            f"{self.lower[0]:.2g}; {BELIEVED_STRENGTH:g} is the least that counts)"
+            f"{self.lower[0]:.2g}; {self.believed:g} is the least that counts)"
         )
         if n:
             softly = "held softly, or by the way of moving only" if self.enough else "held, it seems"
@@ -309,6 +311,7 @@ def recombination_test(
     trajectories: Sequence[Trajectory],
     rng: np.random.Generator,
     choices: float = 1.0,
+    believed: float = BELIEVED_STRENGTH,
 ) -> RowEvidence:
     """Evidence that the world holds rows of Phi, A(q) u = Lambda Phi(q) u = 0, row by row.
 
@@ -329,6 +332,7 @@ def recombination_test(
         trajectories: With velocities, each one stretch of motion: whole recordings or parts of them.
         rng: Of the recombinations: four times as many as before, as long as their number could decide.
         choices: Hypotheses of which this one was chosen: kinds of rows, and parts of the recordings.
+        believed: Strength from which on a row counts.
 
     Raises:
         RecordingError: A trajectory lacks velocities, or acts on another number of joints.
@@ -342,7 +346,7 @@ def recombination_test(
         chosen = [chosen[i] for i in np.sort(rng.choice(len(chosen), MOST_TRAJECTORIES, replace=False))]
     paths = phase_paths(chosen)
     Phi = [features.batch(path.q) for path in paths]
-    nothing = RowEvidence((), (), (), (), np.zeros((0, features.n_rows)), len(paths), 0)
+    nothing = RowEvidence((), (), (), (), np.zeros((0, features.n_rows)), len(paths), 0, believed=believed)
     if not Phi:
         return nothing
     W = whitening(np.mean([np.einsum("niv,njv->ij", P, P) / len(P) for P in Phi], axis=0), features.row_units)
@@ -372,6 +376,7 @@ def recombination_test(
             n,
             tuple(np.std(np.log(np.maximum(ratios, LEVEL_FLOOR)), axis=0).tolist()),
             choices,
+            believed,
         )
         if n >= MOST_RECOMBINATIONS or not evidence.is_close:
             return evidence

@@ -15,6 +15,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import counted, listed
 from manip_learn.learning.deciding import (
+    BELIEVED_STRENGTH,
     FEWEST_TRAJECTORIES,
     FIRM_ALONE_SHARE,
     FIRM_SHARE,
@@ -126,6 +127,7 @@ def find(
     *,
     phases: bool = True,
     mechanisms: bool = True,
+    strength: float = BELIEVED_STRENGTH,
 ) -> Findings:
     """Explain the recordings by a few constraints and free motion.
 
@@ -135,6 +137,7 @@ def find(
         rng: For the comparisons with chance.
         phases: Whether a constraint may hold in a part of a recording.
         mechanisms: Whether rows in which mechanisms are constant may explain what those asked for do not.
+        strength: From which on a row is believed, see `recombination_test`.
     """
     trajectories = demonstrations.trajectories
     usable = [f for f in feature_maps if _moves(f, trajectories)]
@@ -144,7 +147,7 @@ def find(
     views = views_of([*usable, *(mechanism_features(usable, trajectories) if mechanisms else ())], trajectories)
     if not views:
         return unexplained(demonstrations, feature_maps)  # a single row: nothing to compare it with
-    believed = _Recombination(trajectories, kinds_tried(views), int(rng.integers(2**32)))
+    believed = _Recombination(trajectories, kinds_tried(views), int(rng.integers(2**32)), strength)
     explanation = explain(views, believed, SWITCH_NATS if phases else np.inf)
     elsewhere = _elsewhere(usable, trajectories, explanation)
     if elsewhere:  # what disagrees in this reference is no other task
@@ -215,6 +218,7 @@ class _Recombination:
     trajectories: Sequence[Trajectory]
     tried: int
     seed: int
+    strength: float
 
     def __call__(self, view: View, h: Hypothesis, held: Bool[np.ndarray, " n"]) -> bool:
         """Whether several recordings confirm the hypothesis, or the only one does."""
@@ -241,7 +245,7 @@ class _Recombination:
         at_once = [joints_at_once(np.asarray(p.u), float(np.mean(noise))) for p in pieces]
         shown = pieces if pieces and np.median(at_once) >= JOINTS_AT_ONCE else []
         choices = self.tried * ways_to_choose(view.thin, stretches)
-        evidence = recombination_test(view.features, shown, np.random.default_rng(self.seed), choices)
+        evidence = recombination_test(view.features, shown, np.random.default_rng(self.seed), choices, self.strength)
         sure = recordings >= FEWEST_TRAJECTORIES or evidence.clear
         return bool(shown) and evidence.n_rows >= h.n_rows and sure
 

@@ -18,6 +18,7 @@ from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS, MechanismKin
 from manip_learn.constraint.mechanism_reading import Read, read_kind, rows_of
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.deciding import (
+    BELIEVED_STRENGTH,
     BEYOND_CHANCE,
     FARTHEST_M,
     LEAST_BEND_M,
@@ -118,6 +119,7 @@ def find_mechanism(
     confirm: Confirm | None = None,
     recorded: Sequence[Trajectory] | None = None,
     held: Held | None = None,
+    strength: float = BELIEVED_STRENGTH,
 ) -> MechanismFit:
     """The mechanism that held a frame of the robot while the trajectories were recorded.
 
@@ -138,6 +140,7 @@ def find_mechanism(
             these, since smoothing costs the ends of an arc, and its errors are those of neighbours, too.
         held: Phi and Lambda of rows that are known to be held. If they speak of rotations too, they say which mechanism
             it is, and no other rows are looked for; if not, they do where no rows of the whole pose say more.
+        strength: How much less than by chance a row must be used, with 99 % confidence, to be believed.
 
     Raises:
         UnknownNameError: No such frame; lists near matches.
@@ -155,7 +158,7 @@ def find_mechanism(
     known = None if held is None else read_kind(*held, views_of([held[0]], moved)[0].immovable, paths.p)
     read, members, table = known, tuple(range(len(moved))), tuple[Alternative, ...]()
     if held is None or known is None or not any(unit.startswith("rad") for unit in held[0].row_units):
-        searched, members, table = _read(robot, tip, moved, paths, rng)
+        searched, members, table = _read(robot, tip, moved, paths, rng, strength)
         read, members = (searched, members) if searched else (known, tuple(range(len(moved))))
     if read is None:
         return MechanismFit(None, None, None, {}, table, _why_none(table))
@@ -190,7 +193,12 @@ def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]
 
 
 def _read(
-    robot: Robot, tip: Frame, moved: Sequence[Trajectory], paths: TipPaths, rng: np.random.Generator
+    robot: Robot,
+    tip: Frame,
+    moved: Sequence[Trajectory],
+    paths: TipPaths,
+    rng: np.random.Generator,
+    least: float,
 ) -> tuple[Read | None, tuple[int, ...], tuple[Alternative, ...]]:
     """What the rows say that explain most, the trajectories that they explain, and all that was tested."""
     middle = paths.p.mean(axis=0)
@@ -206,7 +214,7 @@ def _read(
             if len(moved) > 1:
                 choices = kinds_tried(views) * ways_to_choose(view.thin, stretches_of(view.thin, held.astype(int), 1))
                 pieces, draws = [moved[i] for i in shown], np.random.default_rng(seed)
-                evidence = recombination_test(view.features, pieces, draws, choices)
+                evidence = recombination_test(view.features, pieces, draws, choices, least)
                 strength = evidence.strengths[h.n_rows - 1] if len(evidence.strengths) >= h.n_rows else 0.0
                 verdict = "chosen" if evidence.n_rows >= h.n_rows else REPEATED
         table.append(Alternative(name, h.n_rows, h.support, strength, verdict))
