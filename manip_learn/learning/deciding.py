@@ -3,9 +3,8 @@
 A number stands here if another value of it can change an answer: what is accepted or refused, told apart, chosen,
 warned of or stated. Each has its unit, the reason for its value with where that comes from, and what half and twice
 its value change on a panel of recordings (`python benchmarks/half_and_double.py`, the table is in docs/constants.md);
-no remark: nothing changes on the panel, or the section says that they were not tried. "Set by hand" says that there is
-no derivation and no study of it. "Share" and "ratio" have no unit. What bounds time and memory, and what is rounding,
-stands beside the code that it serves.
+no remark: nothing changes on the panel. "Set by hand" says that there is no derivation and no study of it. "Share" and
+"ratio" have no unit. What bounds time and memory, and what is rounding, stands beside the code that it serves.
 """
 
 # --- motion and noise ---
@@ -124,7 +123,7 @@ SLIP_FACTOR, LEAST_SLIP = 5.0, 2e-3
 # twice: drawer, 1 of 6 odd: odd none, not demo_5, warnings 1, not 2
 SHOWN_BY_SHARE = 0.6
 
-# --- repeats; half and twice not tried ---
+# --- repeats ---
 
 # [rad] two passes of one path are as near as this to each other: arms repeat a posture to 0.1 mm at half a metre
 REPEATED_RAD = 2e-4
@@ -132,6 +131,7 @@ REPEATED_RAD = 2e-4
 # twice its root mean square once in 5,000 samples, that of two joints once in 50
 LIES_ON_PATH = 2.0
 # least share of a recording's way that lies on another's: copies are trimmed by a few samples at their ends
+# half: nothing; twice: drawer, copied: warnings 1, not 3
 REPEATED_SHARE = 0.9
 # largest distance that may be allowed, over the extent of the path; where noise or long chords exceed it nothing can be
 # told. Of 28 kinds of generated sets, whole and cut (6 recordings, 4 arms, no noise, seeds 30000 to 30003), the nearest
@@ -207,11 +207,13 @@ POORLY_EXPLAINED = 0.03
 # ratio of the held-out cost by which a richer model must lower it to be worth its parameters. Set by hand
 # half: nothing; twice: reaching: model harmonic1, not affine, angle x 2.1
 WORTH = 0.8
-# --- chance and size of models, noise; half and twice not tried ---
+# --- chance and size of models, noise ---
 
 # standard errors of a difference, an autocorrelation or a curvature that are more than chance: 95 %
+# half: nothing; twice: drawer, noise 3e-3 rad: warnings 2, not 1
 STANDARD_ERRORS = 2.0
 # the same beyond doubt: of a radius or a pitch, and of the chi-square that tells unequal noise; one in 3 million
+# half: nothing; twice: door, 5 degrees of turn: a line, with a warning
 BEYOND_CHANCE = 5.0
 # how many times the regressors of the best a richer model may have. Set by hand
 ONE_DEGREE = 3.0
@@ -220,6 +222,7 @@ CHEAP = 25.0
 # residual variance over that of a smaller model that is not chance with `RESIDUALS_PER_PARAMETER`. Set by hand
 CLOSER = 0.9
 # residuals, or samples, for each parameter or centre of a model: a rule of thumb of regression
+# half: reaching, separate: angle x 2.3; twice: the same with another model
 RESIDUALS_PER_PARAMETER = 10
 # degree up to which every policy is thought possible. Set by hand
 MOST_LIKELY_DEGREE = 3
@@ -232,11 +235,13 @@ NOISE_RANGE = (1e-2, 1e2)
 # centres of the radial policy models of the joint estimator and, at least and at most, of the separation. Set by hand
 RADIAL_CENTRES, FEWEST_CENTRES, MOST_CENTRES = 32, 4, 96
 
-# --- mechanisms; half and twice not tried ---
+# --- mechanisms ---
 
 # [m] beyond this an axis or a centre is not told from a line or a plane. Set by hand
+# half: nothing; twice: 2 of 17 sets: one warning more
 FARTHEST_M = 3.0
 # [m] by which a path must leave a simpler mechanism: rails wobble. Set by hand
+# half: nothing; twice: door, 5 degrees of turn: a line, with a warning
 LEAST_BEND_M = 5e-5
 # one standard deviation above which a fit of a place is no answer: relative to the radius, and [deg]. Set by hand
 POOR_RADIUS, POOR_AXIS_DEG = 0.2, 5.0
@@ -251,10 +256,11 @@ SCATTER_ERRORS = 1.5
 # share of the mean variance of a quantity that every sample has besides: hardware does not hold to nothing
 VARIANCE_FLOOR = 0.05
 
-# --- uncertainty; half and twice not tried ---
+# --- uncertainty ---
 
 # share of the cases in which the truth lies within a stated angle, and within what is stated of a mechanism's place:
 # one standard deviation of a normal error, 0.683, in two roundings; one of them would change stated numbers by 0.7 %
+# STATED_SHARE half: angles of 10 of 17 sets x 0.37 to 0.58; twice: none, a share above 1
 STATED_SHARE, STATED_SHARE_OF_PLACES = 0.68, 0.683
 # [deg] 68 % within this angle is no answer: of all directions in space 13 % are as close to any
 MOST_UNCERTAIN_DEG = 30.0
@@ -266,7 +272,7 @@ NONE_TO_SOME = 20.0
 # mean square of the effort in contact over that left in free motion below which less than half of it is contact
 EFFORT_STANDS_OUT = 2.0
 
-# --- audit; half and twice not tried ---
+# --- audit ---
 
 # chance that an audit of equally good episodes leaves any of them out, and that rows at random reach a share of effort
 # that is shown beside that of the rows. Convention
@@ -274,6 +280,7 @@ FALSE_ALARMS = 0.05
 # z-score: Iglewicz and Hoaglin, How to Detect and Handle Outliers (1993)
 SMALLEST_THRESHOLD = 3.5
 # episodes, below which no spread can be told. Set by hand
+# half: nothing; twice: drawer, 1 of 6 odd: the audit leaves none out
 FEWEST_EPISODES = 5
 # spread below which differences do not matter: 10 %, and 5 points of a share. Set by hand
 LOG_SPREAD, SHARE_SPREAD = 0.1, 0.05
