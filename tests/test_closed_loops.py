@@ -156,6 +156,51 @@ def test_exact_singularities_are_left(name: str, reaching: bool) -> None:
         assert np.max(done.sigma) >= 0.01 and chatter(done.u[100:]) == 0, (constraint.selection, done.sigma[-1])
 
 
+@pytest.mark.parametrize("name", ["planar3", "ur5", "xarm7", "sawyer"])
+@pytest.mark.parametrize("dt", [0.01, 0.02])
+def test_exact_singularities_are_left_at_any_period(name: str, dt: float) -> None:
+    """Holding still, one second leads out with long periods, too."""
+    for constraint, q in singular_cases(name):
+        robot = constraint.robot
+        assert robot is not None
+        law = ml.ResolvedRateController(constraint, null_policy=ml.ManipulabilityAscent(constraint))
+        rollout = ml.simulate(robot, law, q, 1.0, dt)
+        assert max(np.linalg.svd(constraint(x), compute_uv=False)[-1] for x in rollout.q) >= 0.01
+
+
+@pytest.mark.parametrize("compiled", [False, None])
+def test_a_singularity_at_a_joint_limit_is_left(compiled: bool | None) -> None:
+    """Folded at the upper end of a joint: what leads out and the null-space motion turn to the free side together."""
+    robot = arm("planar3")
+    constraint = ml.Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y"))
+    q = np.array([0.0, 0.0, np.pi])
+    limits = ml.Limits(robot)
+    limits.lower.setflags(write=True)
+    limits.upper.setflags(write=True)
+    limits.lower[:], limits.upper[:] = -np.pi, np.pi
+    limits = limits.with_rates(limits.acceleration, None)
+    law = ml.ResolvedRateController(constraint, null_policy=ml.ManipulabilityAscent(constraint), limits=limits)
+    loop, smallest = ml.ServoLoop(law, DT, compiled=compiled), 0.0
+    for k in range(300):
+        command = loop.update(q, k * DT)
+        q, smallest = q + DT * command.velocity, max(smallest, command.smallest_singular_value)
+        assert np.all(np.abs(q) <= np.pi + 1e-9)
+    assert smallest >= 0.01
+
+
+def test_one_row_at_its_end_does_not_chatter() -> None:
+    """A single row pressed to the end of the arm's reach, where its only singular value vanishes."""
+    robot = arm("sawyer")
+    rng = np.random.default_rng(3)
+    features = FrameJacobian(robot, "right_gripper_tip")
+    constraint = oblique(features, rng, 1)
+    way = rng.normal(size=3)
+    task = ml.PointAttractor(5.0 * way / np.linalg.norm(way), gain=1.0)
+    law = ml.ResolvedRateController(constraint, task, ml.ManipulabilityAscent(constraint, gain=1.0))
+    done = run(law, posture(robot, rng), 4000)
+    assert chatter(done.u) <= 3 and np.max(np.abs(done.u[-100:])) < 0.02
+
+
 @pytest.mark.parametrize("name", ["sawyer", "panda"])
 def test_encoder_noise_is_not_fed_back(name: str) -> None:
     """1e-4 rad of noise on the measured posture: the same commands but for where the first state was."""

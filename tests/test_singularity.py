@@ -64,33 +64,38 @@ def test_the_escape_leads_out(planar):
         assert manipulability(planar, q + 1e-3 * abs(angle) * e / np.linalg.norm(e)) > manipulability(planar, q)
 
 
+def stated(decomposition: Decomposition, vjp, climb: np.ndarray, width: float) -> np.ndarray:
+    """The formula of `escape_velocity`'s docstring."""
+    sigma, V = decomposition.sigma, decomposition.Vt[: len(decomposition.sigma)]
+    w, along, smallest = np.clip(1.0 - (sigma / width) ** 2, 0.0, None) ** 2, V @ climb, sigma[-1]
+    r = DT * ESCAPE_SPEED * np.linalg.norm(smallest_gradient(decomposition, vjp)) / 1.25
+    speed = ESCAPE_SPEED * w[-1] * smallest / np.hypot(smallest, r)
+    speed = max(speed, SEED_SPEED * max(0.0, 1.0 - smallest / (1e-3 * width)))
+    d, turn = (w * along) @ V, DT * speed / 0.25 * np.sum(((1.0 - w) * along) ** 2) * (smallest / width) ** 2
+    return speed * d / np.hypot(np.linalg.norm(d), turn)
+
+
 def test_the_escape_has_the_stated_speed(planar):
-    """ESCAPE_SPEED times the two factors of its docstring, along what is nearly lost; 0 from the width on."""
+    """That of its docstring, along what is nearly lost; 0 from the width on."""
     for angle in (0.01, 0.05, 0.1):
         decomposition, vjp = at(planar, bent(angle))
-        smallest = decomposition.sigma[-1]
-        ramp = DT * ESCAPE_SPEED * np.linalg.norm(smallest_gradient(decomposition, vjp)) / 0.25
-        expected = ESCAPE_SPEED * (1.0 - (smallest / WIDTH) ** 2) ** 2 * smallest / np.hypot(smallest, ramp)
         e = escape_velocity(decomposition, vjp, DT, WIDTH)
-        assert np.linalg.norm(e) == pytest.approx(expected, rel=1e-9)
+        expected = stated(decomposition, vjp, log_manipulability_gradient(planar, bent(angle)), WIDTH)
+        np.testing.assert_allclose(e, expected, rtol=1e-9, atol=1e-15)
         # one singular value only is below the width: its own direction
         assert abs(e @ decomposition.Vt[1]) == pytest.approx(np.linalg.norm(e), rel=1e-9)
     decomposition, vjp = at(planar, bent(0.05))
     np.testing.assert_array_equal(escape_velocity(decomposition, vjp, DT, float(decomposition.sigma[-1])), np.zeros(3))
 
 
-@pytest.mark.parametrize(("angle", "share"), [(1e-6, None), (1e-4, None), (0.05, 0.99)])
+@pytest.mark.parametrize(("angle", "share"), [(1e-7, None), (1e-4, None), (0.05, 0.99)])
 def test_the_seed_acts_at_the_singularity_only(planar, angle, share):
     """The larger of the escape's own speed and the seed's, which falls to 0 within a thousandth of the width."""
     decomposition, vjp = at(planar, bent(angle))
-    smallest = decomposition.sigma[-1]
-    width = WIDTH if share is None else smallest / share
-    ramp = DT * ESCAPE_SPEED * np.linalg.norm(smallest_gradient(decomposition, vjp)) / 0.25
-    speed = ESCAPE_SPEED * (1.0 - (smallest / width) ** 2) ** 2 * smallest / np.hypot(smallest, ramp)
-    seed = SEED_SPEED * max(0.0, 1.0 - smallest / (1e-3 * width))
-    assert (seed > speed) == (angle == 1e-6)
-    e = escape_velocity(decomposition, vjp, DT, float(width))
-    assert np.linalg.norm(e) == pytest.approx(max(speed, seed), rel=1e-6)
+    width = WIDTH if share is None else float(decomposition.sigma[-1]) / share
+    expected = stated(decomposition, vjp, log_manipulability_gradient(planar, bent(angle)), width)
+    np.testing.assert_allclose(escape_velocity(decomposition, vjp, DT, width), expected, rtol=1e-6, atol=1e-12)
+    assert (np.linalg.norm(expected) < SEED_SPEED * 1.001) == (angle != 1e-4)
 
 
 def test_the_escape_weighs_directions_by_how_nearly_they_are_lost(planar):
@@ -139,11 +144,19 @@ def test_approach_is_slow_enough_to_stop():
     assert approach_bound(0.1, np.zeros(3), acceleration, 1e-3) == np.inf
 
 
-def test_damping_that_a_step_can_follow():
-    """lambda^2 = 2 dt |beta| sigma_1 of the largest nearly lost part of the task; none where nothing is nearly lost."""
-    sigma, along = [2.0, 0.05, 0.01], [9.0, 0.3, -0.4]
-    assert stable_damping(sigma, along, 0.1, 0.01) == pytest.approx(np.sqrt(2.0 * 0.01 * 0.4 * 2.0))
-    assert stable_damping(sigma, along, 0.01, 0.01) == 0.0
+@pytest.mark.parametrize("rows", [1, 2])
+def test_damping_that_a_step_can_follow(planar, rows):
+    """lambda^2 = 2 dt |d(A^T w) / dq|, by central differences, w the nearly lost part of b; none where nothing is."""
+    constraint = Constraint(np.eye(2)[:rows], planar.features)
+    q, h, b = np.array([1e-3, 2e-3, -1e-3]), 1e-6, np.array([-0.4, 0.3])[:rows]
+    (U, sigma, _), vjp = decomposition, _ = at(constraint, q)
+    along = (b @ U).tolist()
+    w = U[:, -1] * along[-1]
+    rates = np.array([(constraint(q + h * e) - constraint(q - h * e)).T @ w / (2.0 * h) for e in np.eye(3)])
+    expected = np.sqrt(2.0 * 0.01 * np.linalg.norm(rates))
+    assert stable_damping(decomposition, along, 0.1, 0.01, vjp) == pytest.approx(expected, rel=1e-6)
+    assert stable_damping(decomposition, along, 0.5 * float(sigma[-1]), 0.01, vjp) == 0.0
+    assert stable_damping(decomposition, [0.0] * rows, 0.1, 0.01, vjp) == 0.0
 
 
 def test_only_a_task_that_presses_in_is_damped_more():

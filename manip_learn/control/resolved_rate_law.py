@@ -25,10 +25,12 @@ from manip_learn.control.singularity import (
     Decomposition,
     escape_velocity,
     pressed_damping,
+    seed_speed,
     smallest_gradient,
     smallest_gradient_of,
     stable_damping,
     steepest_ascent,
+    with_seed,
 )
 from manip_learn.control.tasks import Hold, PointAttractor, Task
 from manip_learn.errors import TargetError
@@ -152,11 +154,13 @@ class ResolvedRateLaw:
         elif pi is None:
             pi = self._policy(q, t, dt)
         along, damping = b.dot(U).tolist(), self.damping
-        task_part, stable = self._task_part(sigma, along, A, V, damping), stable_damping(values, along, threshold, dt)
-        presses = self._brakes and stable > damping
-        if not singular and (presses or (self._escapes and smallest < ESCAPE_WIDTH * threshold)):
+        task_part, stable = self._task_part(sigma, along, A, V, damping), 0.0
+        if self._brakes and not singular and smallest < threshold:
+            vjp_of_A = vjp or self.constraint.value_and_vjp(q)[1]
+            stable = stable_damping(decomposition, along, threshold, dt, vjp_of_A)
+        if not singular and (stable > damping or (self._escapes and smallest < ESCAPE_WIDTH * threshold)):
             slope = smallest_gradient(decomposition, vjp or self.constraint.value_and_vjp(q)[1])
-            if presses:
+            if stable > damping:
                 damping = pressed_damping(damping, stable, slope, task_part)
                 task_part = self._task_part(sigma, along, A, V, damping)
         Z = Vt[rank_of(sigma, A.shape) :]
@@ -164,8 +168,12 @@ class ResolvedRateLaw:
             escape = escape_velocity(decomposition, vjp, dt, ESCAPE_WIDTH * threshold, climb, slope)
             if singular and self.limits is not None:
                 # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
-                escape = self.limits.freer_sense(q, escape)
-        desired = Desired(task_part, Z.dot(pi).dot(Z), escape)
+                freer = self.limits.freer_sense(q, escape)
+                pi, escape = (pi if freer is escape or ascent is None else -pi), freer
+        null = Z.dot(pi).dot(Z)
+        if self._escapes and ascent is not None and vjp is not None:
+            null = with_seed(null, pi, seed_speed(smallest, ESCAPE_WIDTH * threshold))
+        desired = Desired(task_part, null, escape)
         mu = math.prod(values) if fits else 0.0
         return Law(A, b, desired, mu, smallest, singular, decomposition, vjp, None, slope)
 

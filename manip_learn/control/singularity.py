@@ -21,8 +21,14 @@ ESCAPE_SPEED = 0.2
 SEED_SPEED = 5e-4
 # singular value up to which the seed acts, as a share of the width of the escape
 SEED_SHARE = 1e-3
-# an explicit step of dt can follow a velocity field whose slope is at most this over dt
+# an explicit step of dt can follow a velocity field whose slope is at most this over dt: three of them add up to less
+# than 1 / dt, from which on a step goes beyond where the field leads
 STABLE_SLOPE = 0.25
+# by how many times its distance from a singularity one step may carry the arm away from it: nothing lies there that a
+# step could go beyond. Of 61 exactly singular starts of five arms, holding still, 0.25 leaves 61, 56 and 42 within a
+# second at 1, 10 and 20 ms, 1 leaves 61, 61 and 58, 1.25 and more leave all; from 1.5 on arms that are pressed against
+# a singularity turn to and fro now and then
+GROWTH = 1.25
 # [1/s] rate at which the smallest singular value may fall where it is nearly 0
 APPROACH_RATE = 20.0
 # [rad/s] speed at which a singularity may be crossed
@@ -30,6 +36,8 @@ CROSSING_SPEED = 5e-4
 # share of the joints' acceleration that is kept for braking before a singularity
 BRAKING_SHARE = 0.5
 
+# share of a policy's velocity up to which what is left of it in the null space is rounding
+NOTHING = 1e-9
 # two singular values whose squares differ by less than this share of them have no gradients of their own
 DOUBLE = 1e-9
 # share of the task part along -grad sigma from which on it presses fully into a singularity
@@ -69,6 +77,21 @@ def smallest_gradient_of(
     return vjp(u[:, None] * (u.dot(A) / smallest))
 
 
+def seed_speed(smallest: float, width: float) -> float:
+    """Speed that starts the motion out of a singularity [rad/s], see `escape_velocity`."""
+    return SEED_SPEED * max(0.0, 1.0 - smallest / (SEED_SHARE * width))
+
+
+def with_seed(null: Float[np.ndarray, " nv"], pi: Float[np.ndarray, " nv"], seed: float) -> Float[np.ndarray, " nv"]:
+    """N pi at the speed of the seed at least, where it is not rounding alone.
+
+    Beside a singularity the bound on pi vanishes with sigma; where mu is level along the lost direction, motion in the
+    null space is the only way out.
+    """
+    speed = math.sqrt(null.dot(null))
+    return null * (seed / speed) if NOTHING * math.sqrt(pi.dot(pi)) < speed < seed else null
+
+
 def escape_velocity(
     decomposition: Decomposition,
     vjp: Vjp,
@@ -82,14 +105,15 @@ def escape_velocity(
     The exact projector N leaves no motion along a direction that is nearly lost, and none that climbs out where mu is
     level along the null space. There the task is not exact either (it is damped), and this velocity is added:
 
-        e = speed * d / |d|,   d = sum_i (1 - (sigma_i / width)^2)^2 v_i v_i^T grad log mu,   sum over sigma_i < width
-        speed = ESCAPE_SPEED (1 - (sigma / width)^2)^2 sigma / sqrt(sigma^2 + r^2),  sigma the smallest,
-        r = dt ESCAPE_SPEED |grad sigma| / STABLE_SLOPE
+        e = speed * d / sqrt(|d|^2 + r_d^2),   d = sum_i w_i v_i v_i^T g,   w_i = (1 - (sigma_i / width)^2)^2
+        speed = ESCAPE_SPEED w sigma / sqrt(sigma^2 + r^2),   r = dt ESCAPE_SPEED |grad sigma| / GROWTH
+        r_d = dt speed / STABLE_SLOPE sum_i ((1 - w_i) v_i^T g)^2 (sigma / width)^2,   g = grad log mu,
 
-    It vanishes at the singularity itself, so that it is continuous there and an explicit step of dt can follow it; it
-    grows exponentially beside it, in STABLE_SLOPE / dt per second at most. At the singularity itself, `SEED_SPEED`
-    along the steepest ascent of mu among the directions that A does not see starts the motion. It disturbs the task by
-    A e, at most ESCAPE_SPEED sigma.
+    with sigma the smallest singular value and w its weight. It vanishes at the singularity itself, so that it is
+    continuous there and an explicit step of dt can follow it; it grows exponentially beside it, by a factor of
+    GROWTH + 1 a step at most. With r_d it ends smoothly, too, where mu is highest along these directions: they turn by
+    about the g of the others. At the singularity itself, `SEED_SPEED` along the steepest ascent of mu among the
+    directions that A does not see starts the motion. It disturbs the task by A e, at most ESCAPE_SPEED sigma.
 
     Args:
         decomposition: Of A(q).
@@ -105,25 +129,21 @@ def escape_velocity(
     if smallest >= width or s > nv:
         return np.zeros(nv)
     values = sigma.tolist()
-    seed = SEED_SPEED * max(0.0, 1.0 - smallest / (SEED_SHARE * width))
+    seed = seed_speed(smallest, width)
     if smallest <= SINGULAR_RATIO * values[0]:
         return seed * (steepest_ascent(decomposition, vjp) if ascent is None else ascent)
     shares = [max(0.0, 1.0 - (x / width) ** 2) ** 2 for x in values]
     if ascent is None:
         ascent = vjp((U / sigma).dot(Vt[:s]))
-    if s == 1 or shares[-2] == 0.0:  # the usual case: one direction, whose sense is all that is asked for
-        shared, d = shares[-1] * float(Vt[s - 1].dot(ascent)), Vt[s - 1]
-        length = math.copysign(1.0, shared) if shared != 0.0 else 0.0
-    else:
-        d = (np.array(shares) * Vt[:s].dot(ascent)).dot(Vt[:s])
-        length = math.sqrt(d.dot(d))
-    if length == 0.0:
-        return np.zeros(nv)
     if slope is None:
         slope = smallest_gradient(decomposition, vjp)
-    ramp = dt * ESCAPE_SPEED * math.sqrt(slope.dot(slope)) / STABLE_SLOPE
-    speed = ESCAPE_SPEED * shares[-1] * smallest / math.hypot(smallest, ramp)
-    return (max(speed, seed) / length) * d
+    along, weights = Vt[:s].dot(ascent), np.array(shares)
+    d, others = (weights * along).dot(Vt[:s]), (1.0 - weights) * along
+    ramp = dt * ESCAPE_SPEED * math.sqrt(slope.dot(slope)) / GROWTH
+    speed = max(seed, ESCAPE_SPEED * shares[-1] * smallest / math.hypot(smallest, ramp))
+    turn = dt * speed * float(others.dot(others)) / STABLE_SLOPE * (smallest / width) ** 2
+    length = math.hypot(math.sqrt(d.dot(d)), turn)
+    return d * (speed / length) if length > 0.0 else d
 
 
 def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarray, " nv"]:
@@ -180,23 +200,29 @@ def approach_bound(
     return length * CROSSING_SPEED + min(rate * smallest, math.sqrt(2.0 * deceleration * smallest))
 
 
-def stable_damping(sigma: list[float], along: list[float], threshold: float, dt: float) -> float:
+def stable_damping(decomposition: Decomposition, along: list[float], threshold: float, dt: float, vjp: Vjp) -> float:
     """Damping lambda at which an explicit step of dt follows a task that presses into a singularity.
 
-    The joint velocity beta sigma / (sigma^2 + lambda^2) has the slope |grad sigma| beta / lambda^2 at the singularity,
-    |grad sigma| about as large as sigma_1:  lambda^2 = dt |beta| sigma_1 / (2 STABLE_SLOPE).
+    The joint velocity A^T w / (sigma^2 + lambda^2), with w the part of b along the directions that are nearly lost, has
+    at the singularity the slope d(A^T w) / dq / lambda^2:  lambda^2 = dt |d(A^T w) / dq| / (2 STABLE_SLOPE), in the
+    Frobenius norm.
 
     Args:
-        sigma: Singular values of A.
-        along: U^T b; only as many of its numbers as there are singular values count.
+        decomposition: Of A(q).
+        along: U^T b.
         threshold: Singular value below which a direction counts as nearly lost.
         dt: Time for which a velocity is held [s].
+        vjp: weights -> sum_ij weights_ij dA_ij / dq_k.
     """
-    beta = 0.0
-    for x, value in zip(along, sigma, strict=False):
-        if value < threshold:
-            beta = max(beta, abs(x))
-    return math.sqrt(beta * sigma[0] * dt / (2.0 * STABLE_SLOPE))
+    U, sigma, Vt = decomposition
+    lost = np.zeros(U.shape[0])
+    for i, value in enumerate(sigma.tolist()):
+        lost[i] = along[i] if value < threshold else 0.0
+    if not lost.any():
+        return 0.0
+    nv = Vt.shape[1]
+    rates = vjps(vjp, np.outer(U.dot(lost), np.eye(nv)), nv).reshape(-1)
+    return math.sqrt(dt * math.sqrt(rates.dot(rates)) / (2.0 * STABLE_SLOPE))
 
 
 def pressed_damping(

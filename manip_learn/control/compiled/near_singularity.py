@@ -16,6 +16,7 @@ from manip_learn.control.singularity import (
     CROSSING_SPEED,
     ESCAPE_SPEED,
     FULLY_PRESSING,
+    GROWTH,
     SEED_SHARE,
     SEED_SPEED,
     STABLE_SLOPE,
@@ -99,13 +100,24 @@ def norm(x):
 
 
 @compiled_inside
-def stable_damping(sigma, along, threshold, dt):
-    """`singularity.stable_damping`."""
-    beta = 0.0
-    for i in range(sigma.shape[0]):
-        if sigma[i] < threshold:
-            beta = max(beta, abs(along[i]))
-    return math.sqrt(beta * sigma[0] * dt / (2.0 * STABLE_SLOPE))
+def stable_damping(constants, s, joints, Ut, sigma, along, dt, weights, row, work, base):
+    """`singularity.stable_damping`; `weights` (s, nv) and `row` (nv,) are scratch."""
+    nv, pressing, square = row.shape[0], False, 0.0
+    for i in range(s):
+        pressing = pressing or (sigma[i] < constants[0, THRESHOLD] and along[i] != 0.0)
+    if not pressing:
+        return 0.0
+    for j in range(nv):
+        for r in range(s):
+            for k in range(nv):
+                weights[r, k] = 0.0
+            for i in range(s):
+                if sigma[i] < constants[0, THRESHOLD]:
+                    weights[r, j] += along[i] * Ut[i, r]
+        vjp(constants, s, joints, weights, work, base, row)
+        for k in range(nv):
+            square += row[k] * row[k]
+    return math.sqrt(dt * math.sqrt(square) / (2.0 * STABLE_SLOPE))
 
 
 @compiled_inside
@@ -152,12 +164,11 @@ def escape_velocity(sigma, Vt, dt, width, climb, steepness, escape):
         escape: Written.
     """
     s, nv = sigma.shape[0], Vt.shape[1]
-    smallest, share = sigma[s - 1], 0.0
+    smallest, share, others = sigma[s - 1], 0.0, 0.0
     for j in range(nv):
         escape[j] = 0.0
     if smallest >= width:
         return
-    seed = seed_speed(smallest, width)
     for i in range(s):
         ratio = sigma[i] / width
         share = max(0.0, 1.0 - ratio * ratio)
@@ -165,15 +176,16 @@ def escape_velocity(sigma, Vt, dt, width, climb, steepness, escape):
         along = 0.0
         for j in range(nv):
             along += Vt[i, j] * climb[j]
+        others += (1.0 - share) * along * (1.0 - share) * along
         for j in range(nv):
             escape[j] += share * along * Vt[i, j]
-    size = norm(escape)
-    if size == 0.0:
-        return
-    ramp = dt * ESCAPE_SPEED * steepness / STABLE_SLOPE
-    speed = ESCAPE_SPEED * share * smallest / math.hypot(smallest, ramp)
-    for j in range(nv):
-        escape[j] *= max(speed, seed) / size
+    ramp = dt * ESCAPE_SPEED * steepness / GROWTH
+    speed = max(seed_speed(smallest, width), ESCAPE_SPEED * share * smallest / math.hypot(smallest, ramp))
+    ratio = smallest / width
+    length = math.hypot(norm(escape), dt * speed * others / STABLE_SLOPE * ratio * ratio)
+    if length > 0.0:
+        for j in range(nv):
+            escape[j] *= speed / length
 
 
 @compiled_inside

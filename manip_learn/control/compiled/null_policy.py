@@ -21,7 +21,7 @@ from manip_learn.control.compiled.step_table import (
     REST_AT,
     WRAPS,
 )
-from manip_learn.control.singularity import SEED_SPEED, STABLE_SLOPE
+from manip_learn.control.singularity import GROWTH, SEED_SPEED
 from manip_learn.robot.batch.compiled_vjp import GRADIENT
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
@@ -43,7 +43,7 @@ def bounded_gain(constants, steepness, dt):
     gain, fastest = constants[0, POLICY_GAIN], constants[0, LONGEST]
     if fastest == math.inf:
         return gain
-    ramp = dt * fastest * steepness / STABLE_SLOPE
+    ramp = dt * fastest * steepness / GROWTH
     longest = fastest / math.sqrt(1.0 + ramp * ramp)
     return gain if not gain * steepness > longest else longest / steepness
 

@@ -47,10 +47,9 @@ from manip_learn.control.compiled.step_table import (
     TASK,
     TASK_PART,
     TASK_VELOCITY,
-    THRESHOLD,
     VELOCITY,
 )
-from manip_learn.control.singularity import SEED_SPEED
+from manip_learn.control.singularity import NOTHING, SEED_SPEED
 from manip_learn.robot.batch.compiled_kinematics import JOINTS
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
@@ -65,7 +64,7 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, slope, parts, wo
     joints, posed = int(constants[0, N_JOINTS]), constants[0, TASK] == POSE
     dofs = CHAIN + JOINTS + joints
     base = MATRICES + 3 * s
-    along, climb, facts, pi = np.empty(s), np.empty(nv), work[FACTS], work[PI, :nv]
+    along, climb, row, facts, pi = np.empty(s), np.empty(nv), np.empty(nv), work[FACTS], work[PI, :nv]
     decompose(A, s, Ut, sigma, Vt)
     singular = sigma[s - 1] <= SINGULAR_RATIO * sigma[0]
     rank = rank_of(sigma, truncation(sigma, nv))
@@ -82,7 +81,12 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, slope, parts, wo
         facts[MU] = _volume(sigma)
         if not _policy(constants, q, dt, Ut, sigma, Vt, weights, work, climb, pi):
             return -1
-    pressed = _damped_task(constants, sigma, along, dt, Vt, parts[TASK_PART])
+    task_part(constants, sigma, along, constants[1, DAMPING], Vt, parts[TASK_PART])
+    pressed = 0.0
+    if int(constants[0, INVERSE]) == DAMPED and constants[0, LIMITS] != 0.0 and not singular:
+        pressed = stable_damping(constants, s, joints, Ut, sigma, along, dt, weights, row, work, base)
+    if pressed <= constants[1, DAMPING]:
+        pressed = 0.0
     escapes = not posed and constants[1, ESCAPES] != 0.0
     near = not singular and escapes and sigma[s - 1] < constants[1, ESCAPE_WIDTH]
     if pressed > 0.0 or near:
@@ -92,6 +96,11 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, slope, parts, wo
         damping = pressed_damping(constants[1, DAMPING], pressed, slope, norm(slope), parts[TASK_PART])
         task_part(constants, sigma, along, damping, Vt, parts[TASK_PART])
     _null_part(Vt, rank, pi, parts[NULL_PART])
+    if escapes:  # `singularity.with_seed`
+        speed, seed = norm(parts[NULL_PART]), seed_speed(sigma[s - 1], constants[1, ESCAPE_WIDTH])
+        if NOTHING * norm(pi) < speed < seed:
+            for j in range(nv):
+                parts[NULL_PART, j] *= seed / speed
     for j in range(nv):
         parts[VELOCITY, j] = parts[TASK_PART, j] + parts[NULL_PART, j]
     if escapes:
@@ -106,8 +115,13 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, slope, parts, wo
         if singular and constants[0, LIMITS] != 0.0:
             # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
             turn_to_freer_sense(constants, dofs, nv, q, escape)
+            along_pi = 0.0
+            for j in range(nv):
+                along_pi += escape[j] * pi[j]
+            for j in range(nv if along_pi < 0.0 else 0):
+                parts[NULL_PART, j] = -parts[NULL_PART, j]
         for j in range(nv):
-            parts[VELOCITY, j] += escape[j]
+            parts[VELOCITY, j] = parts[TASK_PART, j] + parts[NULL_PART, j] + escape[j]
     return rank
 
 
@@ -147,17 +161,6 @@ def _volume(sigma):
     for i in range(sigma.shape[0]):
         volume *= sigma[i]
     return volume
-
-
-@compiled_inside
-def _damped_task(constants, sigma, along, dt, Vt, task):
-    """A^+ b; the damping that a task needs which presses into the singularity comes back, 0 where none does."""
-    task_part(constants, sigma, along, constants[1, DAMPING], Vt, task)
-    if int(constants[0, INVERSE]) != DAMPED or constants[0, LIMITS] == 0.0:
-        return 0.0
-    stable = stable_damping(sigma, along, constants[0, THRESHOLD], dt)
-    presses = stable > constants[1, DAMPING] and sigma[sigma.shape[0] - 1] > SINGULAR_RATIO * sigma[0]
-    return stable if presses else 0.0
 
 
 @compiled_inside

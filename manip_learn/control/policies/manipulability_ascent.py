@@ -14,7 +14,7 @@ from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, escape_direction, gradient_from
 from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.control.policies.policy import SampledPolicy
-from manip_learn.control.singularity import SEED_SPEED, STABLE_SLOPE, Decomposition, steepest_ascent
+from manip_learn.control.singularity import GROWTH, SEED_SPEED, Decomposition, steepest_ascent
 from manip_learn.errors import ConstraintError
 
 # [rad^2/s] default gain: the highest manipulability of the gains that were compared (docs/control.md)
@@ -31,7 +31,7 @@ class ManipulabilityAscent(SampledPolicy):
     raw grad mu all but vanishes in SI units where it matters most. It grows as 1 / sigma towards a singularity, where
     an explicit step would jump from one side to the other; its length is therefore bounded by
 
-        max_speed sigma / sqrt(sigma^2 + r^2),    r = dt max_speed |grad log mu| sigma / STABLE_SLOPE,
+        max_speed sigma / sqrt(sigma^2 + r^2),    r = dt max_speed |grad log mu| sigma / GROWTH,
 
     sigma the smallest singular value of A: continuous, with a slope that a step of dt can follow. It vanishes towards
     the singularity; at it, `SEED_SPEED` along the steepest ascent of mu is left, and the controller adds the motion
@@ -130,7 +130,7 @@ class ManipulabilityAscent(SampledPolicy):
         if self.max_speed is None:
             return slope * self.gain
         steepness = math.sqrt(slope.dot(slope))
-        ramp = dt * self.max_speed * steepness / STABLE_SLOPE  # r / sigma
+        ramp = dt * self.max_speed * steepness / GROWTH  # r / sigma
         longest = self.max_speed / math.sqrt(1.0 + ramp * ramp)
         speed = self.gain * steepness
         return slope * (self.gain if speed <= longest else longest / steepness)
