@@ -212,9 +212,9 @@ def test_the_choice_of_rows_pays_for_all_kinds_that_were_tried(robot_of, monkeyp
     demos, seen = record(robot_of, "panda", along(AXIS[None], 0.2, False), n=5), []
     module = "manip_learn.learning.mechanisms.find_mechanism."
 
-    def noted(features, pieces, rng, choices):
+    def noted(features, pieces, rng, choices, believed):
         seen.append((len(pieces), choices))
-        return recombination_test(features, pieces, rng, choices)
+        return recombination_test(features, pieces, rng, choices, believed)
 
     monkeypatch.setattr(module + "recombination_test", noted)
     assert find(robot_of, "panda", demos).mechanism is not None

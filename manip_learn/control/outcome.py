@@ -67,10 +67,7 @@ def _unit(size: int) -> Float[np.ndarray, "n n"]:
 
 def plain_command(law: Law, velocity: Float[np.ndarray, " nv"], damped: bool, outside: float = 0.0) -> Command:
     """The command where no limit changes the law."""
-    task, null, escape = law.desired
     progress, status, lost = 1.0, Status.OK, _direction_lost(law)
-    if not (damped or lost or outside):
-        return Command(velocity, status, law.mu, law.b, task, null, 1.0, 1.0, law.smallest, escape)
     if damped or lost:
         progress, status = _progress(law, velocity), Status.DAMPED
         if progress < STALLED_BELOW:
@@ -79,7 +76,20 @@ def plain_command(law: Law, velocity: Float[np.ndarray, " nv"], damped: bool, ou
         status = Status.SINGULAR
     if outside > 0.0:
         status = Status.OUTSIDE_LIMITS
-    return Command(*(velocity, status, law.mu, law.b, task, null, 1.0, 1.0, law.smallest, escape, progress, outside))
+    return Command(
+        velocity=velocity,
+        status=status,
+        manipulability=law.mu,
+        task_velocity=law.b,
+        task_part=law.desired.task,
+        null_part=law.desired.null,
+        task_scale=1.0,
+        null_scale=1.0,
+        smallest_singular_value=law.smallest,
+        escape_part=law.desired.escape,
+        progress=progress,
+        outside=outside,
+    )
 
 
 def bounded_command(
@@ -109,9 +119,21 @@ def bounded_command(
         status = Status.DAMPED
     else:
         status = Status.NULL_SCALED if bounds.admit(task) else Status.REROUTED
-    scale, smallest, outside = min(task_scale, 1.0), law.smallest, bounds.outside
-    parts = (task_part, null_part, scale, null_scale, smallest, escape, progress, outside, joint)
-    return Command(velocity, status, law.mu, law.b, *parts)
+    return Command(
+        velocity=velocity,
+        status=status,
+        manipulability=law.mu,
+        task_velocity=law.b,
+        task_part=task_part,
+        null_part=null_part,
+        task_scale=min(task_scale, 1.0),
+        null_scale=null_scale,
+        smallest_singular_value=law.smallest,
+        escape_part=escape,
+        progress=progress,
+        outside=bounds.outside,
+        limiting_joint=joint,
+    )
 
 
 def next_slide(slide: float, command: Command, dt: float) -> float:

@@ -171,7 +171,7 @@ class ResolvedRateLaw:
                 freer = self.limits.freer_sense(q, escape)
                 pi, escape = (pi if freer is escape or ascent is None else -pi), freer
         null = Z.dot(pi).dot(Z)
-        if self._escapes and ascent is not None and vjp is not None:
+        if self._escapes and vjp is not None:
             null = with_seed(null, pi, seed_speed(smallest, ESCAPE_WIDTH * threshold))
         desired = Desired(task_part, null, escape)
         mu = math.prod(values) if fits else 0.0

@@ -400,6 +400,7 @@ class ServoLoop:
         return bound_changes(self._careful(q, late), self._velocity, self.limits.acceleration, held)
 
     def _careful(self, q: np.ndarray, late: float) -> Bounds:
+        """Bounds from which a joint stops however late the calls are, without those of its acceleration."""
         share = self._period.usual / late
         return self.limits.with_rates(share * self.limits.acceleration, None).bounds(q, late, None)
 

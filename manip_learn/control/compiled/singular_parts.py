@@ -62,7 +62,6 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, slope, parts, wo
     """
     s, nv = A.shape
     joints, posed = int(constants[0, N_JOINTS]), constants[0, TASK] == POSE
-    dofs = CHAIN + JOINTS + joints
     base = MATRICES + 3 * s
     along, climb, row, facts, pi = np.empty(s), np.empty(nv), np.empty(nv), work[FACTS], work[PI, :nv]
     decompose(A, s, Ut, sigma, Vt)
@@ -104,25 +103,30 @@ def singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, slope, parts, wo
     for j in range(nv):
         parts[VELOCITY, j] = parts[TASK_PART, j] + parts[NULL_PART, j]
     if escapes:
-        escape, width = parts[ESCAPE_PART], constants[1, ESCAPE_WIDTH]
         facts[HAS_ESCAPE] = 1.0
-        if singular:  # the policy has taken the steepest ascent already
-            seed = seed_speed(sigma[s - 1], width) / min(constants[0, LONGEST], SEED_SPEED)
-            for j in range(nv):
-                escape[j] = seed * pi[j]
-        else:
-            escape_velocity(sigma, Vt, dt, width, climb, norm(slope), escape)
-        if singular and constants[0, LIMITS] != 0.0:
-            # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
-            turn_to_freer_sense(constants, dofs, nv, q, escape)
-            along_pi = 0.0
-            for j in range(nv):
-                along_pi += escape[j] * pi[j]
-            for j in range(nv if along_pi < 0.0 else 0):
-                parts[NULL_PART, j] = -parts[NULL_PART, j]
-        for j in range(nv):
-            parts[VELOCITY, j] = parts[TASK_PART, j] + parts[NULL_PART, j] + escape[j]
+        _leave(constants, q, dt, singular, sigma, Vt, climb, norm(slope), pi, parts)
     return rank
+
+
+@compiled_inside
+def _leave(constants, q, dt, singular, sigma, Vt, climb, steepness, pi, parts):
+    """Write the velocity out of a singularity, and add it; N pi turns with it where a joint limit is in the way."""
+    nv, escape, width = Vt.shape[1], parts[ESCAPE_PART], constants[1, ESCAPE_WIDTH]
+    if not singular:
+        escape_velocity(sigma, Vt, dt, width, climb, steepness, escape)
+    else:  # the policy has taken the steepest ascent already
+        seed, along = seed_speed(sigma[sigma.shape[0] - 1], width) / min(constants[0, LONGEST], SEED_SPEED), 0.0
+        for j in range(nv):
+            escape[j] = seed * pi[j]
+        if constants[0, LIMITS] != 0.0:
+            # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
+            turn_to_freer_sense(constants, CHAIN + JOINTS + int(constants[0, N_JOINTS]), nv, q, escape)
+        for j in range(nv):
+            along += escape[j] * pi[j]
+        for j in range(nv if along < 0.0 else 0):
+            parts[NULL_PART, j] = -parts[NULL_PART, j]
+    for j in range(nv):
+        parts[VELOCITY, j] = parts[TASK_PART, j] + parts[NULL_PART, j] + escape[j]
 
 
 @compiled_inside
