@@ -6,16 +6,15 @@ grad mu, equation (13), without a division.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
-from manip_learn.constraint.small_matrices import svd
+from manip_learn.constraint.small_matrices import dot, leading, put, svd
 from manip_learn.linalg import EPS
+from manip_learn.robot.weighted_vjp import gradient, vjps
 
 # below this ratio to the largest singular value the left singular vectors of zero and non-zero are mixed by rounding
 SINGULAR_RATIO = 64.0 * EPS
@@ -95,23 +94,20 @@ def gradient_from(
     if s > nv:
         return 0.0, np.zeros(nv), 0.0
     U, sigma, Vt = decomposition
-    values = sigma.tolist()
-    others = products_of_others(values)
-    mu = others[0] * values[0]
-    floor = SINGULAR_RATIO * values[0] * others[-1]
-    if values[-1] <= SINGULAR_RATIO * values[0]:
-        return mu, _cone_ascent(U[:, -1], Vt[s - 1 :], others[-1], vjp), floor
+    others = products_of_others(sigma)
+    mu, floor = others[0] * sigma[0], SINGULAR_RATIO * sigma[0] * others[s - 1]
+    if sigma[s - 1] <= SINGULAR_RATIO * sigma[0]:
+        return mu, cone_ascent(U[:, s - 1], Vt[s - 1 :], others[s - 1], vjp), floor
     # W = sum_i others_i u_i v_i^T, so that the gradient is one vector-Jacobian product
-    return mu, vjp((U * others).dot(Vt[:s])), floor
+    return mu, gradient(vjp, dot(U * others, Vt[:s])), floor
 
 
-def products_of_others(sigma: Sequence[float]) -> list[float]:
+def products_of_others(sigma: Float[np.ndarray, " s"]) -> Float[np.ndarray, " s"]:
     """prod_{j != i} sigma_j for each i, without a division."""
-    s = len(sigma)
-    out = [1.0] * s
+    s = sigma.shape[0]
+    out, behind = np.ones(s), 1.0
     for i in range(1, s):
         out[i] = out[i - 1] * sigma[i - 1]
-    behind = 1.0
     for i in range(s - 1, -1, -1):
         out[i] *= behind
         behind *= sigma[i]
@@ -124,14 +120,33 @@ def escape_direction(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], v
     With U_0, V_0 spanning what A has lost, U_0^T A(q + step) V_0 is linear in the step; its Frobenius norm grows
     fastest along the direction that comes back (zero if it grows along none). A step along it finds directions again.
     """
+    rate, direction = leading(lost_rates(decomposition, vjp))
+    return direction if rate > 0.0 else np.zeros(direction.shape[0])
+
+
+def lost_rates(
+    decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp
+) -> Float[np.ndarray, "k nv"]:
+    """Rates of the entries of U_0^T A V_0 along each joint, one entry a row; U_0 and V_0 span what A has lost."""
     U, sigma, Vt = decomposition
-    rank = int(np.count_nonzero(sigma > SINGULAR_RATIO * sigma[0]))
-    M = np.stack([vjp(np.outer(u, v)) for u in U[:, rank:].T for v in Vt[rank:]])
-    _, rate, Wt = np.linalg.svd(M, full_matrices=False)
-    return _one_sign(Wt[0]) if rate[0] > 0.0 else np.zeros(M.shape[1])
+    s, rank = U.shape[0], rank_at(sigma)
+    Z = Vt[rank:]
+    k, nv = Z.shape
+    M = np.empty(((s - rank) * k, nv))
+    for i in range(rank, s):
+        put(M[(i - rank) * k : (i - rank + 1) * k], vjps(vjp, beside(U[:, i], Z), k))
+    return M
 
 
-def _cone_ascent(
+def rank_at(sigma: Float[np.ndarray, " k"]) -> int:
+    """Number of singular values that are not lost."""
+    rank = 0
+    for i in range(sigma.shape[0]):
+        rank += int(sigma[i] > SINGULAR_RATIO * sigma[0])
+    return rank
+
+
+def cone_ascent(
     u_min: Float[np.ndarray, " s"], V_null: Float[np.ndarray, "k nv"], scale: float, vjp: Vjp
 ) -> Float[np.ndarray, " nv"]:
     """Steepest ascent of mu at a singularity, where it is a cone: mu(q + step) = |M step| to first order.
@@ -140,11 +155,10 @@ def _cone_ascent(
 
     The answer is the leading right singular vector of M times its singular value (docs/method.md, the gradient of mu).
     """
-    M = scale * np.stack([vjp(np.outer(u_min, v)) for v in V_null])
-    _, rate, Wt = np.linalg.svd(M, full_matrices=False)
-    return rate[0] * _one_sign(Wt[0])
+    rate, direction = leading(vjps(vjp, beside(u_min, V_null), V_null.shape[0]))
+    return scale * rate * direction
 
 
-def _one_sign(direction: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
-    """Of two opposite directions the one whose largest entry is positive."""
-    return -direction if direction[np.argmax(np.abs(direction))] < 0.0 else direction
+def beside(u: Float[np.ndarray, " s"], rows: Float[np.ndarray, "k nv"]) -> Float[np.ndarray, "s m"]:
+    """The matrices u v^T of all rows v, side by side."""
+    return u.copy().reshape((-1, 1)) * rows.reshape(-1)

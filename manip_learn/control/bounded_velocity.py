@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from operator import truediv
 from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.constraint.small_matrices import svd
+from manip_learn.constraint.small_matrices import dot, put, svd, unit
 from manip_learn.control.limits import Bounds
-from manip_learn.control.polytope_projection import Projection
-from manip_learn.control.tip_speed import Barrier
+from manip_learn.control.polytope_projection import project
 
 # weight of the task's scale against the null-space policy, in multiples of the task part
 TASK_WEIGHT = 100.0
@@ -52,20 +50,48 @@ class Desired(NamedTuple):
 
     task: Float[np.ndarray, " nv"]
     null: Float[np.ndarray, " nv"]
-    escape: Float[np.ndarray, " nv"] | None
+    escape: Float[np.ndarray, " nv"]
+
+
+@final
+class Feasible(NamedTuple):
+    """What a program keeps a velocity u within: low <= u <= high, and G u >= least.
+
+    Attributes:
+        bounds: (low, high), and behind them (least, inf), one after the other.
+        high: Their upper ends.
+        G: Gradients of the barriers, on the approach to a singularity first, where there is one, then on the speeds of
+            frames.
+        by_library: Whether DAQP solves the programs where it is at hand.
+    """
+
+    low: Float[np.ndarray, " m"]
+    high: Float[np.ndarray, " m"]
+    G: Float[np.ndarray, "r nv"]
+    by_library: bool
+
+
+def feasible(
+    bounds: Bounds, G: Float[np.ndarray, "r nv"], least: Float[np.ndarray, " r"], by_library: bool
+) -> Feasible:
+    """The bounds and the barriers G u >= least, with one more row of 0 to 1 behind them for the scale of a task."""
+    nv, r = bounds.low.shape[0], least.shape[0]
+    low, high = np.zeros(nv + r + 1), np.full(nv + r + 1, math.inf)
+    put(low[:nv], bounds.low)
+    put(high[:nv], bounds.high)
+    put(low[nv : nv + r], least)
+    high[nv + r] = 1.0
+    return Feasible(low, high, G, by_library)
 
 
 def bounded_velocity(
     A: Float[np.ndarray, "s nv"],
     desired: Desired,
-    null: Float[np.ndarray, "nv k"],
-    bounds: Bounds,
+    null: Float[np.ndarray, "k nv"],
+    within: Feasible,
     fastest: Float[np.ndarray, " nv"],
-    barrier: Barrier | None,
-    project: Projection,
-    slide: float = 0.0,
-    damping: float = 0.05,
-    decomposition: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
+    slide: float,
+    damping: float,
 ) -> BoundedVelocity:
     """The velocity within the bounds that keeps the direction of the task.
 
@@ -88,141 +114,135 @@ def bounded_velocity(
     Args:
         A: Constraint matrix.
         desired: Parts of the command before bounds.
-        null: Z with Z Z^T = N, or the projector N itself, which serves as well.
-        bounds: Lowest and highest velocities allowed.
+        null: Z^T with Z Z^T = N, or the projector N itself, which serves as well.
+        within: Bounds and barriers; where they allow no velocity, the barriers are given up.
         fastest: Velocity limits.
-        barrier: (G, least) for the constraints G u >= least, on the approach to a singularity first, where there is
-            one, then on the speeds of frames; None without.
-        project: Solver of the quadratic program.
         slide: 0 keeps the task's direction, 1 slides along what blocks it; in between their mean.
         damping: Singular value of A below which sliding is damped.
-        decomposition: U, singular values and V^T of A, where they are known.
     """
-    nv = null.shape[0]
-    for barred in (barrier, None) if barrier is not None else (None,):
-        # rows of the programs: joints, barrier, and the task's scale
-        least = [] if barred is None else barred[1].tolist()
-        m = nv + len(least) + 1
-        low = np.fromiter([*bounds.low, *least, 0.0], np.float64, m)
-        high = np.fromiter([*bounds.high, *[math.inf] * len(least), 1.0], np.float64, m)
-        found = _bounded(A, desired, null, low, high, fastest, barred, project, slide, damping, decomposition)
-        if found is not None:
-            reached = found.velocity.tolist()
-            joints = zip(reached, bounds.low, bounds.high, strict=True)
-            within = [least if u < least else most if u > most else u for u, least, most in joints]
-            if math.dist(within, reached) <= ROUNDING:
-                return BoundedVelocity(np.array(within), found.task_scale, found.null_part)
+    nv, barriers = A.shape[1], within.G.shape[0]
+    too_fast = max(1.0, (np.abs(desired.task) / fastest).max())
+    # slowed down to the velocity limits, before null-space motion makes room for it
+    parts = Desired(desired.task / too_fast, desired.null, desired.escape)
+    low, high = within.low[:nv], within.high[:nv]
+    for attempt in range(2):
+        if attempt == 1:
+            if barriers == 0:
+                break
+            within = without_barriers(within, nv)
+        found, u, scale = _program(A, parts, null, within, slide, damping)
+        if found:
+            inside = np.minimum(np.maximum(u, low), high)
+            if np.abs(inside - u).max() <= ROUNDING:
+                return BoundedVelocity(inside, scale / too_fast, dot(dot(null, u), null))
     # a box always holds a point; this is for a solver that gave up
-    u = np.clip(desired.task + desired.null, bounds.low, bounds.high)
-    return BoundedVelocity(u, 0.0, np.zeros_like(u))
+    return BoundedVelocity(np.minimum(np.maximum(desired.task + desired.null, low), high), 0.0, np.zeros(nv))
 
 
-def _bounded(
-    A: np.ndarray,
-    desired: Desired,
-    Z: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    fastest: np.ndarray,
-    barrier: Barrier | None,
-    project: Projection,
+def without_barriers(within: Feasible, nv: int) -> Feasible:
+    """The bounds alone."""
+    low, high = within.low[: nv + 1].copy(), within.high[: nv + 1].copy()
+    low[nv], high[nv] = 0.0, 1.0
+    return Feasible(low, high, within.G[:0], within.by_library)
+
+
+def _program(
+    A: Float[np.ndarray, "s nv"],
+    parts: Desired,
+    null: Float[np.ndarray, "k nv"],
+    within: Feasible,
     slide: float,
     damping: float,
-    decomposition: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
-) -> BoundedVelocity | None:
-    v, w, e = desired
-    too_fast = max(1.0, *map(truediv, map(abs, v.tolist()), fastest.tolist()))
-    if too_fast > 1.0:  # slowed down to the velocity limits, before null-space motion makes room for it
-        v = v / too_fast
-    rest = w if e is None else w + e
-    scale = approach_scale(v, rest, barrier)
-    along = _along(v, scale, w, e, Z, low, high, barrier, project)
-    bounds = (low[:-1], high[:-1], barrier, project)
-    if along is not None:
-        u, s = along
-    else:
-        wish = scale * v + rest
-        b = A @ v
-        length = math.sqrt(b.dot(b))
-        across = A if length < NEGLIGIBLE else A - np.outer(b / length, (b / length) @ A)
-        decomposition = decomposition or svd(A)
-        u = _nearest(wish, svd(across), float(decomposition[1][0]) / DEVIATION_WEIGHT, *bounds)
-        if u is None:
-            return None
-        s = 0.0 if length < NEGLIGIBLE else max(0.0, float(b @ (A @ u)) / length**2)
+) -> tuple[bool, Float[np.ndarray, " nv"], float]:
+    """Whether there is a velocity, that velocity, and the task's scale."""
+    rest = parts.null + parts.escape
+    most = approach_scale(parts.task, rest, within)
+    found, u, scale = _along(parts, most, null, within)
+    if found and slide == 0.0:
+        return True, u, scale
+    wish, (_, sigma, Vt) = most * parts.task + rest, svd(A)
+    s = min(A.shape[0], A.shape[1])
+    if not found:
+        b = dot(A, parts.task)
+        length = math.sqrt(dot(b, b))
+        moves = length >= NEGLIGIBLE
+        direction = b / length if moves else np.zeros(b.shape[0])
+        across = svd(A - direction.reshape((-1, 1)) * dot(direction, A))
+        found, u = _nearest(wish, across[1], across[2][:s], sigma[0] / DEVIATION_WEIGHT, within)
+        if not found:
+            return False, wish, 0.0
+        scale = max(0.0, dot(b, dot(A, u)) / (length * length)) if moves else 0.0
     if slide > 0.0:
-        slid = _nearest(scale * v + rest, decomposition or svd(A), damping, *bounds)
-        if slid is not None:
+        slides, slid = _nearest(wish, sigma, Vt[:s], damping, within)
+        if slides:
             u = u + slide * (slid - u)
-    null_part = Z.dot(u) if Z.shape[0] == Z.shape[1] else Z.dot(u.dot(Z))
-    return BoundedVelocity(u, s / too_fast, null_part)
+    return True, u, scale
 
 
-def approach_scale(v: np.ndarray, rest: np.ndarray, barrier: Barrier | None) -> float:
-    """Largest factor on v, 0 to 1, with which `v + rest` is no faster than the barrier allows."""
-    scale = 1.0
-    if barrier is not None:
-        for g, least in zip(*barrier, strict=True):
-            approach = -float(g.dot(v))
-            if approach > 0.0:
-                scale = min(scale, max(0.0, (float(g.dot(rest)) - least) / approach))
+def approach_scale(v: Float[np.ndarray, " nv"], rest: Float[np.ndarray, " nv"], within: Feasible) -> float:
+    """Largest factor on v, 0 to 1, with which `v + rest` is no faster than the barriers allow."""
+    scale, G = 1.0, within.G
+    for i in range(G.shape[0]):
+        approach = -dot(G[i], v)
+        if approach > 0.0:
+            room = dot(G[i], rest) - within.low[G.shape[1] + i]
+            scale = min(scale, max(0.0, room / approach))
     return scale
 
 
 def _along(
-    v: np.ndarray,
-    scale: float,
-    w: np.ndarray,
-    e: np.ndarray | None,
-    Z: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    barrier: Barrier | None,
-    project: Projection,
-) -> tuple[np.ndarray, float] | None:
-    """The first program: (u, s), or None if the bounds allow no s >= 0."""
-    nv, at = Z.shape
-    length, speed = math.sqrt(v.dot(v)), 0.0 if e is None else math.sqrt(e.dot(e))
-    moves, escapes = length > NEGLIGIBLE, speed > NEGLIGIBLE
+    parts: Desired, most: float, null: Float[np.ndarray, "k nv"], within: Feasible
+) -> tuple[bool, Float[np.ndarray, " nv"], float]:
+    """The first program: whether the bounds allow any s >= 0, and its u and s, at most `most`."""
+    v, w, e = parts
+    at, nv = null.shape
+    length, speed = math.sqrt(dot(v, v)), math.sqrt(dot(e, e))
+    moves, escapes, r = length > NEGLIGIBLE, speed > NEGLIGIBLE, within.G.shape[0]
     # a slow task comes first beside a fast policy, too
-    weight = TASK_WEIGHT * max(length, min(math.sqrt(w.dot(w)), LARGEST_RATIO * length))
-    k, rows = at + moves + escapes, low.shape[0] - (not moves)
+    weight = TASK_WEIGHT * max(length, min(math.sqrt(dot(w, w)), LARGEST_RATIO * length))
+    k, rows = at + int(moves) + int(escapes), nv + r + int(moves)
     # the unknowns are y, weight * s, and the escape's speed
-    C, start = np.zeros((rows, k)), np.empty(k)
+    C, start = np.zeros((rows, k)), np.zeros(k)
     basis = C[:nv]
-    # the projector leaves a null-space motion as it is
-    basis[:, :at], start[:at] = Z, w if at == nv else w.dot(Z)
+    put(basis[:, :at], null.T)
+    put(start[:at], dot(null, w))
     if moves:
-        basis[:, at], start[at], C[-1, at] = v / weight, weight * scale, 1.0 / weight
-    if e is not None and escapes:
-        basis[:, -1], start[-1] = e / speed, speed
-    if barrier is not None:
-        C[nv : nv + barrier[0].shape[0]] = barrier[0].dot(basis)
-    y = project(start, C, low[:rows], high[:rows])
-    if y is None and moves:  # too fast to brake: farther along b is better than beside it
-        high[-1] = math.inf
-        y = project(start, C, low, high)
-    if y is None:
-        return None
-    return basis.dot(y), float(y[at]) / weight if moves else 1.0
+        put(basis[:, at], v / weight)
+        start[at], C[rows - 1, at] = weight * most, 1.0 / weight
+    if escapes:
+        put(basis[:, k - 1], e / speed)
+        start[k - 1] = speed
+    if r > 0:
+        put(C[nv : nv + r], dot(within.G, basis))
+    found, y = project(start, C, within.low[:rows], within.high[:rows], within.by_library)
+    if not found and moves:  # too fast to brake: farther along b is better than beside it
+        high = within.high.copy()
+        high[rows - 1] = math.inf
+        found, y = project(start, C, within.low, high, within.by_library)
+    return found, dot(basis, y), max(0.0, y[at] / weight) if moves else 1.0
 
 
 def _nearest(
-    wish: np.ndarray,
-    decomposition: tuple[np.ndarray, np.ndarray, np.ndarray],
+    wish: Float[np.ndarray, " nv"],
+    sigma: Float[np.ndarray, " k"],
+    V: Float[np.ndarray, "k nv"],
     damping: float,
-    low: np.ndarray,
-    high: np.ndarray,
-    barrier: Barrier | None,
-    project: Projection,
-) -> np.ndarray | None:
-    """The second program: the velocity within the bounds that is nearest to `wish`, mostly in the rows decomposed."""
-    _, sigma, Vt = decomposition
-    nv, scale = Vt.shape[0], 1.0 / max(damping, 1e-300)
-    root = np.array([math.hypot(1.0, scale * x) for x in sigma.tolist()] + [1.0] * (nv - sigma.shape[0]))
-    rows = np.empty((nv + (0 if barrier is None else barrier[0].shape[0]), nv))
-    C = np.divide(Vt.T, root, out=rows[:nv])  # u = C x
-    if barrier is not None:
-        rows[nv:] = barrier[0].dot(C)
-    x = project(root * Vt.dot(wish), rows, low, high)
-    return None if x is None else C.dot(x)
+    within: Feasible,
+) -> tuple[bool, Float[np.ndarray, " nv"]]:
+    """The second program: the velocity within the bounds that is nearest to `wish`, mostly in the rows decomposed.
+
+    In x with u = (I + sum_i (r_i - 1) v_i v_i^T) x, r_i = 1 / sqrt(1 + (sigma_i / damping)^2), it is the nearest to x*
+    of the wish.
+    """
+    nv, r = wish.shape[0], within.G.shape[0]
+    ratio = sigma / max(damping, 1e-300)
+    root = np.sqrt(1.0 + ratio * ratio)
+    C = np.zeros((nv + r, nv))
+    basis = C[:nv]
+    # 1 - 1 / root without cancellation
+    put(basis, unit(nv) - dot(V.T * (ratio * ratio / (root * (1.0 + root))), V))
+    if r > 0:
+        put(C[nv:], dot(within.G, basis))
+    start = wish + dot((root - 1.0) * dot(V, wish), V)
+    found, x = project(start, C, within.low[: nv + r], within.high[: nv + r], within.by_library)
+    return found, dot(basis, x)

@@ -1,117 +1,128 @@
-"""Limits whose program is compiled (the optional extra `fast`), behind a law that Python computes."""
+"""Who solves the programs that keep limits: DAQP, the library's own method, or that method compiled (extra `fast`)."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from importlib.util import find_spec
-from typing import final
+from typing import Literal, final
 
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.control.command import Command
-from manip_learn.control.compiled import step_table as table
-from manip_learn.control.compiled.limits_table import packed_limits
+from manip_learn.control.bounded_velocity import Desired
 from manip_learn.control.limits import Limits
-from manip_learn.control.outcome import Law
-from manip_learn.control.status import STATUSES
-from manip_learn.errors import MissingExtraError
-from manip_learn.linalg import Inverse
+from manip_learn.control.outcome import Outcome
+from manip_learn.control.resolved_rate_law import Law, LawSettings
+from manip_learn.errors import ConstraintError, MissingExtraError
+
+Solver = Literal["qp", "active-set", "compiled"]
+_contiguous = np.ascontiguousarray
+
+
+def checked_solver(solver: Solver) -> Solver:
+    """A solver by its name.
+
+    Raises:
+        ConstraintError: Unknown name.
+    """
+    if solver not in ("qp", "active-set", "compiled"):
+        raise ConstraintError(f"solver must be 'qp', 'active-set' or 'compiled', not {solver!r}")
+    return solver
 
 
 @final
 class CompiledLimits:
-    """The command within the limits, as `ResolvedRateController` computes it, for any features, task and policy.
+    """`outcome.within_limits` compiled, behind a law that Python computes: for any features, task and policy.
 
     Args:
+        settings: Of the law.
         limits: The limits.
-        inverse: As for `ResolvedRateController`.
-        threshold: As for `ResolvedRateController`.
-        damping: As for `ResolvedRateController`.
         report: Called with a sentence where the code has to be compiled first; by default a line of the logger.
 
     Raises:
         MissingExtraError: numba is not installed.
     """
 
-    def __init__(
-        self,
-        limits: Limits,
-        inverse: Inverse,
-        threshold: float,
-        damping: float,
-        report: Callable[[str], object] | None = None,
-    ):
+    def __init__(self, settings: LawSettings, limits: Limits, report: Callable[[str], object] | None = None):
         if find_spec("numba") is None:
             raise MissingExtraError("the solver 'compiled'", "fast")
-        from manip_learn.control.compiled.within_limits import bounded_law
-        from manip_learn.robot.batch.compiled_kinematics import JOINTS
+        from manip_learn.control.compiled_step import bounded_law
         from manip_learn.robot.batch.kernel_cache import announce_compilation, entry_point
 
         announce_compilation(bounded_law, report)
-        self._settings = (limits, inverse, threshold, damping)
-        self._robot, nv = limits.robot, limits.velocity.shape[0]
-        header, dofs = packed_limits(limits, nv, inverse, threshold)
-        header[0, table.NV], header[1, table.DAMPING] = nv, damping
-        self._constants = np.concatenate([header, np.zeros((JOINTS, table.WIDTH)), dofs])
-        self._unknown = np.full(nv, np.nan)
-        self._nv, self._shape = nv, (table.PARTS, nv)
-        parts, A = np.zeros(self._shape), np.eye(1, nv)
-        arguments = (
-            self._constants,
-            np.zeros(nv),
-            0.01,
-            self._unknown,
-            0.0,
-            parts,
-            A,
-            self._unknown,
-            1.0,
-            False,
-            False,
+        self._settings, self._limits = settings, limits
+        nv = limits.velocity.shape[0]
+        rows, zero = np.eye(1, nv), np.zeros(nv)
+        law = Law(
+            A=rows,
+            b=np.zeros(1),
+            desired=Desired(zero, zero, zero),
+            escapes=False,
+            mu=1.0,
+            smallest=1.0,
+            singular=False,
+            regular=True,
+            basis=rows,
+            sloped=False,
+            slope=zero,
+            barred=True,
         )
-        self._bounded = entry_point(bounded_law, *arguments)
+        self._idle = np.zeros(nv)
+        self._bounded = entry_point(bounded_law, *self._arguments(law, zero, 0.01, None, 0.0, math.inf, zero))
 
     def __call__(
         self,
+        law: Law,
         q: Float[np.ndarray, " n"],
         dt: float,
-        law: Law,
-        velocity: Float[np.ndarray, " nv"],
-        slope: Float[np.ndarray, " nv"] | None,
         previous: Float[np.ndarray, " nv"] | None,
         slide: float,
-    ) -> Command:
-        """The command at posture q.
+        bound: float,
+        slope: Float[np.ndarray, " nv"],
+    ) -> Outcome:
+        """The outcome at a posture.
 
         Args:
-            q: Posture, checked.
+            law: Of no more rows than joints.
+            q: The posture, checked.
             dt: Time for which the command is held [s].
-            law: The law there, of no more rows than joints.
-            velocity: Sum of its parts [rad/s or m/s].
-            slope: Gradient of the smallest singular value where the approach to a singularity is bounded.
             previous: Velocity in the step before [rad/s or m/s]; None bounds no acceleration.
-            slide: As for `ResolvedRateController`.
+            slide: See `ResolvedRateController`.
+            bound: On the approach to a singularity, see `approach_bound`; inf for none.
+            slope: Gradient of the smallest singular value, where there is a bound.
         """
-        task, null, escape = law.desired
-        parts, s = np.empty(self._shape), law.b.shape[0]
-        parts[table.VELOCITY], parts[table.TASK_PART], parts[table.NULL_PART] = velocity, task, null
-        if escape is not None:
-            parts[table.ESCAPE_PART] = escape
-        parts[table.TASK_VELOCITY, :s] = law.b
-        x = np.ascontiguousarray(q if q.shape[0] == self._nv else self._robot.positions(q))
-        before = self._unknown if previous is None else np.ascontiguousarray(previous, np.float64)
-        steepness = self._unknown if slope is None else np.ascontiguousarray(slope)
-        numbers = (float(law.smallest), law.decomposition is not None, escape is not None)
-        found = self._bounded(
-            self._constants, x, float(dt), before, float(slide), parts, np.ascontiguousarray(law.A), steepness, *numbers
+        return self._bounded(*self._arguments(law, q, dt, previous, slide, bound, slope))
+
+    def _arguments(
+        self,
+        law: Law,
+        q: np.ndarray,
+        dt: float,
+        previous: np.ndarray | None,
+        slide: float,
+        bound: float,
+        slope: np.ndarray,
+    ) -> tuple[object, ...]:
+        """In the types that machine code has been made for."""
+        packed = Law(
+            A=_contiguous(law.A),
+            b=_contiguous(law.b),
+            desired=Desired(*map(_contiguous, law.desired)),
+            escapes=law.escapes,
+            mu=law.mu,
+            smallest=law.smallest,
+            singular=bool(law.singular),
+            regular=law.regular,
+            basis=_contiguous(law.basis),
+            sloped=bool(law.sloped),
+            slope=_contiguous(slope),
+            barred=law.barred,
         )
-        code, scale, null_scale, progress, outside, joint = found
-        u, task, null, *_ = parts
-        return Command(
-            u, STATUSES[code], law.mu, law.b, task, null, scale, null_scale, law.smallest,
-            None if escape is None else parts[table.ESCAPE_PART], progress, outside, joint,
-        )  # fmt: skip
+        x = _contiguous(q if q.shape[0] == self._idle.shape[0] else self._limits.robot.positions(q))
+        before = self._idle if previous is None else _contiguous(previous, np.float64)
+        known = previous is not None
+        return self._settings, self._limits.table(dt), packed, x, before, known, float(slide), float(bound)
 
     def __reduce__(self) -> tuple[object, ...]:
-        return CompiledLimits, self._settings  # machine code stays in its process
+        return CompiledLimits, (self._settings, self._limits)  # machine code stays in its process

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
+from functools import partial
 from math import isfinite
 from typing import final
 
@@ -13,23 +14,33 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.bounded_velocity import BoundedVelocity, bounded_velocity
+from manip_learn.constraint.features.feature_map import Vjp
+from manip_learn.constraint.small_matrices import dot
 from manip_learn.control.command import Command
-from manip_learn.control.compiled_limits import CompiledLimits
+from manip_learn.control.compiled_limits import CompiledLimits, Solver, checked_solver
 from manip_learn.control.limits import Limits
-from manip_learn.control.outcome import Law, bounded_command, plain_command
+from manip_learn.control.outcome import (
+    IS_DAMPED,
+    Outcome,
+    barrier_of,
+    is_damped,
+    plain_outcome,
+    within_limits,
+)
 from manip_learn.control.policies import (
+    ManipulabilityAscent,
     NullSpacePolicy,
+    SampledPolicy,
+    WeightedPolicies,
     ZeroPolicy,
     climbing,
 )
-from manip_learn.control.polytope_projection import Solver, projection_by
-from manip_learn.control.resolved_rate_law import ResolvedRateLaw
-from manip_learn.control.singularity import approach_bound
-from manip_learn.control.status import Status
-from manip_learn.control.tasks import Hold, Task
+from manip_learn.control.resolved_rate_law import INVERSES, Asked, Law, LawSettings, approach, law_at
+from manip_learn.control.singularity import Ascent, approach_bound
+from manip_learn.control.status import STATUSES, Status
+from manip_learn.control.tasks import Hold, PointAttractor, Task
 from manip_learn.control.tip_speed import Barrier
-from manip_learn.errors import ConfigurationError, ConstraintError, advice, an
+from manip_learn.errors import ConfigurationError, ConstraintError, TargetError, advice, an
 from manip_learn.linalg import Inverse
 from manip_learn.robot.frame_kinematics import is_plain
 from manip_learn.robot.robot import Robot
@@ -98,7 +109,7 @@ class ResolvedRateController:
         solver: Solver = "qp",
     ):
         _check_order(constraint, task, null_policy)
-        if inverse not in ("exact", "truncated", "damped"):
+        if inverse not in INVERSES:
             raise ConstraintError(f"inverse must be 'exact', 'truncated' or 'damped', not {inverse!r}")
         for name, value in (("threshold", threshold), ("damping", damping), ("dt", dt)):
             if not (np.isfinite(value) and value > 0.0):
@@ -114,11 +125,12 @@ class ResolvedRateController:
         own = limits.robot if isinstance(limits, Limits) else None
         self.robot: Robot | None = robot or own or constraint.robot
         self.limits = self._limits_of(limits)
-        self.solver: Solver = solver
-        self._project = projection_by(solver)
+        self.solver: Solver = checked_solver(solver)
         self._features_check = self.robot is not None and self.robot is constraint.robot
-        settings = (self.inverse, self.threshold, self.damping)
-        self._law = ResolvedRateLaw(constraint, self.task, self.null_policy, *settings, self.limits)
+        self._own_task = type(self.task) in (PointAttractor, Hold)  # whose velocities need no check
+        self._samples = self.null_policy if isinstance(self.null_policy, SampledPolicy) else None
+        self._idle = np.zeros(constraint.nv)
+        self.settings = self._law_settings()
         self._compiled = self._compiled_limits()
 
     def __call__(
@@ -151,7 +163,8 @@ class ResolvedRateController:
             raise ConfigurationError(f"dt must be a positive number of seconds, got {dt!r}")
         if not (self._features_check and type(q) is np.ndarray and is_plain(q)):
             q = self._checked_posture(q)
-        return self._limited(q, dt, self._law(q, t, dt), previous, slide if self.task.slides else 0.0)
+        law, motion = self._law(q, t, dt)
+        return self._limited(q, dt, law, motion, previous, slide if self.task.slides else 0.0)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]."""
@@ -176,7 +189,7 @@ class ResolvedRateController:
         """The same controller with other limits."""
         other = copy.copy(self)
         other.limits = other._limits_of(limits)
-        other._law = self._law.with_limits(limits)
+        other.settings = other._law_settings()
         other._compiled = other._compiled_limits()
         return other
 
@@ -192,7 +205,8 @@ class ResolvedRateController:
             MissingExtraError: `"compiled"` without numba.
         """
         other = copy.copy(self)
-        other.solver, other._project = solver, projection_by(solver)
+        other.solver = checked_solver(solver)
+        other.settings = other._law_settings()
         other._compiled = other._compiled_limits(report)
         return other
 
@@ -200,7 +214,23 @@ class ResolvedRateController:
         wide = self.constraint.n_constraints > self.constraint.nv
         if self.solver != "compiled" or self.limits is None or wide or self.limits.tip is not None:
             return None
-        return CompiledLimits(self.limits, self.inverse, self.threshold, self.damping, report)
+        return CompiledLimits(self.settings, self.limits, report)
+
+    def _law_settings(self) -> LawSettings:
+        policy, constraint = self.null_policy, self.constraint
+        climbs = isinstance(policy, ManipulabilityAscent) and policy.constraint is constraint
+        bounded = climbs and policy.max_speed is not None
+        bounded = bounded or (isinstance(policy, WeightedPolicies) and policy.climbs(constraint))
+        return LawSettings(
+            inverse=INVERSES.index(self.inverse),
+            threshold=self.threshold,
+            damping=self.damping,
+            climbs=climbs,
+            ascent=policy.ascent if isinstance(policy, ManipulabilityAscent) else Ascent(0.0, True, math.inf),
+            escapes=self.inverse == "damped" and bounded,
+            limited=self.limits is not None,
+            by_library=self.solver == "qp",
+        )
 
     def _limits_of(self, limits: bool | Limits) -> Limits | None:
         if isinstance(limits, Limits):
@@ -217,48 +247,65 @@ class ResolvedRateController:
             raise ConfigurationError(f"the posture is not finite: {vector.tolist()}")
         return vector
 
-    def _limited(self, q: np.ndarray, dt: float, law: Law, previous: np.ndarray | None, slide: float) -> Command:
+    def _law(self, q: np.ndarray, t: float, dt: float) -> tuple[Law, Vjp]:
+        """The law at a posture before limits, and the vector-Jacobian product of A there.
+
+        Raises:
+            ConfigurationError: The posture has the wrong size or is not finite.
+            TargetError: The task's target does not fit the constraint, or a velocity is not finite.
+        """
+        constraint, settings = self.constraint, self.settings
+        if settings.climbs or settings.escapes:  # one Hessian and one inverse serve the task and the policy
+            A, motion = constraint.value_and_vjp(q)
+        else:
+            A, motion = constraint(q), partial(_vjp_at, constraint, q)
+        b, E = self.task.velocity_and_jacobian(constraint, q, t)
+        if not self._own_task:
+            b = _checked(b, A.shape[0], "the task's velocity b")
+        if settings.climbs:
+            pi = self._idle
+        else:
+            pi = self.null_policy(q, t) if self._samples is None else self._samples(q, t, dt)
+            pi = _checked(pi, constraint.nv, "the null-space policy's velocity")
+        x = q if q.shape[0] == constraint.nv or self.robot is None else self.robot.positions(q)
+        table = None if self.limits is None else self.limits.table(dt)
+        asked = Asked(A, A if E is None else E, E is None, b, pi, x, dt)
+        return law_at(settings, table, asked, motion), motion  # type: ignore[arg-type]  # no limits: nobody asks
+
+    def _limited(
+        self, q: np.ndarray, dt: float, law: Law, motion: Vjp, previous: np.ndarray | None, slide: float
+    ) -> Command:
         """The parts of the law brought within the limits, and added."""
-        task, null, escape = law.desired
-        wish = task + null
-        velocity = wish if escape is None else wish + escape
+        desired, limits, settings = law.desired, self.limits, self.settings
+        velocity = desired.task + desired.null
+        if law.escapes:
+            velocity = velocity + desired.escape
         if not isfinite(sum(velocity.tolist())):
             raise ConfigurationError(
                 f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {law.smallest:.1e}): "
                 + advice("use {}", "inverse='damped'", "--inverse damped")
             )
-        limits, damped = self.limits, self.inverse == "damped" and law.smallest < self.threshold
         if limits is None:
-            return plain_command(law, velocity, damped)
-        slope, far = self._law.approach(q, dt, law, velocity), previous is None and limits.far(q, dt, velocity)
-        tip, jacobians, fast = limits.tip, [], None
-        if tip is not None:
-            jacobians = tip.jacobians(q)
-            fast = tip.rows(jacobians, velocity)
-        if far and slope is None and fast is None:
-            return plain_command(law, velocity, damped)
+            return command_of(law, plain_outcome(settings, law, velocity, 0.0))
+        table, tip = limits.table(dt), limits.tip
+        near, slope = approach(settings, table, law, motion, velocity)
+        jacobians = [] if tip is None else tip.jacobians(q)
+        fast = None if tip is None else tip.rows(jacobians, velocity)
+        bound = approach_bound(law.smallest, slope, limits.acceleration, dt) if near else math.inf
+        slow = fast is None and (not near or -dot(slope, velocity) <= bound)
+        if slow and limits.admit(q, dt, velocity, previous):
+            return command_of(law, plain_outcome(settings, law, velocity, 0.0))
         if self._compiled is not None:
-            return self._compiled(q, dt, law, velocity, slope, previous, slide)
-        barrier, slow = None, fast is None
-        if slope is not None and (bound := approach_bound(law.smallest, slope, limits.acceleration, dt)) < math.inf:
-            barrier, slow = (slope[None], np.array([-bound])), slow and -float(slope.dot(velocity)) <= bound
-        if far and slow:
-            return plain_command(law, velocity, damped)
+            return command_of(law, self._compiled(law, q, dt, previous, slide, bound, slope))
         bounds = limits.bounds(q, dt, previous)
-        if slow and bounds.admit(velocity):
-            return plain_command(law, velocity, damped, bounds.outside)
-        # an explicit step of dt follows sliding that is damped that much
-        blur = 0.0 if slide == 0.0 else max(self.damping, math.sqrt(2.0 * dt * math.sqrt(law.b.dot(law.b))))
+        rows = barrier_of(slope, bound)
 
-        def within(rows: Barrier | None) -> BoundedVelocity:
-            return bounded_velocity(
-                *(law.A, law.desired, law.null_space(), bounds, limits.velocity, rows, self._project, slide, blur),
-                decomposition=law.decomposition,
-            )
+        def within(barrier: Barrier | None) -> Outcome:
+            return within_limits(settings, table, law, bounds, slide, *(rows if barrier is None else barrier))
 
-        found = within(barrier) if tip is None else tip.bounded(jacobians, velocity, barrier, within)
-        command = bounded_command(law, wish, found, bounds, damped)
-        held_back = fast is not None and not damped and command.status is Status.DAMPED
+        found = within(rows) if tip is None or fast is None else tip.bounded(jacobians, velocity, rows, within)
+        command = command_of(law, found)
+        held_back = fast is not None and not is_damped(settings, law) and found.code == IS_DAMPED
         return command._replace(status=Status.VELOCITY_LIMITED) if held_back else command
 
     def __repr__(self) -> str:
@@ -280,3 +327,33 @@ def _check_order(constraint: object, task: object, null_policy: object) -> None:
             "call ResolvedRateController(constraint, task, null_policy): got "
             f"{an(constraint)}, {an(task)} and {an(null_policy)}, in this order"
         )
+
+
+def command_of(law: Law, outcome: Outcome) -> Command:
+    """The command of a law brought within the limits."""
+    return Command(
+        velocity=outcome.velocity,
+        status=STATUSES[outcome.code],
+        manipulability=law.mu,
+        task_velocity=law.b,
+        task_part=outcome.task,
+        null_part=outcome.null,
+        task_scale=outcome.task_scale,
+        null_scale=outcome.null_scale,
+        smallest_singular_value=law.smallest,
+        escape_part=outcome.escape if law.escapes else None,
+        progress=outcome.progress,
+        outside=outcome.outside,
+        limiting_joint=outcome.joint,
+    )
+
+
+def _vjp_at(constraint: Constraint, q: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    return constraint.value_and_vjp(q)[1](weights)
+
+
+def _checked(vector: ArrayLike, size: int, what: str) -> np.ndarray:
+    array = np.asarray(vector, np.float64)
+    if array.shape != (size,) or not isfinite(sum(array.tolist())):
+        raise TargetError(f"{what} must be {size} finite numbers, got {array.tolist()}")
+    return array

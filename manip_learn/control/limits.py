@@ -5,14 +5,13 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
-from operator import le, neg
-from typing import NamedTuple, final
+from operator import le
+from typing import Any, NamedTuple, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from manip_learn.control.approach import Approach, approach_of
 from manip_learn.control.tip_speed import TipSpeed
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
@@ -25,11 +24,19 @@ DEFAULT_ACCELERATION = 10.0
 ROOM_TO_LEAVE = 0.1
 # [rad or m] a joint is outside when it is more than this beyond a position limit
 OUTSIDE = 1e-9
-
-
-POSITION, VELOCITY, ACCELERATION = range(3)
+# share of the acceleration limit that braking before a position limit uses; the rest keeps the task on its way
+BRAKING_SHARE = 0.5
+# [1/s] rate at which a joint approaches its position limit exponentially, at the end of its braking distance
+APPROACH_RATE = 20.0
+# share of the velocity limit at which a joint that starts outside its position limits returns
+RETURN_SPEED = 0.25
+# [rad/s and rad/s2, or m] stand for no limit where a distance is made from one, which must be finite
+FASTEST, LARGEST_ACCELERATION = 1e6, 1e12
 # share of a bound within which a velocity counts as being at it
 AT_BOUND = 1e-7
+
+VELOCITY, POSITION, ACCELERATION = range(3)
+Vector = Any  # one number a joint: an array, or a list where the interpreter reads them one by one
 
 
 @final
@@ -44,38 +51,46 @@ class Bounds(NamedTuple):
         outside: Largest distance of a joint beyond a position limit [rad or m], 0 if none is outside.
     """
 
-    low: list[float]
-    high: list[float]
-    low_cause: list[int]
-    high_cause: list[int]
+    low: Float[np.ndarray, " nv"]
+    high: Float[np.ndarray, " nv"]
+    low_cause: Int[np.ndarray, " nv"]
+    high_cause: Int[np.ndarray, " nv"]
     outside: float
 
     def admit(self, velocity: Float[np.ndarray, " nv"]) -> bool:
         """Whether a velocity is within the bounds."""
-        u = velocity.tolist()
-        return all(map(le, self.low, u)) and all(map(le, u, self.high))
+        return admitted(self, velocity)
 
     def binding(self, velocity: Float[np.ndarray, " nv"], desired: Float[np.ndarray, " nv"]) -> tuple[int, int]:
         """The joint at a bound whose desired velocity exceeds it most, and the limit that sets it; (-1, -1) if none."""
-        joint, cause, most, u = -1, -1, 0.0, velocity.tolist()
-        for j, (wish, low, high) in enumerate(zip(desired.tolist(), self.low, self.high, strict=True)):
-            if low <= wish <= high:
-                continue
-            if wish - high > most and u[j] >= high - AT_BOUND * (1.0 + abs(u[j])):
-                joint, cause, most = j, self.high_cause[j], wish - high
-            elif low - wish > most and u[j] <= low + AT_BOUND * (1.0 + abs(u[j])):
-                joint, cause, most = j, self.low_cause[j], low - wish
-        return joint, cause
+        return binding(self, velocity, desired)
 
 
 @final
-class _Approaches(NamedTuple):
-    """How fast the joints may approach their limits in steps of dt, and the positions between which all speeds are."""
+class LimitTable(NamedTuple):
+    """`Limits` for steps of one length, as the law reads them; inf where there is none.
 
+    Attributes:
+        lower: Lowest positions [rad or m].
+        upper: Highest positions [rad or m].
+        velocity: [rad/s or m/s].
+        acceleration: [rad/s2 or m/s2].
+        free: Distance from a position limit from which every speed is allowed [rad or m].
+        linear: d1 of `Limits`, where the exponential approach begins.
+        offset: d0 of `Limits`.
+        weakest: Smallest acceleration.
+        dt: Length of a step [s].
+    """
+
+    lower: Vector
+    upper: Vector
+    velocity: Vector
+    acceleration: Vector
+    free: Vector
+    linear: Vector
+    offset: Vector
+    weakest: float
     dt: float
-    joints: list[Approach]
-    low: list[float]
-    high: list[float]
 
 
 @final
@@ -114,7 +129,6 @@ class Limits:
         jerk: shape (nv,) [rad/s3 or m/s3], or None.
         lower: shape (nv,), lowest positions [rad or m].
         upper: shape (nv,), highest positions.
-        weakest: Smallest acceleration limit of a joint [rad/s2 or m/s2].
 
     Raises:
         ConfigurationError: A limit that is not positive or has the wrong size, or a margin that leaves no room.
@@ -157,9 +171,8 @@ class Limits:
             )
         for array in (self.lower, self.upper):
             array.setflags(write=False)
-        self._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, self.acceleration))
-        self.weakest = float(self.acceleration.min())
-        self._approach = _Approaches(0.0, [], [], [])
+        self._table: LimitTable | None = None
+        self._numbers: LimitTable | None = None
 
     def admit(
         self,
@@ -169,25 +182,26 @@ class Limits:
         previous: Float[np.ndarray, " nv"] | None,
     ) -> bool:
         """Whether a velocity is within `bounds`, and no joint outside its position limits."""
-        if previous is None and self.far(q, dt, velocity):
-            return True
-        bounds = self.bounds(q, dt, previous)
-        return bounds.outside == 0.0 and bounds.admit(velocity)
-
-    def far(self, q: Float[np.ndarray, " n"], dt: float, velocity: Float[np.ndarray, " nv"]) -> bool:
-        """Whether no joint is near a position limit, or faster than its velocity limit: the short way to `admit`."""
-        approaches = self._approach
-        if dt != approaches.dt:
-            self._approach = approaches = self._approaches(dt)
         x = (q if q.shape[0] == self.robot.nv else self.robot.positions(q)).tolist()
-        if not all(map(le, map(abs, velocity.tolist()), self._columns[2])):
-            return False
-        return all(map(le, approaches.low, x)) and all(map(le, x, approaches.high))
+        before = x if previous is None else previous.tolist()
+        return keeps(self._plain(dt), x, velocity.tolist(), before, previous is not None)
 
-    def _approaches(self, dt: float) -> _Approaches:
-        joints = [approach_of(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)]
-        free = np.array([approach.free for approach in joints])
-        return _Approaches(dt, joints, (self.lower + free).tolist(), (self.upper - free).tolist())
+    def table(self, dt: float) -> LimitTable:
+        """The limits for steps of dt [s]."""
+        table = self._table
+        if table is None or dt != table.dt:
+            # copies: numba tells arrays that may not be written to from others
+            limits = [array.copy() for array in (self.lower, self.upper, self.velocity, self.acceleration)]
+            self._table = table = limit_table(*limits, dt)
+            self._numbers = None
+        return table
+
+    def _plain(self, dt: float) -> LimitTable:
+        """The same in plain numbers: one by one they are read faster than those of an array."""
+        table = self.table(dt)
+        if self._numbers is None:
+            self._numbers = LimitTable(*(column.tolist() for column in table[:7]), table.weakest, dt)
+        return self._numbers
 
     def bounds(self, q: Float[np.ndarray, " n"], dt: float, previous: Float[np.ndarray, " nv"] | None) -> Bounds:
         """Bounds on the velocity of the next dt.
@@ -197,28 +211,10 @@ class Limits:
             dt: Time that the next velocity is held [s].
             previous: Velocity commanded in the step before [rad/s or m/s]; None bounds no acceleration.
         """
-        approaches = self._approach
-        if dt != approaches.dt:
-            self._approach = approaches = self._approaches(dt)
-        x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
-        # loops over Python floats: NumPy calls on vectors as short as an arm's cost more
-        lower, upper, speeds, accelerations = self._columns
-        low, high, outside = list(map(neg, speeds)), speeds.copy(), 0.0
-        low_cause, high_cause = [VELOCITY] * len(speeds), [VELOCITY] * len(speeds)
-        for j, (y, bottom, top) in enumerate(zip(x.tolist(), approaches.low, approaches.high, strict=True)):
-            if bottom <= y <= top:  # far from its limits
-                continue
-            below, above, approach = y - lower[j], upper[j] - y, approaches.joints[j]
-            if above < approach.free and (fastest := approach.speed(above)) < high[j]:
-                high[j], high_cause[j] = fastest, POSITION
-            if below < approach.free and (fastest := approach.speed(below)) < speeds[j]:
-                low[j], low_cause[j] = -fastest, POSITION
-            if below < 0.0 or above < 0.0:
-                outside = max(outside, -below, -above)
-        bounds = Bounds(low, high, low_cause, high_cause, outside if outside > OUTSIDE else 0.0)
-        if previous is not None:
-            _bound_changes(bounds, previous.tolist(), accelerations, dt)
-        return bounds
+        table = self.table(dt)
+        x = (q if q.shape[0] == self.robot.nv else self.robot.positions(q)).tolist()
+        bounds = position_bounds(self._plain(dt), x, table.velocity)
+        return bounds if previous is None else bound_changes(bounds, previous, self.acceleration, dt)
 
     def towards(
         self, wish: Float[np.ndarray, " nv"], previous: Float[np.ndarray, " nv"], bounds: Bounds, dt: float
@@ -246,43 +242,147 @@ class Limits:
             other.acceleration = _positive("acceleration", acceleration, self.robot.joint_names)
         if jerk is not None:
             other.jerk = _positive("jerk", jerk, self.robot.joint_names)
-        other.weakest = float(other.acceleration.min())
-        other._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, other.acceleration))
-        other._approach = _Approaches(0.0, [], [], [])
+        other._table = other._numbers = None
         return other
 
     def freer_sense(self, q: Float[np.ndarray, " n"], direction: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
         """A direction, or its opposite where position limits leave that more room."""
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
-        d = direction.tolist()
-        fastest = max(map(abs, d), default=0.0)
-        ahead = behind = math.inf
-        for y, speed, lower, upper in zip(x.tolist(), d, *self._columns[:2], strict=True):
-            if abs(speed) > 1e-3 * fastest:
-                up, down = (upper - y) / abs(speed), (y - lower) / abs(speed)
-                ahead, behind = min(ahead, up if speed > 0.0 else down), min(behind, down if speed > 0.0 else up)
-        return direction if fastest == 0.0 or ahead >= min(behind, ROOM_TO_LEAVE / fastest) else -direction
+        return freer_sense(self.lower, self.upper, x, direction)
+
+
+def limit_table(
+    lower: Float[np.ndarray, " nv"],
+    upper: Float[np.ndarray, " nv"],
+    velocity: Float[np.ndarray, " nv"],
+    acceleration: Float[np.ndarray, " nv"],
+    dt: float,
+) -> LimitTable:
+    """The constants of brake(d) for steps of dt, see `Limits`: value and slope are continuous at d1."""
+    nv, rate = velocity.shape[0], min(APPROACH_RATE, 0.5 / dt)
+    free, linear, offset = np.empty(nv), np.empty(nv), np.empty(nv)
+    for j in range(nv):
+        v, a = min(velocity[j], FASTEST), BRAKING_SHARE * min(acceleration[j], LARGEST_ACCELERATION)
+        joined = a / rate - 0.5 * a * dt  # speed at d1
+        linear[j] = joined / rate
+        offset[j] = linear[j] - joined * (joined + a * dt) / (2.0 * a)
+        free[j] = v / rate if v <= joined else offset[j] + v * (v + a * dt) / (2.0 * a)
+    return LimitTable(lower, upper, velocity, acceleration, free, linear, offset, acceleration.min(), dt)
+
+
+def allowed_speed(limits: LimitTable, j: int, distance: float) -> float:
+    """brake(d) of a joint at a distance from a position limit below `free`; negative outside, where it returns."""
+    if distance <= limits.linear[j]:
+        rate = min(APPROACH_RATE, 0.5 / limits.dt)
+        return max(rate * distance, -RETURN_SPEED * min(limits.velocity[j], FASTEST))
+    a = BRAKING_SHARE * min(limits.acceleration[j], LARGEST_ACCELERATION)
+    half = 0.5 * a * limits.dt
+    return math.sqrt(half * half + 2.0 * a * (distance - limits.offset[j])) - half
+
+
+def keeps(limits: LimitTable, x: Vector, u: Vector, previous: Vector, known: bool) -> bool:
+    """Whether a velocity keeps all limits at joint positions x, no joint outside: the short way to the bounds.
+
+    Args:
+        limits: For steps of this length; in plain numbers or arrays, as all vectors here.
+        x: Joint positions [rad or m].
+        u: Velocity [rad/s or m/s].
+        previous: The one before, where it is known.
+        known: Whether it is; otherwise no acceleration is bounded.
+    """
+    for j in range(len(u)):
+        v = u[j]
+        if not abs(v) <= limits.velocity[j] or (known and not abs(v - previous[j]) <= limits.acceleration[j] * limits.dt):
+            return False
+        above, below = limits.upper[j] - x[j], x[j] - limits.lower[j]
+        if above < 0.0 or below < 0.0:
+            return False
+        distance = above if v > 0.0 else below
+        if distance < limits.free[j] and abs(v) > allowed_speed(limits, j, distance):
+            return False
+    return True
+
+
+def position_bounds(limits: LimitTable, x: Vector, velocity: Float[np.ndarray, " nv"]) -> Bounds:
+    """Bounds by position and velocity limits.
+
+    Args:
+        limits: For steps of this length; in plain numbers or arrays, as x.
+        x: Joint positions [rad or m].
+        velocity: The limits' own, an array.
+    """
+    low, high, outside = -velocity, velocity.copy(), 0.0
+    low_cause, high_cause = np.zeros(len(x), np.int64), np.zeros(len(x), np.int64)  # `VELOCITY`
+    for j in range(len(x)):
+        above, below, free = limits.upper[j] - x[j], x[j] - limits.lower[j], limits.free[j]
+        if above < free:
+            fastest = allowed_speed(limits, j, above)
+            if fastest < limits.velocity[j]:
+                high[j], high_cause[j] = fastest, POSITION
+            outside = max(outside, -above)
+        if below < free:
+            fastest = allowed_speed(limits, j, below)
+            if fastest < limits.velocity[j]:
+                low[j], low_cause[j] = -fastest, POSITION
+            outside = max(outside, -below)
+    return Bounds(low, high, low_cause, high_cause, outside if outside > OUTSIDE else 0.0)
 
 
 def bound_changes(
     bounds: Bounds, previous: Float[np.ndarray, " nv"], acceleration: Float[np.ndarray, " nv"], dt: float
 ) -> Bounds:
     """The same bounds, narrowed to what acceleration limits allow in dt [s] after a velocity."""
-    _bound_changes(bounds, previous.tolist(), acceleration.tolist(), dt)
+    low, high = bounds.low, bounds.high
+    slowest, fastest = previous - acceleration * dt, previous + acceleration * dt
+    for j in range(low.shape[0]):
+        if slowest[j] > low[j]:
+            low[j], bounds.low_cause[j] = slowest[j], ACCELERATION
+        if fastest[j] < high[j]:
+            high[j], bounds.high_cause[j] = fastest[j], ACCELERATION
+        if low[j] > high[j]:  # too fast, or too far, for what the acceleration limit allows: it has precedence
+            low[j] = slowest[j] if high[j] < slowest[j] else fastest[j]
+            high[j] = low[j]
     return bounds
 
 
-def _bound_changes(bounds: Bounds, previous: list[float], accelerations: list[float], dt: float) -> None:
-    """Narrow bounds to what the acceleration limits allow after the velocity before."""
-    low, high = bounds.low, bounds.high
-    for j, (u, a) in enumerate(zip(previous, accelerations, strict=True)):
-        slowest, fastest = u - a * dt, u + a * dt
-        if slowest > low[j]:
-            low[j], bounds.low_cause[j] = slowest, ACCELERATION
-        if fastest < high[j]:
-            high[j], bounds.high_cause[j] = fastest, ACCELERATION
-        if low[j] > high[j]:  # too fast, or too far, for what the acceleration limit allows: it has precedence
-            low[j] = high[j] = slowest if high[j] < slowest else fastest
+def admitted(bounds: Bounds, u: Float[np.ndarray, " nv"]) -> bool:
+    """Whether a velocity is within bounds."""
+    for j in range(u.shape[0]):
+        if not bounds.low[j] <= u[j] <= bounds.high[j]:
+            return False
+    return True
+
+
+def binding(bounds: Bounds, u: Float[np.ndarray, " nv"], desired: Float[np.ndarray, " nv"]) -> tuple[int, int]:
+    """The joint at a bound whose desired velocity exceeds it most, and the limit that sets it; (-1, -1) if none."""
+    joint, cause, most = -1, -1, 0.0
+    above, below = desired - bounds.high, bounds.low - desired
+    for j in range(u.shape[0]):
+        if above[j] > most and u[j] >= bounds.high[j] - AT_BOUND * (1.0 + abs(u[j])):
+            joint, cause, most = j, bounds.high_cause[j], above[j]
+        elif below[j] > most and u[j] <= bounds.low[j] + AT_BOUND * (1.0 + abs(u[j])):
+            joint, cause, most = j, bounds.low_cause[j], below[j]
+    return joint, int(cause)
+
+
+def freer_sense(
+    lower: Float[np.ndarray, " nv"],
+    upper: Float[np.ndarray, " nv"],
+    x: Float[np.ndarray, " nv"],
+    direction: Float[np.ndarray, " nv"],
+) -> Float[np.ndarray, " nv"]:
+    """A direction, or its opposite where position limits leave that more room at joint positions x."""
+    fastest, ahead, behind = 0.0, math.inf, math.inf
+    for j in range(x.shape[0]):
+        fastest = max(fastest, abs(direction[j]))
+    for j in range(x.shape[0]):
+        speed = abs(direction[j])
+        if speed > 1e-3 * fastest:
+            up, down = (upper[j] - x[j]) / speed, (x[j] - lower[j]) / speed
+            if direction[j] < 0.0:
+                up, down = down, up
+            ahead, behind = min(ahead, up), min(behind, down)
+    return direction if fastest == 0.0 or ahead >= min(behind, ROOM_TO_LEAVE / fastest) else -direction
 
 
 def _positive(what: str, values: ArrayLike, names: tuple[str, ...]) -> Float[np.ndarray, " nv"]:

@@ -1,218 +1,312 @@
-"""The law u = A^+ b + N pi before limits, in every posture."""
+"""The law u = A^+ b + N pi before limits, in every posture: NumPy runs it, and numba compiles the same source."""
 
 from __future__ import annotations
 
 import math
-from math import isfinite
-from operator import mul
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
-from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
-from manip_learn.constraint.manipulability import SINGULAR_RATIO, manipulability_of
-from manip_learn.constraint.small_matrices import row_inverse, svd
+from manip_learn.constraint.manipulability import SINGULAR_RATIO
+from manip_learn.constraint.small_matrices import dot, row_inverse, svd, unit
 from manip_learn.control.bounded_velocity import Desired
-from manip_learn.control.limits import Limits
-from manip_learn.control.outcome import Law
-from manip_learn.control.policies import ManipulabilityAscent, NullSpacePolicy, SampledPolicy, WeightedPolicies
+from manip_learn.control.limits import LimitTable, freer_sense
 from manip_learn.control.singularity import (
     APPROACH_RATE,
     BRAKING_SHARE,
+    Ascent,
     Decomposition,
+    ascent_near_singularity,
+    ascent_velocity,
+    climbing_direction,
     escape_velocity,
     pressed_damping,
     smallest_gradient,
     smallest_gradient_of,
     stable_damping,
-    steepest_ascent,
 )
-from manip_learn.control.tasks import Hold, PointAttractor, Task
-from manip_learn.errors import TargetError
-from manip_learn.linalg import Inverse, damped_inverse, inverse_singular_values, rank_of
+from manip_learn.linalg import damped_inverse
+from manip_learn.robot.weighted_vjp import gradient
 
 # width of the escape from a singularity, as a share of the singular value at which damping sets in
 ESCAPE_WIDTH = 0.6
+TINY = float(np.finfo(np.float64).tiny)
+INVERSES = ("damped", "exact", "truncated")
+DAMPED, EXACT, TRUNCATED = range(3)
 
 
 @final
-class ResolvedRateLaw:
-    """Equation (2) of Manavalan and Howard, u = A^+ b + N pi, as `ResolvedRateController` describes it, before limits.
+class LawSettings(NamedTuple):
+    """What the law is told once.
 
-    Args:
-        constraint: A(q).
-        task: b(q, t).
-        null_policy: pi(q, t).
-        inverse: Kind of A^+.
+    Attributes:
+        inverse: Kind of A^+, its place in `INVERSES`.
         threshold: Singular value of A at which damping sets in.
         damping: Damping factor at a singular value of 0.
-        limits: Within which the command will be brought; None for none.
+        climbs: Whether the null-space policy is an ascent of A's own mu, which the law computes itself.
+        ascent: That policy.
+        escapes: Whether singularities are left.
+        limited: Whether commands are kept within limits.
+        by_library: Whether programs are solved by DAQP where it is at hand.
     """
 
-    def __init__(
-        self,
-        constraint: Constraint,
-        task: Task,
-        null_policy: NullSpacePolicy,
-        inverse: Inverse,
-        threshold: float,
-        damping: float,
-        limits: Limits | None,
-    ):
-        self.constraint, self.task, self.null_policy, self.limits = constraint, task, null_policy, limits
-        self.inverse: Inverse = inverse
-        self.threshold, self.damping = threshold, damping
-        self._own_task = type(task) in (PointAttractor, Hold)  # whose velocities need no check
-        policy = null_policy
-        self._ascent = policy if isinstance(policy, ManipulabilityAscent) and policy.constraint is constraint else None
-        climbs = self._ascent is not None and self._ascent.max_speed is not None
-        climbs = climbs or (isinstance(policy, WeightedPolicies) and policy.climbs(constraint))
-        self._escapes = inverse == "damped" and climbs
-        self._samples = policy if isinstance(policy, SampledPolicy) else None
-        self._brakes = inverse == "damped" and limits is not None
+    inverse: int
+    threshold: float
+    damping: float
+    climbs: bool
+    ascent: Ascent
+    escapes: bool
+    limited: bool
+    by_library: bool
 
-    def with_limits(self, limits: Limits) -> ResolvedRateLaw:
-        """The same law for a command within other limits."""
-        settings = (self.inverse, self.threshold, self.damping)
-        return ResolvedRateLaw(self.constraint, self.task, self.null_policy, *settings, limits)
 
-    def __call__(self, q: np.ndarray, t: float, dt: float) -> Law:
-        """The parts of the law at a posture.
+@final
+class Asked(NamedTuple):
+    """What is asked of one posture.
 
-        Raises:
-            ConfigurationError: The posture has the wrong size or is not finite.
-            TargetError: The task's target does not fit the constraint, or a velocity is not finite.
-        """
-        ascent, vjp = self._ascent, None
-        if ascent is None and not self._escapes:
-            A = self.constraint(q)
-        else:  # one Hessian and one inverse serve the task and the policy
-            A, vjp = self.constraint.value_and_vjp(q)
-        b, E = self.task.velocity_and_jacobian(self.constraint, q, t)
-        if not self._own_task:
-            b = self._checked(b, A.shape[0], "the task's velocity b")
-        if E is not None:  # orientation targets: the rows whose velocity b is are those of the error
-            return self._of_error_rows(q, t, dt, A, E, b, vjp)
-        inverse = row_inverse(A)
-        if inverse is None or (self.inverse == "damped" and inverse[2] < self.threshold):
-            return self._near_singularity(q, t, dt, A, b, vjp)
-        # nothing to damp or to truncate, the case of nearly every step
-        X, mu, smallest = inverse
-        pi = self._policy(q, t, dt) if ascent is None or vjp is None else ascent.from_inverse(X, mu, smallest, vjp, dt)
-        desired = Desired(b.dot(X), pi - A.dot(pi).dot(X), None)
-        return Law(A, b, desired, mu, smallest, False, None, vjp, X)
+    Attributes:
+        A: Constraint matrix, whose mu is climbed.
+        rows: Those whose velocity b is: A itself, or those of an error (`Task.error_jacobian`).
+        own: Whether they are A itself.
+        b: Task velocity.
+        pi: Velocity of a null-space policy that does not climb A's own mu.
+        q: Joint positions [rad or m].
+        dt: Time for which the command is held [s].
+    """
 
-    def _of_error_rows(
-        self, q: np.ndarray, t: float, dt: float, A: np.ndarray, E: np.ndarray, b: np.ndarray, vjp: Vjp | None
-    ) -> Law:
-        """The law with E in the place of A (see `Task.error_jacobian`); mu and its ascent are those of A."""
-        own, ascent = row_inverse(A), self._ascent
-        if ascent is None or vjp is None:
-            pi = self._policy(q, t, dt)
-        elif own is None:
-            pi = ascent.from_decomposition(A.shape, svd(A), vjp, dt)
-        else:
-            pi = ascent.from_inverse(*own, vjp, dt)
-        mu, inverse = manipulability_of(A) if own is None else own[1], row_inverse(E)
-        if inverse is None or (self.inverse == "damped" and inverse[2] < self.threshold):
-            return self._near_singularity(q, t, dt, E, b, None, pi)._replace(mu=mu, barred=False)
-        X, _, smallest = inverse
-        return Law(
-            E, b, Desired(b.dot(X), pi - E.dot(pi).dot(X), None), mu, smallest, False, None, None, X, barred=False
-        )
+    A: Float[np.ndarray, "s nv"]
+    rows: Float[np.ndarray, "s nv"]
+    own: bool
+    b: Float[np.ndarray, " s"]
+    pi: Float[np.ndarray, " nv"]
+    q: Float[np.ndarray, " nv"]
+    dt: float
 
-    def _near_singularity(
-        self,
-        q: np.ndarray,
-        t: float,
-        dt: float,
-        A: np.ndarray,
-        b: np.ndarray,
-        vjp: Vjp | None,
-        pi: np.ndarray | None = None,
-    ) -> Law:
-        """The law by the singular value decomposition, see the class."""
-        U, sigma, Vt = decomposition = Decomposition(*svd(A))
-        values, ascent, climb, slope, escape = sigma.tolist(), self._ascent, None, None, None
-        smallest, k, threshold = values[-1], len(values), self.threshold
-        V, singular, fits = Vt[:k], smallest <= SINGULAR_RATIO * values[0], A.shape[0] <= A.shape[1]
-        if pi is None and ascent is not None and vjp is not None:
-            if singular and fits and ascent.logarithmic and ascent.max_speed is not None:
-                climb = steepest_ascent(decomposition, vjp)
-                pi = ascent.seed * climb
-            elif singular or not (fits and ascent.logarithmic):
-                pi = ascent.from_decomposition(A.shape, decomposition, vjp, dt)
-            else:
-                climb = vjp((U / sigma).dot(V))  # grad log mu
-                pi = ascent.bounded(climb, smallest, dt)
-        elif pi is None:
-            pi = self._policy(q, t, dt)
-        along, damping = b.dot(U).tolist(), self.damping
-        task_part, stable = self._task_part(sigma, along, A, V, damping), stable_damping(values, along, threshold, dt)
-        presses = self._brakes and stable > damping
-        if not singular and (presses or (self._escapes and smallest < ESCAPE_WIDTH * threshold)):
-            slope = smallest_gradient(decomposition, vjp or self.constraint.value_and_vjp(q)[1])
-            if presses:
-                damping = pressed_damping(damping, stable, slope, task_part)
-                task_part = self._task_part(sigma, along, A, V, damping)
-        Z = Vt[rank_of(sigma, A.shape) :]
-        if self._escapes and vjp is not None:
-            escape = escape_velocity(decomposition, vjp, dt, ESCAPE_WIDTH * threshold, climb, slope)
-            if singular and self.limits is not None:
-                # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
-                escape = self.limits.freer_sense(q, escape)
-        desired = Desired(task_part, Z.dot(pi).dot(Z), escape)
-        mu = math.prod(values) if fits else 0.0
-        return Law(A, b, desired, mu, smallest, singular, decomposition, vjp, None, slope)
 
-    def _task_part(
-        self, sigma: np.ndarray, along: list[float], A: np.ndarray, V: np.ndarray, damping: float
-    ) -> np.ndarray:
-        """A^+ b = V diag(g) U^T b."""
-        if self.inverse == "damped":  # in plain numbers
-            gains = [damped_inverse(value, self.threshold, damping) for value in sigma.tolist()]
-        else:
-            gains = inverse_singular_values(sigma, A.shape, self.inverse).tolist()
-        return np.fromiter(map(mul, gains, along), np.float64, len(gains)).dot(V)
+@final
+class Law(NamedTuple):
+    """Equation (2) at one posture, before limits.
 
-    def approach(
-        self, q: Float[np.ndarray, " n"], dt: float, law: Law, u: Float[np.ndarray, " nv"]
-    ) -> Float[np.ndarray, " nv"] | None:
-        """Gradient of the smallest singular value, where u could approach the singularity too fast; None elsewhere.
+    Attributes:
+        A: The rows whose velocity b is.
+        b: Task velocity.
+        desired: A^+ b, N pi and the velocity out of a singularity.
+        escapes: Whether there is a velocity out of singularities, be it zero.
+        mu: Manipulability.
+        smallest: Smallest singular value.
+        singular: Whether a direction is lost.
+        regular: Whether A is well-conditioned.
+        basis: A^{+T} where it is, and otherwise Z^T with Z Z^T = N.
+        sloped: Whether `slope` is known.
+        slope: Gradient of the smallest singular value.
+        barred: Whether the approach to the rows' singularities is bounded.
+    """
 
-        Args:
-            q: Posture.
-            dt: Time for which the velocity is held [s].
-            law: Of this posture.
-            u: Joint velocity [rad/s or m/s].
-        """
-        A, smallest, limits = law.A, law.smallest, self.limits
-        if not (self._brakes and law.barred) or limits is None or law.singular or A.shape[0] > A.shape[1]:
-            return None
-        # |grad sigma| is about as large as A itself: no closer look where that is slow enough
-        flat = A.reshape(-1)
-        size = float(flat.dot(flat))
-        least_deceleration = BRAKING_SHARE * limits.weakest * math.sqrt(size)
-        rate = min(APPROACH_RATE, 0.5 / dt) * smallest
-        if float(u.dot(u)) * size < min(2.0 * least_deceleration * smallest, rate * rate):
-            return None
-        if law.slope is not None:
-            return law.slope
-        vjp = law.vjp or self.constraint.value_and_vjp(q)[1]
-        if law.decomposition is None:
-            return smallest_gradient_of(A, law.X, law.mu, smallest, vjp)
-        return smallest_gradient(law.decomposition, vjp)
+    A: Float[np.ndarray, "s nv"]
+    b: Float[np.ndarray, " s"]
+    desired: Desired
+    escapes: bool
+    mu: float
+    smallest: float
+    singular: bool
+    regular: bool
+    basis: Float[np.ndarray, "k nv"]
+    sloped: bool
+    slope: Float[np.ndarray, " nv"]
+    barred: bool
 
-    def _policy(self, q: np.ndarray, t: float, dt: float) -> np.ndarray:
-        pi = self.null_policy(q, t) if self._samples is None else self._samples(q, t, dt)
-        return self._checked(pi, self.constraint.nv, "the null-space policy's velocity")
 
-    @staticmethod
-    def _checked(vector: ArrayLike, size: int, what: str) -> np.ndarray:
-        array = np.asarray(vector, np.float64)
-        if array.shape != (size,) or not isfinite(sum(array.tolist())):
-            raise TargetError(f"{what} must be {size} finite numbers, got {array.tolist()}")
-        return array
+def law_at(settings: LawSettings, limits: LimitTable, asked: Asked, motion: Vjp) -> Law:
+    """The parts of the law at a posture.
+
+    Args:
+        settings: Of the law.
+        limits: Of the robot; of no meaning where there are none.
+        asked: Rows and velocities.
+        motion: Vector-Jacobian product of A.
+    """
+    A = asked.A
+    X, mu, smallest = row_inverse(A)
+    if not asked.own:
+        return _of_error_rows(settings, limits, asked, motion, X, mu)
+    if not is_regular(settings, mu, smallest):
+        return _near_singularity(settings, limits, asked, motion, mu)
+    # nothing to damp or to truncate, the case of nearly every step
+    pi = ascent_velocity(settings.ascent, gradient(motion, X), mu, asked.dt) if settings.climbs else asked.pi
+    return _regular(asked, pi, X, mu, smallest)
+
+
+def is_regular(settings: LawSettings, volume: float, smallest: float) -> bool:
+    """Whether rows are inverted as they are, by what `row_inverse` says of them."""
+    return volume > 0.0 and not (settings.inverse == DAMPED and smallest < settings.threshold)
+
+
+def _regular(asked: Asked, pi: Float[np.ndarray, " nv"], X: Float[np.ndarray, "s nv"], mu: float, smallest: float) -> Law:
+    """The law from X = A^{+T}: N pi = pi - A^+ (A pi)."""
+    A, b = asked.rows, asked.b
+    none = np.zeros(pi.shape[0])
+    return Law(
+        A=A,
+        b=b,
+        desired=Desired(dot(b, X), pi - dot(dot(A, pi), X), none),
+        escapes=False,
+        mu=mu,
+        smallest=smallest,
+        singular=False,
+        regular=True,
+        basis=X,
+        sloped=False,
+        slope=none,
+        barred=asked.own,
+    )
+
+
+def _of_error_rows(
+    settings: LawSettings, limits: LimitTable, asked: Asked, motion: Vjp, X: Float[np.ndarray, "s nv"], mu: float
+) -> Law:
+    """The law with the rows of an error in the place of A (see `Task.error_jacobian`); mu and its ascent are A's."""
+    A, pi = asked.A, asked.pi
+    if mu > 0.0 and settings.climbs:
+        pi = ascent_velocity(settings.ascent, gradient(motion, X), mu, asked.dt)
+    elif mu == 0.0:
+        U, sigma, Vt = svd(A)
+        if A.shape[0] <= A.shape[1]:
+            mu = _volume(sigma)
+            if settings.climbs:
+                decomposition = Decomposition(U, sigma, Vt)
+                climb = climbing_direction(decomposition, motion)
+                pi = ascent_near_singularity(settings.ascent, decomposition, climb, motion, asked.dt)
+    X, volume, smallest = row_inverse(asked.rows)
+    if is_regular(settings, volume, smallest):
+        return _regular(asked, pi, X, mu, smallest)
+    asked = Asked(A, asked.rows, False, asked.b, pi, asked.q, asked.dt)
+    return _near_singularity(settings, limits, asked, motion, mu)
+
+
+def _near_singularity(settings: LawSettings, limits: LimitTable, asked: Asked, motion: Vjp, mu: float) -> Law:
+    """The law by the singular value decomposition; `mu` is that of other rows than A."""
+    A, b, own, dt, threshold = asked.rows, asked.b, asked.own, asked.dt, settings.threshold
+    U, sigma, Vt = svd(A)
+    decomposition = Decomposition(U, sigma, Vt)
+    s, nv, k = A.shape[0], A.shape[1], sigma.shape[0]
+    smallest, fits, along = sigma[k - 1], s <= nv, dot(b, U)
+    singular = smallest <= SINGULAR_RATIO * sigma[0]
+    pi, climb = asked.pi, np.zeros(nv)
+    slope = climb
+    if own and fits and (settings.climbs or settings.escapes):
+        if settings.escapes or settings.ascent.logarithmic:
+            climb = climbing_direction(decomposition, motion)
+        if settings.climbs:
+            pi = ascent_near_singularity(settings.ascent, decomposition, climb, motion, dt)
+    brakes = settings.inverse == DAMPED and settings.limited
+    task = task_part(settings, decomposition, along, settings.damping)
+    stable = stable_damping(sigma, along, threshold, dt)
+    presses = brakes and stable > settings.damping
+    sloped = not singular and (presses or (own and fits and (brakes or settings.escapes)))
+    if sloped:
+        slope = smallest_gradient(decomposition, motion)
+    if sloped and presses:
+        damping = pressed_damping(settings.damping, stable, slope, task)
+        task = task_part(settings, decomposition, along, damping)
+    Z = Vt[rank_of(sigma, max(s, nv)) :]
+    escape = np.zeros(nv)
+    if settings.escapes and own:
+        escape = escape_velocity(decomposition, climb, slope, dt, ESCAPE_WIDTH * threshold)
+        if singular and settings.limited:
+            # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
+            escape = freer_sense(limits.lower, limits.upper, asked.q, escape)
+    if own:
+        mu = _volume(sigma) if fits else 0.0
+    return Law(
+        A=A,
+        b=b,
+        desired=Desired(task, dot(dot(Z, pi), Z), escape),
+        escapes=settings.escapes and own,
+        mu=mu,
+        smallest=smallest,
+        singular=singular,
+        regular=False,
+        basis=Z,
+        sloped=sloped,
+        slope=slope,
+        barred=own,
+    )
+
+
+def task_part(
+    settings: LawSettings, decomposition: Decomposition, along: Float[np.ndarray, " s"], damping: float
+) -> Float[np.ndarray, " nv"]:
+    """A^+ b = V diag(g) U^T b, see `ResolvedRateController`."""
+    U, sigma, Vt = decomposition
+    gains = np.zeros(sigma.shape[0])
+    least = TINY if settings.inverse == EXACT else matlab_tolerance(sigma, max(U.shape[0], Vt.shape[0]))
+    for i in range(sigma.shape[0]):
+        if settings.inverse == DAMPED:
+            gains[i] = damped_inverse(sigma[i], settings.threshold, damping) * along[i]
+        elif sigma[i] > least:
+            gains[i] = along[i] / sigma[i]
+    return dot(gains, Vt[: sigma.shape[0]])
+
+
+def rank_of(sigma: Float[np.ndarray, " k"], size: int) -> int:
+    """Number of singular values above Matlab's tolerance, for the larger side of the matrix."""
+    least, rank = matlab_tolerance(sigma, size), 0
+    for i in range(sigma.shape[0]):
+        rank += int(sigma[i] > least)
+    return rank
+
+
+def matlab_tolerance(sigma: Float[np.ndarray, " k"], size: int) -> float:
+    """Matlab's pinv tolerance, the larger side of the matrix times eps(norm(A))."""
+    return size * np.spacing(sigma[0])
+
+
+def _volume(sigma: Float[np.ndarray, " k"]) -> float:
+    volume = 1.0
+    for i in range(sigma.shape[0]):
+        volume *= sigma[i]
+    return volume
+
+
+def null_rows(law: Law) -> Float[np.ndarray, "k nv"]:
+    """Z^T with Z Z^T = N near singularities, and N itself elsewhere."""
+    return unit(law.A.shape[1]) - dot(law.A.T, law.basis) if law.regular else law.basis
+
+
+def approach(
+    settings: LawSettings, limits: LimitTable, law: Law, motion: Vjp, u: Float[np.ndarray, " nv"]
+) -> tuple[bool, Float[np.ndarray, " nv"]]:
+    """Whether u could approach a singularity too fast, and the gradient of the smallest singular value there.
+
+    Args:
+        settings: Of the law.
+        limits: Of the robot.
+        law: At this posture.
+        motion: Vector-Jacobian product of A.
+        u: Joint velocity [rad/s or m/s].
+    """
+    A, smallest = law.A, law.smallest
+    brakes = settings.inverse == DAMPED and settings.limited and law.barred
+    if not brakes or law.singular or A.shape[0] > A.shape[1]:
+        return False, law.slope
+    flat = A.reshape(-1)
+    if is_slow(limits, smallest, dot(u, u), dot(flat, flat)):
+        return False, law.slope
+    if law.sloped:
+        return True, law.slope
+    return True, smallest_gradient_of(A, law.basis, law.mu, smallest, motion)
+
+
+def is_slow(limits: LimitTable, smallest: float, speed: float, size: float) -> bool:
+    """Whether a velocity is too slow for a closer look at the approach to a singularity.
+
+    Args:
+        limits: Of the robot.
+        smallest: Smallest singular value of A.
+        speed: Square of the velocity's norm.
+        size: Square of A's; |grad sigma| is about as large as A itself.
+    """
+    rate = min(APPROACH_RATE, 0.5 / limits.dt) * smallest
+    return speed * size < min(2.0 * BRAKING_SHARE * limits.weakest * math.sqrt(size) * smallest, rate * rate)

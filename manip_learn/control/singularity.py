@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
-from operator import truediv
 from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dsyev  # pyright: ignore[reportAttributeAccessIssue]
 
 from manip_learn.constraint.features.feature_map import Vjp
-from manip_learn.constraint.manipulability import SINGULAR_RATIO
-from manip_learn.constraint.small_matrices import svd
-from manip_learn.robot.weighted_vjp import vjps
+from manip_learn.constraint.manipulability import (
+    SINGULAR_RATIO,
+    escape_direction,
+    gradient_from,
+    lost_rates,
+    rank_at,
+)
+from manip_learn.constraint.small_matrices import dot, leading, svd
+from manip_learn.robot.weighted_vjp import gradient
 
 # [rad/s] speed at which a singularity is left
 ESCAPE_SPEED = 0.2
@@ -45,37 +49,110 @@ class Decomposition(NamedTuple):
     Vt: Float[np.ndarray, "nv nv"]
 
 
-def smallest_gradient(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarray, " nv"]:
+@final
+class Ascent(NamedTuple):
+    """How a null-space policy climbs mu, see `ManipulabilityAscent`.
+
+    Attributes:
+        gain: [rad^2/s] for log mu.
+        logarithmic: Whether log mu is climbed.
+        max_speed: [rad/s]; inf for no bound.
+    """
+
+    gain: float
+    logarithmic: bool
+    max_speed: float
+
+
+def ascent_velocity(
+    ascent: Ascent, slope: Float[np.ndarray, " nv"], mu: float, dt: float
+) -> Float[np.ndarray, " nv"]:
+    """gain * grad mu, or gain * grad log mu shortened to the bound.
+
+    Args:
+        ascent: The policy.
+        slope: grad log mu.
+        mu: Manipulability.
+        dt: Time for which the velocity is held [s].
+    """
+    return slope * ascent_gain(ascent, dot(slope, slope), mu, dt)
+
+
+def ascent_gain(ascent: Ascent, square: float, mu: float, dt: float) -> float:
+    """The factor on grad log mu, whose norm has this square."""
+    if not ascent.logarithmic:
+        return ascent.gain * mu
+    if ascent.max_speed == math.inf:
+        return ascent.gain
+    steepness = math.sqrt(square)
+    ramp = dt * ascent.max_speed * steepness / STABLE_SLOPE  # r / sigma
+    longest = ascent.max_speed / math.sqrt(1.0 + ramp * ramp)
+    return ascent.gain if ascent.gain * steepness <= longest else longest / steepness
+
+
+def ascent_near_singularity(
+    ascent: Ascent, decomposition: Decomposition, climb: Float[np.ndarray, " nv"], motion: Vjp, dt: float
+) -> Float[np.ndarray, " nv"]:
+    """The same by the singular value decomposition of A, for no more rows than joints, at a singularity too.
+
+    Args:
+        ascent: The policy.
+        decomposition: Of A(q).
+        climb: See `climbing_direction`.
+        motion: Vector-Jacobian product of A.
+        dt: Time for which the velocity is held [s].
+    """
+    sigma, Vt = decomposition.sigma, decomposition.Vt
+    s = sigma.shape[0]
+    singular = sigma[s - 1] <= SINGULAR_RATIO * sigma[0]
+    if ascent.logarithmic and not singular:
+        return ascent_velocity(ascent, climb, 0.0, dt)
+    if ascent.logarithmic and ascent.max_speed < math.inf:
+        return min(ascent.max_speed, SEED_SPEED) * climb
+    if ascent.logarithmic and s > 1 and sigma[s - 2] <= SINGULAR_RATIO * sigma[0]:
+        return escape_direction(decomposition, motion) * (ascent.gain / SINGULAR_RATIO)
+    mu, slope, floor = gradient_from((s, Vt.shape[0]), decomposition, motion)
+    return slope * (ascent.gain / max(mu, floor, 1e-300) if ascent.logarithmic else ascent.gain)
+
+
+def climbing_direction(decomposition: Decomposition, motion: Vjp) -> Float[np.ndarray, " nv"]:
+    """grad log mu; at a singularity itself `steepest_ascent`; for no more rows than joints."""
+    U, sigma, Vt = decomposition
+    s = sigma.shape[0]
+    if sigma[s - 1] <= SINGULAR_RATIO * sigma[0]:
+        return steepest_ascent(decomposition, motion)
+    return gradient(motion, dot(U / sigma, Vt[:s]))
+
+
+def smallest_gradient(decomposition: Decomposition, motion: Vjp) -> Float[np.ndarray, " nv"]:
     """d sigma_min / dq = u_min^T (dA / dq) v_min, for a singular value that is neither 0 nor double."""
     U, sigma, Vt = decomposition
     k = sigma.shape[0]
-    return vjp(U[:, k - 1 : k].dot(Vt[k - 1 : k]))
+    return gradient(motion, U[:, k - 1].copy().reshape((-1, 1)) * Vt[k - 1])
 
 
 def smallest_gradient_of(
-    A: Float[np.ndarray, "s nv"], X: Float[np.ndarray, "s nv"] | None, mu: float, smallest: float, vjp: Vjp
+    A: Float[np.ndarray, "s nv"], X: Float[np.ndarray, "s nv"], mu: float, smallest: float, motion: Vjp
 ) -> Float[np.ndarray, " nv"]:
-    """The same away from singularities, from A, A^{+T} and mu: weights u_min v_min^T, v_min = A^T u_min / sigma_min."""
+    """The same away from singularities, from A, A^{+T} and mu."""
     s = A.shape[0]
     if s == 1:
-        return vjp(A) / smallest
-    if s == 2 and X is not None:  # A^{+T} - A / sigma_1^2 has no part along v_1
+        return gradient(motion, A) / smallest
+    if s == 2:  # A^{+T} - A / sigma_1^2 has no part along v_1
         square = (mu / smallest) ** 2
         gap = square - smallest * smallest
         if gap > DOUBLE * square:
-            return vjp(X - A * (1.0 / square)) * (smallest * square / gap)
-    _, vectors, failed = dsyev(A.dot(A.T))
-    u = vectors[:, 0] if not failed else np.linalg.svd(A)[0][:, -1]
-    return vjp(u[:, None] * (u.dot(A) / smallest))
+            return gradient(motion, X - A * (1.0 / square)) * (smallest * square / gap)
+    U, sigma, Vt = svd(A)
+    return smallest_gradient(Decomposition(U, sigma, Vt), motion)
 
 
 def escape_velocity(
     decomposition: Decomposition,
-    vjp: Vjp,
+    climb: Float[np.ndarray, " nv"],
+    slope: Float[np.ndarray, " nv"],
     dt: float,
     width: float,
-    ascent: Float[np.ndarray, " nv"] | None = None,
-    slope: Float[np.ndarray, " nv"] | None = None,
 ) -> Float[np.ndarray, " nv"]:
     """Joint velocity out of a singularity, along the directions v_i whose singular values are below `width`.
 
@@ -89,68 +166,50 @@ def escape_velocity(
     It vanishes at the singularity itself, so that it is continuous there and an explicit step of dt can follow it; it
     grows exponentially beside it, in STABLE_SLOPE / dt per second at most. At the singularity itself, `SEED_SPEED`
     along the steepest ascent of mu among the directions that A does not see starts the motion. It disturbs the task by
-    A e, at most ESCAPE_SPEED sigma.
+    A e, at most ESCAPE_SPEED sigma. Where A has more rows than columns, every posture is singular: zero.
 
     Args:
         decomposition: Of A(q).
-        vjp: weights -> sum_ij weights_ij dA_ij / dq_k.
+        climb: See `climbing_direction`.
+        slope: Gradient of the smallest singular value; of no use at the singularity itself.
         dt: Time for which the velocity is held [s].
         width: Singular value at which it ends, in the constraint's units.
-        ascent: grad log mu, where it is known; at the singularity itself its steepest ascent.
-        slope: Gradient of the smallest singular value, where it is known.
     """
     U, sigma, Vt = decomposition
     s, nv = U.shape[0], Vt.shape[0]
-    smallest = float(sigma[-1])
-    if smallest >= width or s > nv:
+    smallest = sigma[sigma.shape[0] - 1]
+    if s > nv or smallest >= width:
         return np.zeros(nv)
-    values = sigma.tolist()
     seed = SEED_SPEED * max(0.0, 1.0 - smallest / (SEED_SHARE * width))
-    if smallest <= SINGULAR_RATIO * values[0]:
-        return seed * (steepest_ascent(decomposition, vjp) if ascent is None else ascent)
-    shares = [max(0.0, 1.0 - (x / width) ** 2) ** 2 for x in values]
-    if ascent is None:
-        ascent = vjp((U / sigma).dot(Vt[:s]))
-    if s == 1 or shares[-2] == 0.0:  # the usual case: one direction, whose sense is all that is asked for
-        shared, d = shares[-1] * float(Vt[s - 1].dot(ascent)), Vt[s - 1]
-        length = math.copysign(1.0, shared) if shared != 0.0 else 0.0
-    else:
-        d = (np.array(shares) * Vt[:s].dot(ascent)).dot(Vt[:s])
-        length = math.sqrt(d.dot(d))
+    if smallest <= SINGULAR_RATIO * sigma[0]:
+        return seed * climb
+    shares = np.maximum(0.0, 1.0 - (sigma / width) ** 2) ** 2
+    V = Vt[:s]
+    d = dot(shares * dot(V, climb), V)
+    length = math.sqrt(dot(d, d))
     if length == 0.0:
         return np.zeros(nv)
-    if slope is None:
-        slope = smallest_gradient(decomposition, vjp)
-    ramp = dt * ESCAPE_SPEED * math.sqrt(slope.dot(slope)) / STABLE_SLOPE
-    speed = ESCAPE_SPEED * shares[-1] * smallest / math.hypot(smallest, ramp)
-    return (max(speed, seed) / length) * d
+    ramp = dt * ESCAPE_SPEED * math.sqrt(dot(slope, slope)) / STABLE_SLOPE
+    speed = ESCAPE_SPEED * shares[s - 1] * smallest / math.hypot(smallest, ramp)
+    return d * (max(speed, seed) / length)
 
 
-def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarray, " nv"]:
+def steepest_ascent(decomposition: Decomposition, motion: Vjp) -> Float[np.ndarray, " nv"]:
     """Unit vector along which the lost singular values grow fastest, in the null space of A if they grow there.
 
     With U_0, V_0 spanning what A has lost, U_0^T A(q + step) V_0 is linear in the step, with matrix M; mu is a cone
     there, and the leading right singular vector of M its steepest ascent.
     """
-    U, sigma, Vt = decomposition
-    largest, *others = sigma.tolist()
-    rank = 1 + sum(x > SINGULAR_RATIO * largest for x in others) if largest > 0.0 else 0
-    Z = Vt[rank:]
-    rows = [vjps(vjp, U[:, i : i + 1] * Z.reshape(-1), Z.shape[0]) for i in range(rank, U.shape[1])]
-    M = rows[0] if len(rows) == 1 else np.concatenate(rows)
+    M, Z = lost_rates(decomposition, motion), decomposition.Vt[rank_at(decomposition.sigma) :]
     flat = M.reshape(-1)
-    square = float(flat.dot(flat))
+    square = dot(flat, flat)
     if square == 0.0:
         return np.zeros(M.shape[1])
-    inside = M.dot(Z.T)
-    squares, vectors, failed = dsyev(inside.T.dot(inside))
+    rate, inside = leading(dot(M, Z.T))
     # the largest rate of all is at most the root of `square`, and seldom less than half of it
-    if not failed and squares[-1] > 1e-12 * square:
-        direction = vectors[:, -1].dot(Z)
-    else:
-        direction = svd(M)[2][0]
-    values = direction.tolist()
-    return -direction if max(values) < -min(values) else direction
+    direction = dot(inside, Z) if rate > 1e-6 * math.sqrt(square) else leading(M)[1]
+    largest = np.abs(direction).argmax()
+    return -direction if direction[largest] < 0.0 else direction
 
 
 def approach_bound(
@@ -170,17 +229,20 @@ def approach_bound(
         acceleration: Acceleration limits [rad/s2 or m/s2].
         dt: Time for which a velocity is held [s].
     """
-    parts = slope.tolist()
-    length = math.hypot(*parts)
+    length = math.sqrt(dot(slope, slope))
     if length == 0.0:
         return math.inf
-    largest = max(map(truediv, map(abs, parts), acceleration.tolist()))
+    largest = 0.0
+    for j in range(slope.shape[0]):
+        largest = max(largest, abs(slope[j]) / acceleration[j])
     deceleration = BRAKING_SHARE * length * length / largest if largest > 0.0 else math.inf
     rate = min(APPROACH_RATE, 0.5 / dt)
     return length * CROSSING_SPEED + min(rate * smallest, math.sqrt(2.0 * deceleration * smallest))
 
 
-def stable_damping(sigma: list[float], along: list[float], threshold: float, dt: float) -> float:
+def stable_damping(
+    sigma: Float[np.ndarray, " k"], along: Float[np.ndarray, " s"], threshold: float, dt: float
+) -> float:
     """Damping lambda at which an explicit step of dt follows a task that presses into a singularity.
 
     The joint velocity beta sigma / (sigma^2 + lambda^2) has the slope |grad sigma| beta / lambda^2 at the singularity,
@@ -193,9 +255,9 @@ def stable_damping(sigma: list[float], along: list[float], threshold: float, dt:
         dt: Time for which a velocity is held [s].
     """
     beta = 0.0
-    for x, value in zip(along, sigma, strict=False):
-        if value < threshold:
-            beta = max(beta, abs(x))
+    for i in range(sigma.shape[0]):
+        if sigma[i] < threshold:
+            beta = max(beta, abs(along[i]))
     return math.sqrt(beta * sigma[0] * dt / (2.0 * STABLE_SLOPE))
 
 
@@ -210,7 +272,7 @@ def pressed_damping(
         slope: Gradient of the smallest singular value.
         task_part: A^+ b.
     """
-    size = math.sqrt(slope.dot(slope) * task_part.dot(task_part))
-    pressing = -float(slope.dot(task_part)) / size if size > 0.0 else 0.0
+    size = math.sqrt(dot(slope, slope) * dot(task_part, task_part))
+    pressing = -dot(slope, task_part) / size if size > 0.0 else 0.0
     share = min(1.0, max(0.0, pressing / FULLY_PRESSING))
     return math.sqrt((1.0 - share) * damping**2 + share * stable**2)

@@ -60,6 +60,13 @@ class WeightedVjp:
         return out
 
 
+def gradient(
+    vjp: Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]], weights: Float[np.ndarray, "s nv"]
+) -> Float[np.ndarray, " nv"]:
+    """The vector-Jacobian product, as what the control law calls; its compiled form has arrays in the place of `vjp`."""
+    return vjp(weights)
+
+
 def vjps(
     vjp: Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]],
     weights: Float[np.ndarray, "s m"],

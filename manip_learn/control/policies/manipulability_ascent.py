@@ -11,10 +11,15 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
-from manip_learn.constraint.manipulability import SINGULAR_RATIO, escape_direction, gradient_from
 from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.control.policies.policy import SampledPolicy
-from manip_learn.control.singularity import SEED_SPEED, STABLE_SLOPE, Decomposition, steepest_ascent
+from manip_learn.control.singularity import (
+    Ascent,
+    Decomposition,
+    ascent_near_singularity,
+    ascent_velocity,
+    climbing_direction,
+)
 from manip_learn.errors import ConstraintError
 
 # [rad^2/s] default gain: the highest manipulability of the gains that were compared (docs/control.md)
@@ -71,6 +76,7 @@ class ManipulabilityAscent(SampledPolicy):
         self.gain = float(gain)
         self.logarithmic = bool(logarithmic)
         self.max_speed = None if max_speed is None or not logarithmic else float(max_speed)
+        self.ascent = Ascent(self.gain, self.logarithmic, math.inf if self.max_speed is None else self.max_speed)
 
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
         """Ascent velocity, finite everywhere.
@@ -83,57 +89,18 @@ class ManipulabilityAscent(SampledPolicy):
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
-        A, vjp = self.constraint.value_and_vjp(q)
-        inverse = row_inverse(A)
-        if inverse is not None:
-            return self.from_inverse(*inverse, vjp, dt)
-        return self.from_decomposition(A.shape, svd(A), vjp, dt)
+        return self.velocity(*self.constraint.value_and_vjp(q), dt)
 
-    def from_inverse(
-        self, X: Float[np.ndarray, "s nv"], mu: float, smallest: float, vjp: Vjp, dt: float
-    ) -> Float[np.ndarray, " nv"]:
-        """The same away from singularities, where d log mu = A^{+T} : dA, from X = A^{+T} that the controller has."""
-        if not self.logarithmic:
-            return vjp(X) * (self.gain * mu)
-        return self.bounded(vjp(X), smallest, dt)
-
-    def from_decomposition(
-        self, shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp, dt: float
-    ) -> Float[np.ndarray, " nv"]:
-        """The same near a singularity too, see `gradient_from`."""
-        sigma = decomposition[1]
-        smallest = float(sigma[-1])
-        if self.logarithmic and shape[0] > shape[1]:
-            return np.zeros(shape[1])
-        if self.logarithmic and self.max_speed is not None and smallest <= SINGULAR_RATIO * sigma[0]:
-            return self.seed * steepest_ascent(Decomposition(*decomposition), vjp)
-        mu, gradient, floor = gradient_from(shape, decomposition, vjp)
-        if not self.logarithmic:
-            return gradient * self.gain
-        if 1 < shape[0] <= shape[1] and sigma[-2] <= SINGULAR_RATIO * sigma[0]:
-            return escape_direction(decomposition, vjp) * (self.gain / SINGULAR_RATIO)
-        return self.bounded(gradient / max(mu, floor, 1e-300), smallest, dt)
-
-    @property
-    def seed(self) -> float:
-        """Speed at a singularity itself [rad/s]; only where the policy is bounded."""
-        return SEED_SPEED if self.max_speed is None else min(self.max_speed, SEED_SPEED)
-
-    def bounded(self, slope: Float[np.ndarray, " nv"], smallest: float, dt: float) -> Float[np.ndarray, " nv"]:
-        """gain * grad log mu, shortened to the bound.
-
-        Args:
-            slope: grad log mu.
-            smallest: Smallest singular value of A.
-            dt: Time for which the velocity is held [s].
-        """
-        if self.max_speed is None:
-            return slope * self.gain
-        steepness = math.sqrt(slope.dot(slope))
-        ramp = dt * self.max_speed * steepness / STABLE_SLOPE  # r / sigma
-        longest = self.max_speed / math.sqrt(1.0 + ramp * ramp)
-        speed = self.gain * steepness
-        return slope * (self.gain if speed <= longest else longest / steepness)
+    def velocity(self, A: Float[np.ndarray, "s nv"], vjp: Vjp, dt: float) -> Float[np.ndarray, " nv"]:
+        """The same for a matrix and its vector-Jacobian product."""
+        X, mu, _ = row_inverse(A)
+        if mu > 0.0:  # away from singularities d log mu = A^{+T} : dA
+            return ascent_velocity(self.ascent, vjp(X), mu, dt)
+        if A.shape[0] > A.shape[1]:
+            return np.zeros(A.shape[1])
+        decomposition = Decomposition(*svd(A))
+        climb = climbing_direction(decomposition, vjp)
+        return ascent_near_singularity(self.ascent, decomposition, climb, vjp, dt)
 
     def __repr__(self) -> str:
         return f"ManipulabilityAscent(gain={self.gain:g}, logarithmic={self.logarithmic})"

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.penalised_manipulability import limited_robot, penalised_value_and_vjp
-from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.control.policies.manipulability_ascent import ASCENT_GAIN, ManipulabilityAscent
 from manip_learn.control.policies.policy import SampledPolicy
 
@@ -50,11 +49,7 @@ class PenalisedManipulabilityAscent(SampledPolicy):
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
-        A, vjp = penalised_value_and_vjp(self.constraint, q)
-        inverse = row_inverse(A)
-        if inverse is not None:
-            return self._ascent.from_inverse(*inverse, vjp, dt)
-        return self._ascent.from_decomposition(A.shape, svd(A), vjp, dt)
+        return self._ascent.velocity(*penalised_value_and_vjp(self.constraint, q), dt)
 
     def __repr__(self) -> str:
         return f"PenalisedManipulabilityAscent(gain={self.gain:g})"

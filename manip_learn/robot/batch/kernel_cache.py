@@ -7,12 +7,15 @@ all kernel files. Without numba the kernels are plain Python functions: slow, an
 
 from __future__ import annotations
 
+import dis
 import hashlib
+import inspect
 import logging
 import threading
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, ModuleType
 from typing import Any
 
 try:
@@ -27,44 +30,30 @@ FIRST_COMPILE = "compiling the controller, once per machine and version of the l
 _LOGGER = logging.getLogger("manip_learn")
 
 PACKAGE = Path(__file__).resolve().parents[2]
+# all files that machine code is made from, or that it takes constants from
 KERNEL_FILES = (
     "robot/batch/compiled_kinematics.py",
     "robot/batch/compiled_vjp.py",
-    "constraint/compiled_rows.py",
-    "constraint/compiled_manipulability.py",
-    "control/compiled/row_inverse.py",
-    "control/compiled/step_table.py",
-    "control/compiled/decomposition.py",
-    "control/compiled/polytope.py",
-    "control/compiled/joint_limits.py",
-    "control/compiled/constrained_rows.py",
-    "control/compiled/near_singularity.py",
-    "control/compiled/null_policy.py",
-    "control/compiled/bounded_step.py",
-    "control/compiled/outcome.py",
-    "control/compiled/barrier.py",
-    "control/compiled/pose_target.py",
-    "control/compiled/free_step.py",
-    "control/compiled/within_limits.py",
-    "control/compiled/singular_parts.py",
-    "control/compiled/control_step.py",
-    "control/compiled/rollout.py",
-)
-# the constants that the kernels take from elsewhere
-CONSTANT_FILES = (
     "robot/rotations.py",
     "linalg.py",
     "constraint/features/weighed_velocity.py",
     "constraint/small_matrices.py",
+    "constraint/compiled_matrices.py",
+    "constraint/compiled_rows.py",
+    "constraint/compiled_manipulability.py",
+    "constraint/manipulability.py",
     "control/status.py",
-    "control/approach.py",
     "control/limits.py",
     "control/singularity.py",
-    "control/outcome.py",
-    "control/bounded_velocity.py",
     "control/polytope_projection.py",
-    "constraint/manipulability.py",
+    "control/bounded_velocity.py",
+    "control/resolved_rate_law.py",
+    "control/outcome.py",
+    "control/compiled_posture.py",
+    "control/compiled_step.py",
 )
+
+INSIDE = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # there is nothing of it to call from Python
 
 _lock = threading.Lock()
 
@@ -72,7 +61,7 @@ _lock = threading.Lock()
 def content_stamp(package: Path = PACKAGE) -> str:
     """Short name of the content of all kernel files."""
     digest = hashlib.sha256()
-    for name in (*KERNEL_FILES, *CONSTANT_FILES):
+    for name in KERNEL_FILES:
         digest.update((package / name).read_bytes())
     return digest.hexdigest()[:16]
 
@@ -101,11 +90,56 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def compiled_inside(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The same for a function that only compiled ones call: there is nothing of it to call from Python.
+    """The same for a function that only compiled ones call.
 
     Without numba it is the function itself.
     """
-    return _compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    return _compiled(function, **INSIDE)
+
+
+def compiled_with_caller(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same for a function that a compiled one calls in a single place, where it becomes a part of it."""
+    return _compiled(function, **INSIDE, inline="always")
+
+
+def twins(
+    modules: Iterable[ModuleType], bodies: Mapping[Callable[..., Any], Callable[..., Any]]
+) -> dict[Callable[..., Any], Callable[..., Any]]:
+    """The compiled form of each function of some modules, which go on as they are: one source for both.
+
+    A function is compiled when a compiled one first calls it; those that numba cannot compile never are. One that the
+    others call in a single place is compiled with its caller: by itself it would be optimised again with each caller of
+    its callers.
+
+    Args:
+        modules: Plain Python on arrays and NamedTuples. Functions of theirs that they call are each other's twins.
+        bodies: Functions that they call -> what their twins call in their place.
+    """
+    namespaces = {module.__name__: dict(vars(module)) for module in modules}
+    plain: dict[Callable[..., Any], Any] = {
+        function: inspect.unwrap(function)
+        for module, namespace in namespaces.items()
+        for function in namespace.values()
+        if isinstance(function, FunctionType) and function.__module__ == module
+    }
+    calls = Counter(
+        namespaces[function.__module__].get(step.argval)
+        for function in plain
+        if function not in bodies
+        for step in dis.get_instructions(plain[function].__code__)
+        if step.opname == "LOAD_GLOBAL" and isinstance(step.argval, str)
+        if isinstance(namespaces[function.__module__].get(step.argval), FunctionType)
+    )
+    found = dict(bodies)
+    for function, source in plain.items():
+        twin = FunctionType(source.__code__, namespaces[function.__module__], source.__name__, source.__defaults__)
+        inline = "always" if calls[function] <= 1 else "never"
+        found.setdefault(function, _compiled(twin, **INSIDE, inline=inline))
+    for namespace in namespaces.values():
+        for name, value in namespace.items():
+            if callable(value) and not isinstance(value, type) and value in found:
+                namespace[name] = found[value]
+    return found
 
 
 def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:

@@ -1,4 +1,4 @@
-"""Singular value decomposition of small matrices, as loops over plain numbers."""
+"""`small_matrices` as loops over plain numbers, which numba compiles (the optional extra `fast`)."""
 
 from __future__ import annotations
 
@@ -6,13 +6,81 @@ import math
 
 import numpy as np
 
+from manip_learn.constraint.small_matrices import LEAST_SINGULAR_RATIO
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 SWEEPS = 30  # of Jacobi rotations; six are usual
+NEGLIGIBLE = 1e-32  # square of a cosine between two rows that no longer changes the eigenvalues of their products
 # cosine between two rows from which on they count as orthogonal: the rounding of their product
 ORTHOGONAL = 2e-15
 SQUARINGS = 40  # of a Gram matrix; eight are usual
 RANK_ONE = 4e-16  # share of the square of a Gram matrix that is not of rank one any more
+
+
+@compiled_inside
+def dot(a, b):
+    """Product of vectors and matrices."""
+    if a.ndim == 1:
+        if b.ndim == 1:
+            total = 0.0
+            for i in range(a.shape[0]):
+                total += a[i] * b[i]
+            return total
+        else:  # numba types one branch, by the number of dimensions
+            out = np.zeros(b.shape[1])
+            for i in range(a.shape[0]):
+                for j in range(b.shape[1]):
+                    out[j] += a[i] * b[i, j]
+            return out
+    elif b.ndim == 1:
+        out = np.empty(a.shape[0])
+        for i in range(a.shape[0]):
+            total = 0.0
+            for j in range(a.shape[1]):
+                total += a[i, j] * b[j]
+            out[i] = total
+        return out
+    else:
+        out = np.zeros((a.shape[0], b.shape[1]))
+        for i in range(a.shape[0]):
+            for k in range(a.shape[1]):
+                for j in range(b.shape[1]):
+                    out[i, j] += a[i, k] * b[k, j]
+        return out
+
+
+@compiled_inside
+def unit(size):
+    """The unit matrix."""
+    matrix = np.zeros((size, size))
+    for i in range(size):
+        matrix[i, i] = 1.0
+    return matrix
+
+
+@compiled_inside
+def put(target, values):
+    """Copy a vector or a matrix into another."""
+    if target.ndim == 1:
+        for i in range(target.shape[0]):
+            target[i] = values[i]
+    else:
+        for i in range(target.shape[0]):
+            for j in range(target.shape[1]):
+                target[i, j] = values[i, j]
+
+
+@compiled_inside
+def svd(A):
+    """`small_matrices.svd` of a matrix with no more rows than columns."""
+    s, n = A.shape
+    Ut, sigma, Vt = np.empty((s, s)), np.empty(s), np.empty((n, n))
+    decompose(A, s, Ut, sigma, Vt)
+    known = 0
+    for i in range(s):
+        known += sigma[i] > 0.0
+    complete(Vt, known)
+    return Ut.T, sigma, Vt
 
 
 @compiled_inside
@@ -127,40 +195,10 @@ def _reflect(mirror, y, first):
 
 
 @compiled_inside
-def row_space(A, rows, Vt):
-    """Orthonormal rows that span those of a well-conditioned A, into the first rows of Vt."""
-    for i in range(rows):
-        for k in range(A.shape[1]):
-            Vt[i, k] = A[i, k]
-        _orthonormal_row(Vt, i)
-
-
-@compiled_inside
-def _orthonormal_row(Vt, i):
-    """Row i less its parts along the rows before it (twice is enough), with length 1."""
-    for _ in range(2):
-        for c in range(i):
-            along = 0.0
-            for k in range(Vt.shape[1]):
-                along += Vt[c, k] * Vt[i, k]
-            for k in range(Vt.shape[1]):
-                Vt[i, k] -= along * Vt[c, k]
-    square = 0.0
-    for k in range(Vt.shape[1]):
-        square += Vt[i, k] * Vt[i, k]
-    factor = 1.0 / math.sqrt(square)
-    for k in range(Vt.shape[1]):
-        Vt[i, k] *= factor
-
-
-@compiled_inside
-def leading(M, direction):
-    """Largest singular value of M (rows, columns); its right singular vector goes into `direction`, one sign of it.
-
-    Of two opposite vectors the one whose largest entry is positive. M^T M is squared until it is of rank one, so that
-    its columns are multiples of the vector.
-    """
+def leading(M):
+    """`small_matrices.leading`: M^T M is squared until it is of rank one, its columns are multiples of the vector."""
     n = M.shape[1]
+    direction = np.zeros(n)
     G, H = np.empty((n, n)), np.empty((n, n))
     _gram(M, G)
     for _ in range(SQUARINGS):
@@ -169,8 +207,7 @@ def leading(M, direction):
             trace += G[i, i]
             best = i if G[i, i] > G[best, best] else best
         if not trace > 0.0:
-            direction[:] = 0.0
-            return 0.0
+            return 0.0, direction
         square, factor = 0.0, 1.0 / trace
         for i in range(n):
             for j in range(n):
@@ -180,14 +217,16 @@ def leading(M, direction):
             break
         _gram(G, H)
         G, H = H, G
-    return _image(M, G[best], direction)
+    return _image(M, G[best], direction), direction
 
 
 @compiled_inside
 def _gram(M, G):
     """G = M^T M."""
     n = M.shape[1]
-    G[:] = 0.0
+    for i in range(n):
+        for j in range(n):
+            G[i, j] = 0.0
     for r in range(M.shape[0]):
         for i in range(n):
             for j in range(n):
@@ -211,3 +250,84 @@ def _image(M, vector, direction):
             along += M[r, k] * direction[k]
         square += along * along
     return math.sqrt(square)
+
+
+@compiled_inside
+def smallest_and_largest(G, L):
+    """Smallest and largest eigenvalue of a symmetric matrix G (s, s), with Cholesky's factor L; G is destroyed."""
+    s = G.shape[0]
+    if s == 1:
+        return G[0, 0], G[0, 0]
+    if s == 2:
+        largest = 0.5 * (G[0, 0] + G[1, 1]) + math.hypot(0.5 * (G[0, 0] - G[1, 1]), G[0, 1])
+        volume = L[0, 0] * L[1, 1]
+        return volume * volume / largest, largest
+    for _ in range(SWEEPS):
+        turned = False
+        for i in range(s - 1):
+            for j in range(i + 1, s):
+                if G[i, j] * G[i, j] > NEGLIGIBLE * G[i, i] * G[j, j]:
+                    turned = True
+                    theta = 0.5 * (G[j, j] - G[i, i]) / G[i, j]
+                    t = math.copysign(1.0, theta) / (abs(theta) + math.sqrt(theta * theta + 1.0))
+                    c = 1.0 / math.sqrt(t * t + 1.0)
+                    d = t * c
+                    for k in range(s):
+                        G[k, i], G[k, j] = c * G[k, i] - d * G[k, j], d * G[k, i] + c * G[k, j]
+                    for k in range(s):
+                        G[i, k], G[j, k] = c * G[i, k] - d * G[j, k], d * G[i, k] + c * G[j, k]
+        if not turned:
+            break
+    smallest = largest = G[0, 0]
+    for i in range(1, s):
+        smallest, largest = min(smallest, G[i, i]), max(largest, G[i, i])
+    return smallest, largest
+
+
+@compiled_inside
+def row_inverse(A):
+    """`small_matrices.row_inverse`."""
+    s, n = A.shape
+    X = np.empty((s, n))
+    if s > n:
+        return X, 0.0, 0.0
+    G, L = np.empty((s, s)), np.empty((s, s))
+    for i in range(s):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(n):
+                total += A[i, k] * A[j, k]
+            G[i, j] = G[j, i] = total
+    volume = 1.0
+    for i in range(s):
+        for j in range(i + 1):
+            total = G[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            if i > j:
+                L[i, j] = total / L[j, j]
+            elif total > 0.0:
+                L[i, i] = math.sqrt(total)
+                volume *= L[i, i]
+            else:
+                return X, 0.0, 0.0
+    smallest, largest = smallest_and_largest(G, L)
+    if not smallest > LEAST_SINGULAR_RATIO * LEAST_SINGULAR_RATIO * largest:
+        return X, 0.0, 0.0
+    for i in range(s):
+        for k in range(n):
+            X[i, k] = A[i, k]
+        for j in range(i):
+            for k in range(n):
+                X[i, k] -= L[i, j] * X[j, k]
+        factor = 1.0 / L[i, i]
+        for k in range(n):
+            X[i, k] *= factor
+    for i in range(s - 1, -1, -1):
+        for j in range(i + 1, s):
+            for k in range(n):
+                X[i, k] -= L[j, i] * X[j, k]
+        factor = 1.0 / L[i, i]
+        for k in range(n):
+            X[i, k] *= factor
+    return X, volume, math.sqrt(smallest)
