@@ -1,9 +1,8 @@
-"""How tests compare compiled controllers with their originals, compiled or as the plain Python that they are."""
+"""How tests compare compiled controllers with their originals."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from importlib import import_module
 from importlib.util import find_spec
 
 import numpy as np
@@ -15,29 +14,11 @@ from manip_learn.constraint.features.place_fields import AT_A_DISTANCE, FIELDS
 from manip_learn.constraint.features.place_rows import PlaceRows
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS
-from manip_learn.control import compiled_controller
 from manip_learn.control.command import Command
-from manip_learn.robot.batch.kernel_cache import KERNEL_FILES
 from manip_learn.robot.robot import Robot
 
 needs_numba = pytest.mark.skipif(find_spec("numba") is None, reason="the extra 'fast' is not installed")
-both_ways = pytest.mark.parametrize("numba", [pytest.param(True, marks=needs_numba), False])
 RobotOf = Callable[[str], Robot]
-
-
-@pytest.fixture
-def kernels(numba: bool, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The kernels as they are compiled, or the same function objects run by the interpreter."""
-    if numba:
-        yield
-        return
-    monkeypatch.setattr(compiled_controller, "find_spec", lambda name: "plain Python instead")
-    # all of them first: one that is imported beside a replaced one would keep what it takes from it
-    for module in [import_module("manip_learn." + file.removesuffix(".py").replace("/", ".")) for file in KERNEL_FILES]:
-        for name, value in list(vars(module).items()):
-            monkeypatch.setattr(module, name, getattr(value, "py_func", value))
-    with np.errstate(all="ignore"):  # as compiled code, which overflows to infinity in silence
-        yield
 
 
 def mechanisms(robot: Robot, frame: str, rng: np.random.Generator) -> Iterator[Constraint]:

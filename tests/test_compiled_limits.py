@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compiled_cases import RobotOf, agree, both_ways, kernels, needs_numba  # noqa: F401
+from compiled_cases import RobotOf, agree, needs_numba
 from conftest import tip_of
 from random_arms import random_case, random_posture
 
@@ -26,19 +26,11 @@ from manip_learn.control.tasks import FreeDirection, PointAttractor, Track
 from manip_learn.errors import ConstraintError, MissingExtraError
 
 
-@pytest.fixture
-def without_numba(numba: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the kernels are plain Python they are not looked for."""
-    if not numba:
-        monkeypatch.setattr(compiled_limits, "find_spec", lambda name: "plain Python instead")
-
-
-@both_ways
-@pytest.mark.usefixtures("kernels", "without_numba")
-def test_random_laws_are_bounded_alike(numba: bool, tmp_path: Path) -> None:
+@needs_numba
+def test_random_laws_are_bounded_alike(tmp_path: Path) -> None:
     """Random trees, rows, tasks, policies, postures and periods: every part of the command, and its words."""
     told = set()
-    for seed in range(200 if numba else 60):
+    for seed in range(200):
         law, _, q, previous, dt = random_case(seed, tmp_path)
         arguments = (0.0, dt, previous, float(seed % 3) / 2.0)
         expected, beside = law(q, *arguments), law(q * (1.0 + 4e-16), *arguments)
@@ -47,9 +39,8 @@ def test_random_laws_are_bounded_alike(numba: bool, tmp_path: Path) -> None:
     assert len(told) >= 7
 
 
-@both_ways
-@pytest.mark.usefixtures("kernels", "without_numba")
-def test_a_singularity_is_approached_no_faster(numba: bool, robot_of: RobotOf) -> None:
+@needs_numba
+def test_a_singularity_is_approached_no_faster(robot_of: RobotOf) -> None:
     """A target out of reach stretches the arm: each step of the way has the original's bound on the approach."""
     robot = robot_of("planar3")
     constraint = Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y"))

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compiled_cases import RobotOf, agree, both_ways, kernels, needs_numba  # noqa: F401
+from compiled_cases import RobotOf, agree, needs_numba
 from conftest import tip_of
 from random_arms import random_posture, random_tree
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.control.compiled import pose_target
+from manip_learn.control import compiled_posture
 from manip_learn.control.compiled_controller import CompiledController, why_not
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
@@ -28,15 +28,14 @@ ROWS: tuple[tuple[str, Reference], ...] = (
 )  # fmt: skip
 
 
-@both_ways
+@needs_numba
 @pytest.mark.parametrize("name", ["tree", "planar3", "sawyer", "panda"])
-@pytest.mark.usefixtures("kernels")
 def test_targets_of_every_shape(
-    name: str, numba: bool, robot_of: RobotOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, robot_of: RobotOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Far from the target, at it and beside it, singular and at limits: the numbers and the words of the original."""
     told, shapes = set(), set()
-    for seed in range(64 if numba else 16):
+    for seed in range(64):
         rng = np.random.default_rng([seed, 5])
         robot = random_tree(rng, tmp_path) if name == "tree" else robot_of(name)
         axes, reference = ROWS[seed % len(ROWS)]
@@ -68,9 +67,8 @@ def test_targets_of_every_shape(
     assert len(told) >= 5 and len(shapes) >= 3
 
 
-@both_ways
-@pytest.mark.usefixtures("kernels")
-def test_numbers_along_the_constraint(numba: bool, robot_of: RobotOf, rng: np.random.Generator) -> None:
+@needs_numba
+def test_numbers_along_the_constraint(robot_of: RobotOf, rng: np.random.Generator) -> None:
     """A target of one number per constrained row, along the rows of Lambda."""
     robot = robot_of("sawyer")
     features = FrameJacobian(robot, tip_of("sawyer"), "xyz")
@@ -82,19 +80,18 @@ def test_numbers_along_the_constraint(numba: bool, robot_of: RobotOf, rng: np.ra
         agree(CompiledController(law)(q), law(q))
 
 
-@pytest.mark.parametrize("numba", [False])
-@pytest.mark.usefixtures("kernels")
-def test_rotations_are_those_of_the_library(numba: bool, rng: np.random.Generator) -> None:
+def test_rotations_are_those_of_the_library(rng: np.random.Generator) -> None:
     """Rotation vectors and the rates of their rows, from no turn to half a turn."""
+    vector, turned = (getattr(f, "py_func", f) for f in (compiled_posture.rotation_vector, compiled_posture.turned_row))
     for angle in (0.0, 1e-12, 1e-6, 0.05, 0.0999, 0.1001, 1.0, 3.0, np.pi - 1e-9, np.pi):
         axis = rng.normal(size=3)
         turn = angle * axis / np.linalg.norm(axis)
         R = rotation_matrix(turn)
-        got = pose_target.rotation_vector(R.reshape(-1))
+        got = vector(R.reshape(-1))
         np.testing.assert_allclose(got, rotation_vector(R), rtol=0, atol=1e-15)
         row = rng.normal(size=3)
         expected = row @ left_jacobian_inverse(turn)
-        np.testing.assert_allclose(pose_target.turned_row(*row, *turn), expected, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(turned(*row, *turn), expected, rtol=0, atol=1e-14)
 
 
 @needs_numba

@@ -146,13 +146,11 @@ def test_admitted_is_what_the_bounds_allow(robot_of: RobotOf, rng: np.random.Gen
     for share, admitted in ((0.999, True), (-0.999, True), (1.001, False), (-1.001, False)):
         u = previous + share * limits.acceleration * dt * np.eye(7)[4]
         assert limits.admit(middle, dt, u, previous) == limits.bounds(middle, dt, previous).admit(u) == admitted
-    for share, far in ((0.99, True), (-0.99, True), (1.01, False), (-1.01, False)):
-        assert limits.far(middle, dt, share * limits.velocity) == far
-        assert limits.admit(middle, dt, share * limits.velocity, None) == far
-    for edge in (low, high):  # within, but near: the bounds tell
+    for share, admitted in ((0.99, True), (-0.99, True), (1.01, False), (-1.01, False)):
+        assert limits.admit(middle, dt, share * limits.velocity, None) == admitted
+    for edge in (low, high):  # within, and at rest
         near = middle.copy()
         near[3] = edge[3]
-        assert not limits.far(near, dt, np.zeros(7))
         assert limits.admit(near, dt, np.zeros(7), None)
     outside = middle.copy()
     outside[2] = high[2] + 1e-9
@@ -161,7 +159,8 @@ def test_admitted_is_what_the_bounds_allow(robot_of: RobotOf, rng: np.random.Gen
 
 def test_the_limit_that_binds_is_that_of_the_joint_that_is_held_back_most() -> None:
     """Of the joints at a bound, the one that would go furthest beyond it, with the cause of that bound."""
-    bounds = Bounds([-1.0, -2.0, -3.0], [0.1, 2.0, 3.0], [0, 1, 2], [2, 0, 1], 0.0)
+    low, high = np.array([-1.0, -2.0, -3.0]), np.array([0.1, 2.0, 3.0])
+    bounds = Bounds(low, high, np.array([0, 1, 2]), np.array([2, 0, 1]), 0.0)
     assert bounds.binding(np.array([0.1, 2.0, 0.0]), np.array([0.9, 2.5, 9.0])) == (0, 2)
     assert bounds.binding(np.array([0.1, 2.0, 0.0]), np.array([0.2, 2.5, 9.0])) == (1, 0)
     assert bounds.binding(np.array([0.0, -2.0, -3.0]), np.array([0.0, -2.5, -3.1])) == (1, 1)
@@ -176,3 +175,21 @@ def test_a_margin_that_leaves_no_room_is_refused_with_the_range(robot_of: RobotO
     with pytest.raises(ConfigurationError, match=f"whose range is {widths.min():g} wide") as caught:
         Limits(robot, margin=0.501 * float(widths.min()))
     assert robot.joint_names[int(widths.argmin())] in str(caught.value)
+
+
+def test_each_sense_of_motion_has_its_own_braking_distance(robot_of: RobotOf) -> None:
+    """The short answer is that of the bounds at every place near a limit, inside, at it and outside, in both senses."""
+    robot, dt, told = robot_of("sawyer"), 0.01, set()
+    limits, middle = Limits(robot), 0.5 * (robot.position_lower + robot.position_upper)
+    for j in range(robot.nv):
+        for edge, outward in ((robot.position_upper[j], 1.0), (robot.position_lower[j], -1.0)):
+            for distance in (-1e-6, 1e-4, 0.01, 0.1):
+                for speed in (-1.5, -0.5, -0.05, 0.05, 0.5, 1.5):
+                    q, u = middle.copy(), np.zeros(robot.nv)
+                    q[j], u[j] = edge - outward * distance, outward * speed
+                    for before in (u, u + 1.01 * limits.acceleration * dt):
+                        bounds = limits.bounds(q, dt, before)
+                        expected = bounds.outside == 0.0 and bounds.admit(u)
+                        assert limits.admit(q, dt, u, before) == expected
+                        told.add((expected, speed > 0.0))
+    assert len(told) == 4

@@ -57,10 +57,10 @@ def test_log_gradient_is_free_of_units(rng):
 
 def test_products_of_others():
     """prod_{j != i} sigma_j, with zeros among them."""
-    assert products_of_others([2.0, 3.0, 5.0]) == [15.0, 10.0, 6.0]
-    assert products_of_others([2.0, 0.0, 5.0]) == [0.0, 10.0, 0.0]
-    assert products_of_others([2.0, 0.0, 0.0]) == [0.0, 0.0, 0.0]
-    assert products_of_others([7.0]) == [1.0]
+    assert products_of_others(np.array([2.0, 3.0, 5.0])).tolist() == [15.0, 10.0, 6.0]
+    assert products_of_others(np.array([2.0, 0.0, 5.0])).tolist() == [0.0, 10.0, 0.0]
+    assert products_of_others(np.array([2.0, 0.0, 0.0])).tolist() == [0.0, 0.0, 0.0]
+    assert products_of_others(np.array([7.0])).tolist() == [1.0]
 
 
 def test_bad_postures(robot_of):

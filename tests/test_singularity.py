@@ -19,6 +19,7 @@ from manip_learn.control.singularity import (
     SEED_SPEED,
     Decomposition,
     approach_bound,
+    climbing_direction,
     escape_velocity,
     pressed_damping,
     smallest_gradient,
@@ -40,6 +41,15 @@ def at(constraint: Constraint, q: np.ndarray):
     return Decomposition(*svd(A)), vjp
 
 
+def escape(decomposition: Decomposition, vjp, width: float) -> np.ndarray:
+    """The velocity out of a singularity, with the gradients that the law computes for it."""
+    if decomposition.U.shape[0] > decomposition.Vt.shape[0]:
+        nothing = np.zeros(decomposition.Vt.shape[0])
+        return escape_velocity(decomposition, nothing, nothing, DT, width)
+    climb, slope = climbing_direction(decomposition, vjp), smallest_gradient(decomposition, vjp)
+    return escape_velocity(decomposition, climb, slope, DT, width)
+
+
 def bent(angle: float) -> np.ndarray:
     """The arm stretched but for its middle joint."""
     return np.array([0.4, angle, 0.0])
@@ -59,7 +69,7 @@ def test_the_escape_leads_out(planar):
         q = bent(angle)
         decomposition, vjp = at(planar, q)
         assert decomposition.sigma[-1] < WIDTH
-        e = escape_velocity(decomposition, vjp, DT, WIDTH)
+        e = escape(decomposition, vjp, WIDTH)
         assert e @ log_manipulability_gradient(planar, q) > 0.0
         assert manipulability(planar, q + 1e-3 * abs(angle) * e / np.linalg.norm(e)) > manipulability(planar, q)
 
@@ -71,12 +81,12 @@ def test_the_escape_has_the_stated_speed(planar):
         smallest = decomposition.sigma[-1]
         ramp = DT * ESCAPE_SPEED * np.linalg.norm(smallest_gradient(decomposition, vjp)) / 0.25
         expected = ESCAPE_SPEED * (1.0 - (smallest / WIDTH) ** 2) ** 2 * smallest / np.hypot(smallest, ramp)
-        e = escape_velocity(decomposition, vjp, DT, WIDTH)
+        e = escape(decomposition, vjp, WIDTH)
         assert np.linalg.norm(e) == pytest.approx(expected, rel=1e-9)
         # one singular value only is below the width: its own direction
         assert abs(e @ decomposition.Vt[1]) == pytest.approx(np.linalg.norm(e), rel=1e-9)
     decomposition, vjp = at(planar, bent(0.05))
-    np.testing.assert_array_equal(escape_velocity(decomposition, vjp, DT, float(decomposition.sigma[-1])), np.zeros(3))
+    np.testing.assert_array_equal(escape(decomposition, vjp, float(decomposition.sigma[-1])), np.zeros(3))
 
 
 @pytest.mark.parametrize(("angle", "share"), [(1e-6, None), (1e-4, None), (0.05, 0.99)])
@@ -89,7 +99,7 @@ def test_the_seed_acts_at_the_singularity_only(planar, angle, share):
     speed = ESCAPE_SPEED * (1.0 - (smallest / width) ** 2) ** 2 * smallest / np.hypot(smallest, ramp)
     seed = SEED_SPEED * max(0.0, 1.0 - smallest / (1e-3 * width))
     assert (seed > speed) == (angle == 1e-6)
-    e = escape_velocity(decomposition, vjp, DT, float(width))
+    e = escape(decomposition, vjp, float(width))
     assert np.linalg.norm(e) == pytest.approx(max(speed, seed), rel=1e-6)
 
 
@@ -100,7 +110,7 @@ def test_the_escape_weighs_directions_by_how_nearly_they_are_lost(planar):
     width = 1.5 * decomposition.sigma[0]
     V = decomposition.Vt[:2]
     d = V.T @ ((1.0 - (decomposition.sigma / width) ** 2) ** 2 * (V @ log_manipulability_gradient(planar, q)))
-    e = escape_velocity(decomposition, vjp, DT, float(width))
+    e = escape(decomposition, vjp, float(width))
     np.testing.assert_allclose(e / np.linalg.norm(e), d / np.linalg.norm(d), atol=1e-9)
 
 
@@ -108,7 +118,7 @@ def test_an_exact_singularity_is_left_slowly_and_out(planar):
     """At the singularity itself the seed has its own small speed, in the null space, and mu grows along it."""
     q = bent(0.0)
     decomposition, vjp = at(planar, q)
-    seed = escape_velocity(decomposition, vjp, DT, WIDTH)
+    seed = escape(decomposition, vjp, WIDTH)
     assert np.linalg.norm(seed) == pytest.approx(SEED_SPEED, rel=1e-9)
     assert np.linalg.norm(planar(q) @ seed) < 1e-12
     ascent = steepest_ascent(decomposition, vjp)
@@ -123,7 +133,7 @@ def test_an_exact_singularity_is_left_slowly_and_out(planar):
 def test_more_rows_than_joints_have_no_way_out(robot_of):
     """Where every posture is singular there is nothing to escape to: zero, not an error."""
     crowded = Constraint(np.eye(6)[:4], FrameJacobian(robot_of("planar3"), "tip", "pose"))
-    np.testing.assert_array_equal(escape_velocity(*at(crowded, np.array([0.1, 0.5, 0.2])), DT, WIDTH), np.zeros(3))
+    np.testing.assert_array_equal(escape(*at(crowded, np.array([0.1, 0.5, 0.2])), WIDTH), np.zeros(3))
 
 
 def test_approach_is_slow_enough_to_stop():
@@ -141,7 +151,7 @@ def test_approach_is_slow_enough_to_stop():
 
 def test_damping_that_a_step_can_follow():
     """lambda^2 = 2 dt |beta| sigma_1 of the largest nearly lost part of the task; none where nothing is nearly lost."""
-    sigma, along = [2.0, 0.05, 0.01], [9.0, 0.3, -0.4]
+    sigma, along = np.array([2.0, 0.05, 0.01]), np.array([9.0, 0.3, -0.4])
     assert stable_damping(sigma, along, 0.1, 0.01) == pytest.approx(np.sqrt(2.0 * 0.01 * 0.4 * 2.0))
     assert stable_damping(sigma, along, 0.01, 0.01) == 0.0
 

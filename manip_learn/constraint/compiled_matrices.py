@@ -195,6 +195,37 @@ def _reflect(mirror, y, first):
 
 
 @compiled_inside
+def complement(A, X):
+    """`small_matrices.complement`: an orthonormal basis."""
+    s, n = A.shape
+    Vt = np.empty((n, n))
+    for i in range(s):
+        for k in range(n):
+            Vt[i, k] = A[i, k]
+        _orthonormal_row(Vt, i)
+    complete(Vt, s)
+    return Vt[s:]
+
+
+@compiled_inside
+def _orthonormal_row(Vt, i):
+    """Row i less its parts along the rows before it (twice is enough), with length 1."""
+    for _ in range(2):
+        for c in range(i):
+            along = 0.0
+            for k in range(Vt.shape[1]):
+                along += Vt[c, k] * Vt[i, k]
+            for k in range(Vt.shape[1]):
+                Vt[i, k] -= along * Vt[c, k]
+    square = 0.0
+    for k in range(Vt.shape[1]):
+        square += Vt[i, k] * Vt[i, k]
+    factor = 1.0 / math.sqrt(square)
+    for k in range(Vt.shape[1]):
+        Vt[i, k] *= factor
+
+
+@compiled_inside
 def leading(M):
     """`small_matrices.leading`: M^T M is squared until it is of rank one, its columns are multiples of the vector."""
     n = M.shape[1]

@@ -78,3 +78,8 @@ def row_inverse(A: Float[np.ndarray, "s n"]) -> tuple[Float[np.ndarray, "s n"], 
     if failed or not smallest > LEAST_SINGULAR_RATIO**2 * largest:
         return A, 0.0, 0.0
     return X, volume, math.sqrt(smallest)
+
+
+def complement(A: Float[np.ndarray, "s n"], X: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "k n"]:
+    """N = I - A^+ A from X = A^{+T}; where compiled, Z^T with Z Z^T = N: fewer rows, but more work in NumPy."""
+    return unit(A.shape[1]) - dot(A.T, X)

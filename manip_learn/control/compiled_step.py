@@ -44,6 +44,7 @@ _LAW = twins(
         small_matrices.dot: compiled_matrices.dot,
         small_matrices.put: compiled_matrices.put,
         small_matrices.unit: compiled_matrices.unit,
+        small_matrices.complement: compiled_matrices.complement,
         small_matrices.svd: compiled_matrices.svd,
         small_matrices.row_inverse: compiled_matrices.row_inverse,
         small_matrices.leading: compiled_matrices.leading,

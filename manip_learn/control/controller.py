@@ -334,17 +334,17 @@ def command_of(law: Law, outcome: Outcome) -> Command:
     return Command(
         velocity=outcome.velocity,
         status=STATUSES[outcome.code],
-        manipulability=law.mu,
+        manipulability=float(law.mu),
         task_velocity=law.b,
         task_part=outcome.task,
         null_part=outcome.null,
-        task_scale=outcome.task_scale,
-        null_scale=outcome.null_scale,
-        smallest_singular_value=law.smallest,
+        task_scale=float(outcome.task_scale),
+        null_scale=float(outcome.null_scale),
+        smallest_singular_value=float(law.smallest),
         escape_part=outcome.escape if law.escapes else None,
-        progress=outcome.progress,
-        outside=outcome.outside,
-        limiting_joint=outcome.joint,
+        progress=float(outcome.progress),
+        outside=float(outcome.outside),
+        limiting_joint=int(outcome.joint),
     )
 
 

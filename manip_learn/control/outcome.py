@@ -30,6 +30,8 @@ SLIDING_AFTER, KEEPING_AFTER = 0.5, 1.0
 GOING_ON = 0.5
 # [m/s or rad/s] a task that asks for less than this has reached its goal
 AT_GOAL = 1e-6
+# [rad2/s2 or m2/s2] square of a null-space part of which nothing can be left
+NOTHING = 1e-24
 # a task is slowed down where less than this share of its velocity is commanded
 SCALED_BELOW = 0.999
 
@@ -137,7 +139,7 @@ def within_limits(
         null=null_part,
         escape=escape,
         task_scale=min(task_scale, 1.0),
-        null_scale=min(1.0, max(0.0, dot(desired.null, null_part) / square)) if square > 0.0 else 1.0,
+        null_scale=min(1.0, max(0.0, dot(desired.null, null_part) / square)) if square > NOTHING else 1.0,
         progress=progress,
         outside=bounds.outside,
         joint=joint,

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
-from manip_learn.constraint.small_matrices import dot, row_inverse, svd, unit
+from manip_learn.constraint.small_matrices import complement, dot, row_inverse, svd
 from manip_learn.control.bounded_velocity import Desired
 from manip_learn.control.limits import LimitTable, freer_sense
 from manip_learn.control.singularity import (
@@ -271,8 +271,8 @@ def _volume(sigma: Float[np.ndarray, " k"]) -> float:
 
 
 def null_rows(law: Law) -> Float[np.ndarray, "k nv"]:
-    """Z^T with Z Z^T = N near singularities, and N itself elsewhere."""
-    return unit(law.A.shape[1]) - dot(law.A.T, law.basis) if law.regular else law.basis
+    """Z^T with Z Z^T = N, or N itself."""
+    return complement(law.A, law.basis) if law.regular else law.basis
 
 
 def approach(
