@@ -17,7 +17,8 @@ import numpy as np
 from controller_cases import ROBOTS, inside
 
 import manip_learn as ml
-from manip_learn.control.polytope_projection import project_by_active_set, project_by_daqp
+from manip_learn.control import bounded_velocity
+from manip_learn.control.polytope_projection import project
 
 PERIOD, DURATION = 0.005, 6.0  # [s]
 ROUNDS = 3
@@ -47,8 +48,9 @@ def compare(name: str, tasks: int) -> list[str]:
                 constraint, ml.PointAttractor(goal, 2.0), ml.ManipulabilityAscent(constraint), solver=solver
             )
             if solver == "active-set":
-                law._project = lambda *problem: problems.append(problem) or project_by_active_set(*problem)
-            rollout = ml.simulate(robot, law, start, DURATION, PERIOD)
+                bounded_velocity.project = lambda *problem: problems.append(problem[:4]) or project(*problem)
+            rollout = ml.simulate(robot, law, start, DURATION, PERIOD, compiled=False)
+            bounded_velocity.project = project
             reached[solver] += rollout.task_error[-1] < 0.01
             points = np.array([features.coordinates(q) for q in rollout.q[::5]]) @ rows.T
             deviations[solver].append(1e3 * deviation(points, rows @ goal))
@@ -57,10 +59,10 @@ def compare(name: str, tasks: int) -> list[str]:
     ratios = []
     for _ in range(ROUNDS):
         spent = []
-        for solve in (project_by_active_set, project_by_daqp):
+        for by_library in (False, True):
             began = time.process_time()
             for problem in problems:
-                solve(*problem)
+                project(*problem, by_library)
             spent.append(time.process_time() - began)
         ratios.append(spent[1] / spent[0])
     return [

@@ -168,9 +168,7 @@ def test_doors_are_simulated_alike(rows: str, robot_of: RobotOf) -> None:
 @needs_numba
 @pytest.mark.parametrize("method", ["euler", "rk4"])
 @pytest.mark.parametrize("name", ["planar3", "sawyer", "kinova"])
-def test_rollouts_are_the_same(
-    name: str, method: Method, robot_of: RobotOf, rng: np.random.Generator
-) -> None:
+def test_rollouts_are_the_same(name: str, method: Method, robot_of: RobotOf, rng: np.random.Generator) -> None:
     """A rollout of the kernel follows that of the law to 1e-9, through singular starts and damped stretches."""
     robot = robot_of(name)
     features = FrameJacobian(robot, tip_of(name), "x y")

@@ -30,9 +30,7 @@ ROWS: tuple[tuple[str, Reference], ...] = (
 
 @needs_numba
 @pytest.mark.parametrize("name", ["tree", "planar3", "sawyer", "panda"])
-def test_targets_of_every_shape(
-    name: str, robot_of: RobotOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_targets_of_every_shape(name: str, robot_of: RobotOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Far from the target, at it and beside it, singular and at limits: the numbers and the words of the original."""
     told, shapes = set(), set()
     for seed in range(64):

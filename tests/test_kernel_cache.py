@@ -48,7 +48,9 @@ def test_all_kernel_files_are_known() -> None:
             for node in ast.walk(ast.parse(text)):
                 if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("manip_learn"):
                     here = PACKAGE.parent / (node.module or "").replace(".", "/")
-                    files = [here / f"{alias.name}.py" for alias in node.names] if here.is_dir() else [Path(f"{here}.py")]
+                    files = (
+                        [here / f"{alias.name}.py" for alias in node.names] if here.is_dir() else [Path(f"{here}.py")]
+                    )
                     for file in files:
                         assert str(file.relative_to(PACKAGE)) in known, file
 

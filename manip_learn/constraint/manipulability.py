@@ -124,9 +124,7 @@ def escape_direction(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], v
     return direction if rate > 0.0 else np.zeros(direction.shape[0])
 
 
-def lost_rates(
-    decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp
-) -> Float[np.ndarray, "k nv"]:
+def lost_rates(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp) -> Float[np.ndarray, "k nv"]:
     """Rates of the entries of U_0^T A V_0 along each joint, one entry a row; U_0 and V_0 span what A has lost."""
     U, sigma, Vt = decomposition
     s, rank = U.shape[0], rank_at(sigma)

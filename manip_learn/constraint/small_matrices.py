@@ -1,7 +1,7 @@
 """Products and decompositions of one matrix as small as a constraint's, without NumPy's wrapping, which takes longer.
 
-What the control law is written in: `compiled_matrices` has the same for its compiled form. Apart from `linalg`, because SciPy takes as long to load as NumPy and Pinocchio together and most of learning needs none
-of it.
+What the control law is written in: `compiled_matrices` has the same for its compiled form. Apart from `linalg`, because
+SciPy takes as long to load as NumPy and Pinocchio together and most of learning needs none of it.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ class Feasible(NamedTuple):
     """What a program keeps a velocity u within: low <= u <= high, and G u >= least.
 
     Attributes:
-        bounds: (low, high), and behind them (least, inf), one after the other.
+        low: Lower ends of the bounds, and behind them those of the barriers and of the scale of a task.
         high: Their upper ends.
         G: Gradients of the barriers, on the approach to a singularity first, where there is one, then on the speeds of
             frames.
@@ -171,7 +171,7 @@ def _program(
         found, u = _nearest(wish, across[1], across[2][:s], sigma[0] / DEVIATION_WEIGHT, within)
         if not found:
             return False, wish, 0.0
-        scale = max(0.0, dot(b, dot(A, u)) / (length * length)) if moves else 0.0
+        scale = float(max(0.0, dot(b, dot(A, u)) / (length * length))) if moves else 0.0
     if slide > 0.0:
         slides, slid = _nearest(wish, sigma, Vt[:s], damping, within)
         if slides:
@@ -219,7 +219,7 @@ def _along(
         high = within.high.copy()
         high[rows - 1] = math.inf
         found, y = project(start, C, within.low, high, within.by_library)
-    return found, dot(basis, y), max(0.0, y[at] / weight) if moves else 1.0
+    return found, dot(basis, y), float(max(0.0, y[at] / weight)) if moves else 1.0
 
 
 def _nearest(

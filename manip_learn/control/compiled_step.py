@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from manip_learn import linalg
 from manip_learn.constraint import compiled_matrices, manipulability, small_matrices
+from manip_learn.constraint.compiled_matrices import dot, row_inverse
 from manip_learn.control import (
     bounded_velocity,
     compiled_posture,
@@ -19,8 +20,17 @@ from manip_learn.control import (
     resolved_rate_law,
     singularity,
 )
-from manip_learn.constraint.compiled_matrices import dot, row_inverse
-from manip_learn.control.compiled_posture import POSE, FrameRows, Motion, Reach, Rest, posture, product, rest_velocity, work_space
+from manip_learn.control.compiled_posture import (
+    POSE,
+    FrameRows,
+    Motion,
+    Reach,
+    Rest,
+    posture,
+    product,
+    rest_velocity,
+    work_space,
+)
 from manip_learn.control.outcome import OK, STALLED
 from manip_learn.control.resolved_rate_law import DAMPED, EXACT, Asked, LawSettings
 from manip_learn.robot import weighted_vjp

@@ -218,15 +218,16 @@ class ResolvedRateController:
 
     def _law_settings(self) -> LawSettings:
         policy, constraint = self.null_policy, self.constraint
+        ascent = policy.ascent if isinstance(policy, ManipulabilityAscent) else Ascent(0.0, True, math.inf)
         climbs = isinstance(policy, ManipulabilityAscent) and policy.constraint is constraint
-        bounded = climbs and policy.max_speed is not None
+        bounded = climbs and ascent.max_speed < math.inf
         bounded = bounded or (isinstance(policy, WeightedPolicies) and policy.climbs(constraint))
         return LawSettings(
             inverse=INVERSES.index(self.inverse),
             threshold=self.threshold,
             damping=self.damping,
             climbs=climbs,
-            ascent=policy.ascent if isinstance(policy, ManipulabilityAscent) else Ascent(0.0, True, math.inf),
+            ascent=ascent,
             escapes=self.inverse == "damped" and bounded,
             limited=self.limits is not None,
             by_library=self.solver == "qp",

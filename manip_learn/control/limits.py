@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
-from operator import le
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -34,6 +33,8 @@ RETURN_SPEED = 0.25
 FASTEST, LARGEST_ACCELERATION = 1e6, 1e12
 # share of a bound within which a velocity counts as being at it
 AT_BOUND = 1e-7
+# [rad/s or m/s] by less than this a velocity exceeds a bound by rounding alone
+ROUNDED = 1e-12
 
 VELOCITY, POSITION, ACCELERATION = range(3)
 Vector = Any  # one number a joint: an array, or a list where the interpreter reads them one by one
@@ -191,8 +192,8 @@ class Limits:
         table = self._table
         if table is None or dt != table.dt:
             # copies: numba tells arrays that may not be written to from others
-            limits = [array.copy() for array in (self.lower, self.upper, self.velocity, self.acceleration)]
-            self._table = table = limit_table(*limits, dt)
+            lower, upper = self.lower.copy(), self.upper.copy()
+            self._table = table = limit_table(lower, upper, self.velocity.copy(), self.acceleration.copy(), dt)
             self._numbers = None
         return table
 
@@ -200,7 +201,8 @@ class Limits:
         """The same in plain numbers: one by one they are read faster than those of an array."""
         table = self.table(dt)
         if self._numbers is None:
-            self._numbers = LimitTable(*(column.tolist() for column in table[:7]), table.weakest, dt)
+            columns = {name: getattr(table, name).tolist() for name in LimitTable._fields[:7]}
+            self._numbers = LimitTable(**columns, weakest=table.weakest, dt=dt)
         return self._numbers
 
     def bounds(self, q: Float[np.ndarray, " n"], dt: float, previous: Float[np.ndarray, " nv"] | None) -> Bounds:
@@ -292,7 +294,9 @@ def keeps(limits: LimitTable, x: Vector, u: Vector, previous: Vector, known: boo
     """
     for j in range(len(u)):
         v = u[j]
-        if not abs(v) <= limits.velocity[j] or (known and not abs(v - previous[j]) <= limits.acceleration[j] * limits.dt):
+        if not abs(v) <= limits.velocity[j] or (
+            known and not abs(v - previous[j]) <= limits.acceleration[j] * limits.dt
+        ):
             return False
         above, below = limits.upper[j] - x[j], x[j] - limits.lower[j]
         if above < 0.0 or below < 0.0:
@@ -355,7 +359,7 @@ def admitted(bounds: Bounds, u: Float[np.ndarray, " nv"]) -> bool:
 
 def binding(bounds: Bounds, u: Float[np.ndarray, " nv"], desired: Float[np.ndarray, " nv"]) -> tuple[int, int]:
     """The joint at a bound whose desired velocity exceeds it most, and the limit that sets it; (-1, -1) if none."""
-    joint, cause, most = -1, -1, 0.0
+    joint, cause, most = -1, -1, ROUNDED
     above, below = desired - bounds.high, bounds.low - desired
     for j in range(u.shape[0]):
         if above[j] > most and u[j] >= bounds.high[j] - AT_BOUND * (1.0 + abs(u[j])):

@@ -10,7 +10,6 @@ import daqp
 import numpy as np
 from jaxtyping import Float
 
-
 # how much a bound may be exceeded by rounding, in the unit of the bounds
 TOLERANCE = 1e-11
 # square of a row's part outside the active rows, as a share of its own, below which it depends on them

@@ -143,7 +143,9 @@ def is_regular(settings: LawSettings, volume: float, smallest: float) -> bool:
     return volume > 0.0 and not (settings.inverse == DAMPED and smallest < settings.threshold)
 
 
-def _regular(asked: Asked, pi: Float[np.ndarray, " nv"], X: Float[np.ndarray, "s nv"], mu: float, smallest: float) -> Law:
+def _regular(
+    asked: Asked, pi: Float[np.ndarray, " nv"], X: Float[np.ndarray, "s nv"], mu: float, smallest: float
+) -> Law:
     """The law from X = A^{+T}: N pi = pi - A^+ (A pi)."""
     A, b = asked.rows, asked.b
     none = np.zeros(pi.shape[0])
@@ -191,7 +193,7 @@ def _near_singularity(settings: LawSettings, limits: LimitTable, asked: Asked, m
     U, sigma, Vt = svd(A)
     decomposition = Decomposition(U, sigma, Vt)
     s, nv, k = A.shape[0], A.shape[1], sigma.shape[0]
-    smallest, fits, along = sigma[k - 1], s <= nv, dot(b, U)
+    smallest, fits, along = float(sigma[k - 1]), s <= nv, dot(b, U)
     singular = smallest <= SINGULAR_RATIO * sigma[0]
     pi, climb = asked.pi, np.zeros(nv)
     slope = climb

@@ -64,9 +64,7 @@ class Ascent(NamedTuple):
     max_speed: float
 
 
-def ascent_velocity(
-    ascent: Ascent, slope: Float[np.ndarray, " nv"], mu: float, dt: float
-) -> Float[np.ndarray, " nv"]:
+def ascent_velocity(ascent: Ascent, slope: Float[np.ndarray, " nv"], mu: float, dt: float) -> Float[np.ndarray, " nv"]:
     """gain * grad mu, or gain * grad log mu shortened to the bound.
 
     Args:

@@ -63,7 +63,7 @@ class WeightedVjp:
 def gradient(
     vjp: Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]], weights: Float[np.ndarray, "s nv"]
 ) -> Float[np.ndarray, " nv"]:
-    """The vector-Jacobian product, as what the control law calls; its compiled form has arrays in the place of `vjp`."""
+    """The vector-Jacobian product, as the control law calls it: compiled, it has arrays in the place of `vjp`."""
     return vjp(weights)
 
 
