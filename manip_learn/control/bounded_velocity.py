@@ -76,10 +76,11 @@ def feasible(
 ) -> Feasible:
     """The bounds and the barriers G u >= least, with one more row of 0 to 1 behind them for the scale of a task."""
     nv, r = bounds.low.shape[0], least.shape[0]
-    low, high = np.zeros(nv + r + 1), np.full(nv + r + 1, math.inf)
+    low, high = np.zeros(nv + r + 1), np.zeros(nv + r + 1) + math.inf
     put(low[:nv], bounds.low)
     put(high[:nv], bounds.high)
-    put(low[nv : nv + r], least)
+    for i in range(r):
+        low[nv + i] = least[i]
     high[nv + r] = 1.0
     return Feasible(low, high, G, by_library)
 
@@ -133,7 +134,8 @@ def bounded_velocity(
         found, u, scale = _program(A, parts, null, within, slide, damping)
         if found:
             inside = np.minimum(np.maximum(u, low), high)
-            if np.abs(inside - u).max() <= ROUNDING:
+            outside = inside - u
+            if dot(outside, outside) <= ROUNDING * ROUNDING:
                 return BoundedVelocity(inside, scale / too_fast, dot(dot(null, u), null))
     # a box always holds a point; this is for a solver that gave up
     return BoundedVelocity(np.minimum(np.maximum(desired.task + desired.null, low), high), 0.0, np.zeros(nv))

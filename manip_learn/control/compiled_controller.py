@@ -17,7 +17,16 @@ from manip_learn.constraint.features.weighed_velocity import WeighedVelocity, co
 from manip_learn.control.command import Command, Controller
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.integration import Method, next_posture
-from manip_learn.control.outcome import next_slide
+from manip_learn.control.limits import limit_table
+from manip_learn.control.outcome import (
+    ESCAPE_PART,
+    NULL_PART,
+    PARTS,
+    TASK_PART,
+    TASK_VELOCITY,
+    VELOCITY,
+    next_slide,
+)
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.status import STATUSES, Status
 from manip_learn.control.tasks import Hold, PointAttractor
@@ -80,7 +89,7 @@ class CompiledController:
             )
         if find_spec("numba") is None:
             raise MissingExtraError("a compiled controller", "fast")
-        from manip_learn.control.compiled_step import PARTS, commands
+        from manip_learn.control.compiled_step import commands
         from manip_learn.robot.batch.kernel_cache import announce_compilation, entry_point
 
         self.controller = controller
@@ -125,18 +134,18 @@ class CompiledController:
         )
         if row == 0:
             return self.controller(q, t, dt, previous, slide)
-        velocity, task, null, escape, b = parts
+        velocity, task, null, b = parts[VELOCITY], parts[TASK_PART], parts[NULL_PART], parts[TASK_VELOCITY, :s]
         return Command(
             velocity=velocity,
             status=STATUSES[code],
             manipulability=mu,
-            task_velocity=b[:s],
+            task_velocity=b,
             task_part=task,
             null_part=null,
             task_scale=task_scale,
             null_scale=null_scale,
             smallest_singular_value=smallest,
-            escape_part=escape if escapes else None,
+            escape_part=parts[ESCAPE_PART] if escapes else None,
             progress=progress,
             outside=outside,
             limiting_joint=joint,
@@ -238,9 +247,7 @@ def packed(controller: ResolvedRateController) -> tuple[Any, ...]:
     weights, form, reference = compiled_form(features, constraint.selection)  # type: ignore[misc]  # `why_not` has asked
     chain = batch_kinematics(features.robot, features.frame).chain_table(reference)
     free, rest, wraps = np.full(constraint.nv, np.inf), np.zeros(constraint.nv), np.zeros(constraint.nv)
-    bounds = (-free, free, free, free)
-    if limits is not None:
-        bounds = limits.lower, limits.upper, limits.velocity, limits.acceleration
+    table = limit_table(-free, free, free, free, controller.dt) if limits is None else limits.table(controller.dt)
     if isinstance(policy, JointAttractor):
         rest = controller.robot.positions(policy.rest)  # type: ignore[union-attr]
         for block in policy.robot.blocks if policy.robot is not None else ():
@@ -250,7 +257,7 @@ def packed(controller: ResolvedRateController) -> tuple[Any, ...]:
         place, turn = _target(features, constraint.selection, task.target)
         kind, gain = POINT if features.only_linear else POSE, task.gain
         max_speed = math.inf if task.max_speed is None else task.max_speed
-    arrays = chain, weights, *bounds, rest, wraps, place, turn
+    arrays = chain, weights, *table[:7], rest, wraps, place, turn
     return Constants(
         settings=controller.settings,
         form=int(form),
@@ -261,6 +268,8 @@ def packed(controller: ResolvedRateController) -> tuple[Any, ...]:
         gain=float(gain),
         max_speed=float(max_speed),
         rest_gain=policy.gain if isinstance(policy, JointAttractor) else 0.0,
+        dt=controller.dt,
+        weakest=float(table.weakest),
         numbers=np.concatenate([array.reshape(-1) for array in arrays]),
     )
 

@@ -31,14 +31,21 @@ from manip_learn.control.compiled_posture import (
     rest_velocity,
     work_space,
 )
-from manip_learn.control.outcome import OK, STALLED
+from manip_learn.control.limits import LimitTable
+from manip_learn.control.outcome import (
+    ESCAPE_PART,
+    NULL_PART,
+    OK,
+    STALLED,
+    TASK_PART,
+    TASK_VELOCITY,
+    VELOCITY,
+)
 from manip_learn.control.resolved_rate_law import DAMPED, EXACT, Asked, LawSettings
 from manip_learn.robot import weighted_vjp
 from manip_learn.robot.batch.compiled_kinematics import JOINTS, WIDTH
 from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside, compiled_with_caller, twins
 
-# rows of the parts of a command, each as long as there are degrees of freedom; b takes the first s of the last
-VELOCITY, TASK_PART, NULL_PART, ESCAPE_PART, TASK_VELOCITY, PARTS = range(6)
 REFUSED = -1  # Python decides: what is not finite, and lost directions that "exact" inverts
 
 
@@ -69,6 +76,7 @@ position_bounds, bound_changes = _LAW[limits.position_bounds], _LAW[limits.bound
 approach_bound, ascent_gain = _LAW[singularity.approach_bound], _LAW[singularity.ascent_gain]
 smallest_gradient_of, is_slow = _LAW[singularity.smallest_gradient_of], _LAW[resolved_rate_law.is_slow]
 is_regular = _LAW[resolved_rate_law.is_regular]
+regular_law = _LAW[resolved_rate_law.regular_law]
 law_at, approach = _LAW[resolved_rate_law.law_at], _LAW[resolved_rate_law.approach]
 barrier_of, within_limits, plain_outcome = (
     _LAW[f] for f in (outcome.barrier_of, outcome.within_limits, outcome.plain_outcome)
@@ -89,8 +97,10 @@ class Constants(NamedTuple):
         gain: Of `Reach`.
         max_speed: Of `Reach`.
         rest_gain: Of `Rest`.
-        numbers: The chain's table, Lambda's, lowest and highest positions, velocity and acceleration limits, positions
-            at rest and which of them wrap, place and rotation of the target.
+        dt: Usual length of a step [s].
+        weakest: Smallest acceleration limit.
+        numbers: The chain's table, Lambda's, the arrays of `LimitTable`, positions at rest and which of them wrap, the
+            target's place and rotation.
     """
 
     settings: LawSettings
@@ -102,6 +112,8 @@ class Constants(NamedTuple):
     gain: float
     max_speed: float
     rest_gain: float
+    dt: float
+    weakest: float
     numbers: Float[np.ndarray, " n"]
 
 
@@ -110,15 +122,18 @@ def unpacked(constants, dt):
     """The rows, the task, the policy and the limits for steps of dt [s]."""
     c, nv, at = constants, constants.nv, WIDTH * (JOINTS + constants.joints)
     x = c.numbers
-    behind = x.shape[0] - 6 * nv - 12
+    behind = x.shape[0] - 9 * nv - 12
     chain, weights = x[:at].reshape((-1, WIDTH)), x[at:behind].reshape((-1, WIDTH))
-    limits = x[behind : behind + 4 * nv].reshape((4, nv))
-    rest, target = x[behind + 4 * nv : behind + 6 * nv].reshape((2, nv)), x[behind + 6 * nv :]
+    n = x[behind : behind + 9 * nv].reshape((9, nv))
+    target = x[behind + 9 * nv :]
+    limits = LimitTable(n[0], n[1], n[2], n[3], n[4], n[5], n[6], c.weakest, c.dt)
+    if dt != c.dt:
+        limits = limit_table(n[0], n[1], n[2], n[3], dt)
     return (
         FrameRows(chain, weights, c.form, c.s, nv),
         Reach(c.kind, c.gain, c.max_speed, target[:3], target[3:].reshape((3, 3))),
-        Rest(c.rest_gain, rest[0], rest[1]),
-        limit_table(limits[0], limits[1], limits[2], limits[3], dt),
+        Rest(c.rest_gain, n[7], n[8]),
+        limits,
     )
 
 
@@ -130,18 +145,18 @@ def bounds_at(table, q, previous, known):
 
 
 @compiled_with_caller
-def free_step(settings, table, A, q, previous, motion, pi, parts):
-    """The law where A is well-conditioned and nothing limits it, as in most steps, in loops over plain numbers.
+def free_step(settings, table, asked, previous, motion, inverse, parts):
+    """The law of a well-conditioned A where nothing limits it, as in most steps, in loops over plain numbers.
 
-    `law_at` and `plain_outcome` give the same in arrays, in twice the time.
+    `regular_law` and `plain_outcome` give the same in arrays, in twice the time. `asked.pi` is what it says afterwards,
+    also for a policy that climbs mu.
 
     Returns:
-        Whether that is so, and the command is written; mu and the smallest singular value.
+        Whether that is so, and the command is written; the bound on the approach to a singularity, and the gradient of
+        the smallest singular value where there is one.
     """
+    A, pi, (X, mu, smallest) = asked.A, asked.pi, inverse
     s, nv = A.shape
-    X, mu, smallest = row_inverse(A)
-    if not is_regular(settings, mu, smallest):
-        return False, mu, smallest
     if settings.climbs:
         square = 0.0
         product(motion, X, 0, pi)
@@ -159,17 +174,19 @@ def free_step(settings, table, A, q, previous, motion, pi, parts):
             along += A[i, j] * pi[j]
             size += A[i, j] * A[i, j]
         for j in range(nv):
-            parts[TASK_PART, j] += parts[TASK_VELOCITY, i] * X[i, j]
+            parts[TASK_PART, j] += asked.b[i] * X[i, j]
             parts[NULL_PART, j] -= along * X[i, j]
     for j in range(nv):
         parts[VELOCITY, j] = parts[TASK_PART, j] + parts[NULL_PART, j]
         speed += parts[VELOCITY, j] * parts[VELOCITY, j]
+    bound, slope = math.inf, pi
     if settings.inverse == DAMPED and settings.limited and not is_slow(table, smallest, speed, size):
         slope = smallest_gradient_of(A, X, mu, smallest, motion)
-        if -dot(slope, parts[VELOCITY]) > approach_bound(smallest, slope, table.acceleration, table.dt):
-            return False, mu, smallest
-    limited = settings.limited and not keeps(table, q, parts[VELOCITY], previous, not math.isnan(previous[0]))
-    return math.isfinite(speed) and not limited, mu, smallest
+        bound = approach_bound(smallest, slope, table.acceleration, table.dt)
+    known = not math.isnan(previous[0])
+    slow = bound == math.inf or -dot(slope, parts[VELOCITY]) <= bound
+    free = slow and (not settings.limited or keeps(table, asked.q, parts[VELOCITY], previous, known))
+    return free and math.isfinite(speed), bound, slope
 
 
 @compiled_with_caller
@@ -194,11 +211,16 @@ def control_step(settings, arm, q, previous, slide, parts, work):
     motion, pi, own = Motion(rows, work), rest_velocity(rest, q), reach.kind != POSE
     for i in range(b.shape[0]):
         parts[TASK_VELOCITY, i] = b[i]
-    if own:
-        free, mu, smallest = free_step(settings, table, A, q, previous, motion, pi, parts)
+    asked = Asked(A, E, own, b, pi, q, table.dt)
+    X, mu, smallest = row_inverse(A)
+    regular, bound, slope = own and is_regular(settings, mu, smallest), math.inf, pi
+    if regular:
+        free, bound, slope = free_step(settings, table, asked, previous, motion, (X, mu, smallest), parts)
         if free:
             return OK, mu, smallest, 1.0, 1.0, 1.0, 0.0, -1, False, error
-    law = law_at(settings, table, Asked(A, E, own, b, pi, q, table.dt), motion)
+        law = regular_law(asked, pi, X, mu, smallest)
+    else:
+        law = law_at(settings, table, asked, motion)
     velocity = law.desired.task + law.desired.null + law.desired.escape
     total = 0.0
     for j in range(q.shape[0]):
@@ -206,11 +228,12 @@ def control_step(settings, arm, q, previous, slide, parts, work):
     code = OK
     if not math.isfinite(total) or (law.singular and settings.inverse == EXACT):
         code = REFUSED
-    near, slope = approach(settings, table, law, motion, velocity)
-    bound = approach_bound(law.smallest, slope, table.acceleration, table.dt) if near else math.inf
+    if not regular:
+        near, slope = approach(settings, table, law, motion, velocity)
+        bound = approach_bound(law.smallest, slope, table.acceleration, table.dt) if near else math.inf
     known = not math.isnan(previous[0])
-    slow = code == REFUSED or not settings.limited
-    if slow or (-dot(slope, velocity) <= bound and keeps(table, q, velocity, previous, known)):
+    plain = code == REFUSED or not settings.limited
+    if plain or (-dot(slope, velocity) <= bound and keeps(table, q, velocity, previous, known)):
         found = plain_outcome(settings, law, velocity, 0.0)
     else:
         G, least = barrier_of(slope, bound)

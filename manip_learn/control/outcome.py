@@ -51,6 +51,9 @@ OK, IS_DAMPED, STALLED, SINGULAR, OUTSIDE_LIMITS, POSITION_LIMITED, VELOCITY_LIM
 )
 REROUTED, NULL_SCALED = STATUSES.index(Status.REROUTED), STATUSES.index(Status.NULL_SCALED)
 
+# rows of the parts of a compiled command, each as long as there are degrees of freedom; b takes the first s of the last
+VELOCITY, TASK_PART, NULL_PART, ESCAPE_PART, TASK_VELOCITY, PARTS = range(6)
+
 
 @final
 class Outcome(NamedTuple):
@@ -91,7 +94,7 @@ def barrier_of(
         bound: `approach_bound`.
     """
     rows = int(bound < math.inf)
-    return slope.reshape((1, -1))[:rows], np.full(rows, -bound)
+    return slope.reshape((1, -1))[:rows], np.zeros(rows) - bound
 
 
 def within_limits(

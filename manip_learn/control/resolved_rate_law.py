@@ -135,7 +135,7 @@ def law_at(settings: LawSettings, limits: LimitTable, asked: Asked, motion: Vjp)
         return _near_singularity(settings, limits, asked, motion, mu)
     # nothing to damp or to truncate, the case of nearly every step
     pi = ascent_velocity(settings.ascent, gradient(motion, X), mu, asked.dt) if settings.climbs else asked.pi
-    return _regular(asked, pi, X, mu, smallest)
+    return regular_law(asked, pi, X, mu, smallest)
 
 
 def is_regular(settings: LawSettings, volume: float, smallest: float) -> bool:
@@ -143,7 +143,7 @@ def is_regular(settings: LawSettings, volume: float, smallest: float) -> bool:
     return volume > 0.0 and not (settings.inverse == DAMPED and smallest < settings.threshold)
 
 
-def _regular(
+def regular_law(
     asked: Asked, pi: Float[np.ndarray, " nv"], X: Float[np.ndarray, "s nv"], mu: float, smallest: float
 ) -> Law:
     """The law from X = A^{+T}: N pi = pi - A^+ (A pi)."""
@@ -182,7 +182,7 @@ def _of_error_rows(
                 pi = ascent_near_singularity(settings.ascent, decomposition, climb, motion, asked.dt)
     X, volume, smallest = row_inverse(asked.rows)
     if is_regular(settings, volume, smallest):
-        return _regular(asked, pi, X, mu, smallest)
+        return regular_law(asked, pi, X, mu, smallest)
     asked = Asked(A, asked.rows, False, asked.b, pi, asked.q, asked.dt)
     return _near_singularity(settings, limits, asked, motion, mu)
 
