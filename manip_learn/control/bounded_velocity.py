@@ -16,7 +16,7 @@ from manip_learn.control.tip_limits import Barrier
 
 # weight of the task's scale against the null-space policy, in multiples of the task part
 TASK_WEIGHT = 100.0
-# how much faster than the task a policy may be to count in that weight
+# the weight grows with the policy's speed up to this multiple of the task's
 LARGEST_RATIO = 1e3
 # weight of the task's velocity against joint velocities, where its direction cannot be kept
 DEVIATION_WEIGHT = 1e2
