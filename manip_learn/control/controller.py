@@ -259,11 +259,10 @@ class ResolvedRateController:
         found = within(barrier) if tip is None or tips is None else tip.bounded(tips, velocity, barrier, within)
         command = bounded_command(law, wish, found, bounds, damped)
         held_back = fast is not None and not damped and command.status is Status.DAMPED
-        if tip is None or tips is None or not held_back:
+        if tips is None or not held_back:
             return command
-        return command._replace(
-            status=Status.POSITION_LIMITED if tip.at_wall(tips, velocity) else Status.VELOCITY_LIMITED
-        )
+        at_wall = np.any(tips.too_near(velocity))
+        return command._replace(status=Status.POSITION_LIMITED if at_wall else Status.VELOCITY_LIMITED)
 
     def __repr__(self) -> str:
         return (

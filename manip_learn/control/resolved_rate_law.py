@@ -155,12 +155,13 @@ class ResolvedRateLaw:
             pi = self._policy(q, t, dt)
         along, damping = b.dot(U).tolist(), self.damping
         task_part, stable = self._task_part(sigma, along, A, V, damping), 0.0
-        if self._brakes and not singular and smallest < threshold:
-            vjp_of_A = vjp or self.constraint.value_and_vjp(q)[1]
-            stable = stable_damping(decomposition, along, threshold, dt, vjp_of_A)
-        if not singular and (stable > damping or (self._escapes and smallest < ESCAPE_WIDTH * threshold)):
-            slope = smallest_gradient(decomposition, vjp or self.constraint.value_and_vjp(q)[1])
-            if stable > damping:
+        if not singular and smallest < threshold and (self._brakes or self._escapes):
+            rates = vjp or self.constraint.value_and_vjp(q)[1]
+            if self._brakes:
+                stable = stable_damping(decomposition, along, threshold, dt, rates)
+            if stable > damping or (self._escapes and smallest < ESCAPE_WIDTH * threshold):
+                slope = smallest_gradient(decomposition, rates)
+            if stable > damping and slope is not None:
                 damping = pressed_damping(damping, stable, slope, task_part)
                 task_part = self._task_part(sigma, along, A, V, damping)
         Z = Vt[rank_of(sigma, A.shape) :]

@@ -173,16 +173,35 @@ def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarray,
     return -direction if max(values) < -min(values) else direction
 
 
+def approach_rate(
+    distance: float, slope: Float[np.ndarray, " nv"], acceleration: Float[np.ndarray, " nv"], dt: float
+) -> float:
+    """Largest rate at which a distance may fall, so that the joints can stop where it is 0; negative beyond that.
+
+        rate = min(kappa x, sqrt(2 a x)),   a = BRAKING_SHARE |g| min_j (a_j / |n_j|),   n = g / |g|
+
+    Args:
+        distance: x, e.g. the smallest singular value of A, or of a frame from a wall [m].
+        slope: g, its gradient.
+        acceleration: Acceleration limits a_j [rad/s2 or m/s2].
+        dt: Time for which a velocity is held [s].
+    """
+    parts = slope.tolist()
+    largest = max(map(truediv, map(abs, parts), acceleration.tolist()))
+    length = math.hypot(*parts)
+    deceleration = BRAKING_SHARE * length * length / largest if largest > 0.0 else math.inf
+    rate = min(APPROACH_RATE, 0.5 / dt)
+    return min(rate * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
+
+
 def approach_bound(
     smallest: float, slope: Float[np.ndarray, " nv"], acceleration: Float[np.ndarray, " nv"], dt: float
 ) -> float:
     """Largest rate at which the smallest singular value may fall, so that the arm can stop at the singularity.
 
-        rate = |grad sigma| CROSSING_SPEED + min(kappa sigma, sqrt(2 a sigma)),
-        a = BRAKING_SHARE |grad sigma| min_j (a_j / |n_j|),  n = grad sigma / |grad sigma|
-
-    A task whose target is out of reach presses the arm against a singularity (a stretched elbow), with joint
-    velocities that grow as 1 / sigma until they flip from step to step; with the bound it comes to rest there.
+    That of `approach_rate`, and |grad sigma| CROSSING_SPEED. A task whose target is out of reach presses the arm
+    against a singularity (a stretched elbow), with joint velocities that grow as 1 / sigma until they flip from
+    step to step; with the bound it comes to rest there.
 
     Args:
         smallest: sigma, the smallest singular value of A.
@@ -190,14 +209,10 @@ def approach_bound(
         acceleration: Acceleration limits [rad/s2 or m/s2].
         dt: Time for which a velocity is held [s].
     """
-    parts = slope.tolist()
-    length = math.hypot(*parts)
+    length = math.hypot(*slope.tolist())
     if length == 0.0:
         return math.inf
-    largest = max(map(truediv, map(abs, parts), acceleration.tolist()))
-    deceleration = BRAKING_SHARE * length * length / largest if largest > 0.0 else math.inf
-    rate = min(APPROACH_RATE, 0.5 / dt)
-    return length * CROSSING_SPEED + min(rate * smallest, math.sqrt(2.0 * deceleration * smallest))
+    return length * CROSSING_SPEED + approach_rate(smallest, slope, acceleration, dt)
 
 
 def stable_damping(decomposition: Decomposition, along: list[float], threshold: float, dt: float, vjp: Vjp) -> float:

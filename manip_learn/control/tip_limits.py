@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol, TypeVar, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE
+from manip_learn.control.singularity import BRAKING_SHARE, approach_rate
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
@@ -48,6 +48,10 @@ class Tips(NamedTuple):
     G: Float[np.ndarray, "w nv"]
     least: Float[np.ndarray, " w"]
 
+    def too_near(self, u: Float[np.ndarray, " nv"]) -> Bool[np.ndarray, " w"]:
+        """Which walls the velocity u approaches too fast."""
+        return self.G.dot(u) < self.least
+
 
 @final
 class TipLimits:
@@ -55,13 +59,10 @@ class TipLimits:
 
     The ball of velocities is bounded by tangent planes, n^T J u <= speed, where it was exceeded: first at the velocity
     wished for, then, as long as one is needed, at the solution with those so far (Kelley, "The cutting-plane method for
-    solving convex programs", 1960). A wall at distance x is approached no faster than
-
-        n^T J u <= min(kappa x, sqrt(2 a x)),   a = BRAKING_SHARE |g|^2 / max_j (|g_j| / a_j),   g = J^T n
-
-    so that the joints can stop the frame there; a frame beyond a wall returns, at kappa times its distance. No more is
-    asked of a step than BRAKING_SHARE of what the acceleration limits a_j allow all joints together. Where they allow
-    no velocity that keeps all this, they have precedence.
+    solving convex programs", 1960). A wall is approached no faster than `singularity.approach_rate` of its distance, so
+    that the joints can stop the frame there; a frame beyond a wall returns. No more is asked of a step than
+    BRAKING_SHARE of what the acceleration limits allow all joints together. Where they allow no velocity that keeps all
+    this, they have precedence.
 
     Args:
         robot: The robot.
@@ -109,17 +110,14 @@ class TipLimits:
         G = np.vstack([normals.dot(J) for J in jacobians])
         left = np.concatenate([offsets - normals.dot(self._robot.position(q, frame)) for frame in self.frames])
         acceleration = np.minimum(acceleration, 1e12)  # inf for none; what follows must stay finite
-        hardest = np.max(np.abs(G) / acceleration, axis=1)
-        braking = BRAKING_SHARE * np.einsum("wj,wj->w", G, G) / np.maximum(hardest, 1e-300)
-        near = min(APPROACH_RATE, 0.5 / dt) * left
-        least = -np.minimum(near, np.sqrt(2.0 * braking * np.maximum(left, 0.0)))
+        least = -np.array([approach_rate(x, g, acceleration, dt) for x, g in zip(left.tolist(), G, strict=True)])
         if previous is not None:
             least = np.minimum(least, BRAKING_SHARE * dt * np.abs(G).dot(acceleration) - G.dot(previous))
         return Tips(jacobians, -G, least)
 
     def rows(self, tips: Tips, u: Float[np.ndarray, " nv"]) -> Barrier | None:
         """What the velocity u breaks: tangents where a frame is too fast, and walls; None where nothing."""
-        broken = np.flatnonzero(tips.G.dot(u) < tips.least)
+        broken = tips.too_near(u)
         rows, least = list(tips.G[broken]), tips.least[broken].tolist()
         for J in tips.jacobians:
             v = J.dot(u)
@@ -128,11 +126,6 @@ class TipLimits:
                 rows.append((-v / fast).dot(J))
                 least.append(self.speed * (RESERVE - 1.0))
         return (np.array(rows), np.array(least)) if rows else None
-
-    @staticmethod
-    def at_wall(tips: Tips, u: Float[np.ndarray, " nv"]) -> bool:
-        """Whether the velocity u approaches a wall too fast."""
-        return bool(np.any(tips.G.dot(u) < tips.least))
 
     def slowed(self, tips: Tips, u: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
         """A velocity, slowed down as a whole to what is allowed; at rest where that is none."""

@@ -189,16 +189,19 @@ class Track(Task):
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
         """Attraction to the target, and the rate at time t where one was given."""
-        return self._velocity(constraint, q, t, 0.0)
+        return self._velocity(PointAttractor(self._target(t)), constraint, q, t, 0.0)
 
     def velocity_and_jacobian(
         self, constraint: Constraint, q: np.ndarray, t: float, dt: float = 0.0
     ) -> tuple[Any, Float[np.ndarray, "s nv"] | None]:
         """b for the time dt [s] that begins at t, and E."""
-        return self._velocity(constraint, q, t, dt), self.error_jacobian(constraint, q, t)
+        here = PointAttractor(self._target(t))
+        return self._velocity(here, constraint, q, t, dt), here.error_jacobian(constraint, q, t)
 
-    def _velocity(self, constraint: Constraint, q: np.ndarray, t: float, dt: float) -> Float[np.ndarray, " s"]:
-        ahead = PointAttractor(self._target(t)).displacement(constraint, q)
+    def _velocity(
+        self, here: PointAttractor, constraint: Constraint, q: np.ndarray, t: float, dt: float
+    ) -> Float[np.ndarray, " s"]:
+        ahead = here.displacement(constraint, q)
         b = self.gain * ahead
         if self._rate is not None:
             return b + constraint.selection @ np.asarray(self._rate(t + 0.5 * dt), dtype=np.float64)
