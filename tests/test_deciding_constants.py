@@ -43,10 +43,10 @@ BESIDE = {
     },
     "excitation": {"rounding": "SAME"},
     "explanation.explain": {
-        "time": "MOST_CONSTRAINTS MOST_TESTED FIRST_SCALES KEPT TURNS SETTLING BEST_ALONE SAME",
+        "time": "MOST_CONSTRAINTS MOST_TESTED FIRST_SCALES KEPT TURNS SETTLING BEST_ALONE",
     },
     "explanation.odd": {"rounding": "MEDIAN_SQUARE"},
-    "explanation.proposals": {"time": "STRIDE MOST_PAIRED MOST_ALONE MOST_PAIRS MOST", "rounding": "TINY"},
+    "explanation.proposals": {"time": "STRIDE MOST_PAIRED MOST_ALONE MOST_PAIRS MOST SAME", "rounding": "TINY"},
     "explanation.row_motion": {"time": "SCAN_RATE FEW", "rounding": "RANK"},
     "mechanisms.find_mechanism": {"time": "SAMPLES MOST LEAST", "rounding": "BLIND"},
     "mechanisms.place_fit": {
@@ -56,7 +56,8 @@ BESIDE = {
     "mechanisms.quantities": {"rounding": "NEAR_AXIS QUANTITIES"},
     "overview": {"time": "SPANS_SHOWN"},
     "recombination": {
-        "time": "SURE MOST_BINS MOST_POINTS NODES_PER_BIN RECOMBINATIONS MOST_RECOMBINATIONS MOST_TRAJECTORIES SHIFTS",
+        "time": "SURE MOST_BINS MOST_POINTS NODES_PER_BIN RECOMBINATIONS MOST_RECOMBINATIONS MOST_TRAJECTORIES SHIFTS "
+        "MOMENTS_AT_ONCE",
         "rounding": "LEVEL_FLOOR",
     },
     "repeats": {"time": "POSTURES PROBES PROBES_NEAR THINNED SEAM SEAM_SHARE"},

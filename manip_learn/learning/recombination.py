@@ -298,6 +298,8 @@ def _turned(paths: list[PhasePath], scale: Float[np.ndarray, " nv"]) -> list[Pha
 # exchanges of joints: twice the least for a p-value of ROW_CHANCE, and the most, where fewer leave the verdict open
 RECOMBINATIONS = 2 * round(1.0 / ROW_CHANCE) - 1
 MOST_RECOMBINATIONS = 16 * RECOMBINATIONS
+# arrangements whose motion is held in memory together: 0.5 MB of a seven-joint arm's pose, six recordings, 20 bins
+MOMENTS_AT_ONCE = 64
 # more trajectories than this add nothing to the evidence but time
 MOST_TRAJECTORIES = 16
 # shifts of a trajectory against itself, where there are too few to exchange joints between
@@ -357,13 +359,15 @@ def recombination_test(
         donors += [(a, k / SHIFTS) for k in range(1, SHIFTS) for a in range(len(paths))]
     parts = np.stack([_parts(path, W @ P, paths, donors) for path, P in zip(paths, Phi, strict=True)])
     energy = np.mean([np.mean(p.weight[:, None] * p.bin_steps() ** 2) for p in paths])
-    recorded = _moments(parts, np.broadcast_to(np.arange(len(paths)), (features.nv, len(paths))))
-    moments, held_out = [recorded.mean(axis=0)], np.sqrt(_held_out_squares(recorded) / energy)
+    (recorded,) = _moments(parts, np.broadcast_to(np.arange(len(paths)), (1, features.nv, len(paths))))
+    moments, held_out = recorded.mean(axis=0)[None], np.sqrt(_held_out_squares(recorded) / energy)
     while True:
         n = max(RECOMBINATIONS, 4 * (len(moments) - 1))
         order = _arrangements(rng, n - len(moments) + 1, features.nv, len(paths), len(donors))
-        moments += [_moments(parts, arrangement).mean(axis=0) for arrangement in order]
-        squares, directions = _squared_levels(np.array(moments))
+        # a few at a time: their motion is a large array
+        few = np.array_split(order, -(-len(order) // MOMENTS_AT_ONCE))
+        moments = np.concatenate([moments, *(_moments(parts, some).mean(axis=1) for some in few)])
+        squares, directions = _squared_levels(moments)
         levels = np.maximum(np.sqrt(squares / energy), LEVEL_FLOOR)
         ratios = levels[1:] / np.maximum(held_out, levels[0])
         evidence = RowEvidence(
@@ -402,14 +406,14 @@ def _arrangements(rng: np.random.Generator, n: int, nv: int, n_paths: int, n_don
 
 
 def _moments(
-    parts: Float[np.ndarray, "d b nv a r"], arrangement: Int[np.ndarray, "nv d"]
-) -> Float[np.ndarray, "d r r"]:
+    parts: Float[np.ndarray, "d b nv a r"], arrangements: Int[np.ndarray, "m nv d"]
+) -> Float[np.ndarray, "m d r r"]:
     """Mean of r r^T over the bins of each trajectory, the joints arranged like this."""
     each = np.arange(len(parts))
-    motion = parts[each, :, 0, arrangement[0]]
-    for v in range(1, len(arrangement)):
-        motion = motion + parts[each, :, v, arrangement[v]]
-    return motion.transpose(0, 2, 1) @ motion / parts.shape[1]
+    motion = parts[each, :, 0, arrangements[:, 0]]
+    for v in range(1, arrangements.shape[1]):
+        motion += parts[each, :, v, arrangements[:, v]]
+    return motion.transpose(0, 1, 3, 2) @ motion / parts.shape[1]
 
 
 def _squared_levels(moments: Float[np.ndarray, "m r r"]) -> tuple[Float[np.ndarray, "m r"], Float[np.ndarray, "r r"]]:

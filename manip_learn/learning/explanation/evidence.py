@@ -30,7 +30,7 @@ class HeldScale:
 
 def evidence(
     motion: RowMotion, energy: Float[np.ndarray, "n h"], s: int, scales: Sequence[HeldScale]
-) -> Float[np.ndarray, "n h"]:
+) -> Float[np.ndarray, "n h k"]:
     """Log-likelihood of each sample if the rows are held over the same if they are free, weighted by its time.
 
     Free: the rows take their even share of the motion, variance f = u^T Phi^+ Phi u / p a row. Held: variance
@@ -41,16 +41,17 @@ def evidence(
         motion: n samples.
         energy: e = u^T A^+ A u of each sample under each hypothesis.
         s: Number of rows.
-        scales: One for each hypothesis.
+        scales: Each hypothesis is judged under each of them.
     """
     steady = np.array([x.steady for x in scales]) ** 2
     share = np.array([x.share for x in scales]) ** 2
     floor = motion.noise[:, None] * steady
     free = np.maximum(motion.free[:, None], floor)
     held = np.minimum(floor + share * free, free)
-    exponent = 0.5 * s * np.log(free / held) - 0.5 * energy * (1.0 / held - 1.0 / free)
-    ratio = np.log(FAR_OFF_SHARE + (1.0 - FAR_OFF_SHARE) * np.exp(np.minimum(exponent, 50.0)))
-    return ratio * (motion.weight[:, None] / CHANGE_SECONDS)
+    offset, slope = 0.5 * s * np.log(free / held), 0.5 * (1.0 / held - 1.0 / free)
+    exponent = np.minimum(offset[:, None] - energy[:, :, None] * slope[:, None], 50.0)
+    ratio = np.log(FAR_OFF_SHARE + (1.0 - FAR_OFF_SHARE) * np.exp(exponent))
+    return ratio * (motion.weight[:, None, None] / CHANGE_SECONDS)
 
 
 # the scales among which a hypothesis takes the one with the most evidence, about half a decade apart

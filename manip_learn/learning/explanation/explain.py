@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import final
+from typing import TypeVar, final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from manip_learn.learning.deciding import CHANGE_SECONDS, LEAST_GAIN_NATS, SAMPLES_PER_DIRECTION, SWITCH_NATS
 from manip_learn.learning.explanation.evidence import SCALES, HeldScale, evidence, gains_of, held_by, states_of
-from manip_learn.learning.explanation.proposals import fitted_rows, proposed
-from manip_learn.learning.explanation.row_motion import RowMotion, View, broken_energy
-from manip_learn.linalg import row_space_angle, row_space_angles
+from manip_learn.learning.explanation.proposals import SAME, distinct, fitted_rows, proposed
+from manip_learn.learning.explanation.row_motion import View, broken_energy
+from manip_learn.linalg import row_space_angle
 
 MOST_CONSTRAINTS = 6
 # hypotheses that are tested in a row without one that passes
@@ -26,8 +26,8 @@ FIRST_SCALES = (HeldScale(2.0, 0.1), HeldScale(2.0, 0.01))
 KEPT, TURNS, SETTLING = 4, 4, 4
 # proposals that are fitted for each recording by itself
 BEST_ALONE = 2
-# rows closer together than this are one proposal [rad]
-SAME = np.radians(3.0)
+
+Key = TypeVar("Key", bound=Hashable)
 
 
 @final
@@ -65,10 +65,6 @@ class Hypothesis:
     def worth(self, seconds: float) -> float:
         """Support less the price [nats]."""
         return self.support - self.price(seconds)
-
-    def evidence(self, motion: RowMotion) -> Float[np.ndarray, " n"]:
-        """Of each sample of its view [nats]."""
-        return evidence(motion, broken_energy(motion, self.rows[None]), self.n_rows, [self.scale])[:, 0]
 
 
 def supports_of(gains: Float[np.ndarray, "g h"]) -> Float[np.ndarray, " h"]:
@@ -109,8 +105,11 @@ class Explanation:
 
     def _values(self, *, fine: bool) -> Float[np.ndarray, "n k"]:
         motions = [v.motion if fine else v.thin for v in self.views]
-        values = [h.evidence(motions[h.view]) for h in self.hypotheses]
-        return np.stack(values, axis=1) if values else np.zeros((len(motions[0]), 0))
+        values = np.zeros((len(motions[0]), len(self.hypotheses)))
+        for k, h in enumerate(self.hypotheses):
+            energy = broken_energy(motions[h.view], h.rows[None])
+            values[:, k] = evidence(motions[h.view], energy, h.n_rows, [h.scale])[:, 0, 0]
+        return values
 
     def fine_states(self) -> Int[np.ndarray, " n"]:
         """State of each sample of the views' full motion."""
@@ -241,16 +240,23 @@ def candidates(now: Explanation, *, alone: bool = False) -> list[Hypothesis]:
         now: What explains the recordings so far.
         alone: Those that gain most in each recording by itself, instead of those that several support.
     """
-    baseline, starts = now.explained, list[Hypothesis]()
+    baseline, starts, kinds = now.explained, list[Hypothesis](), []
+    whole = bool(np.isinf(now.switch))
     for number, view in enumerate(now.views):
-        for s, rows in proposed(view.thin, now.states, view.largest).items():
+        for s, rows in proposed(view.thin, now.states, view.largest, whole=whole).items():
             energy = broken_energy(view.thin, rows)
-            values = [evidence(view.thin, energy, s, [scale] * len(rows)) for scale in FIRST_SCALES]
-            tried = [gains_of(v - baseline[:, None], view.thin.first, now.switch) for v in values]
-            gains = np.max(tried, axis=0)
-            support = np.max([supports_of(g) for g in tried], axis=0)
-            chosen = np.unique(np.argmax(gains, axis=1)).tolist() if alone else _distinct(rows, np.argsort(-support))
-            starts += [Hypothesis(number, rows[i], SCALES[0], gains[:, i]) for i in chosen if alone or support[i] > 0.0]
+            kinds.append((number, rows, evidence(view.thin, energy, s, FIRST_SCALES)))
+    if not kinds:
+        return []
+    values = np.concatenate([each for _, _, each in kinds], axis=1) - baseline[:, None, None]
+    tried = [gains_of(v, now.thin.first, now.switch) for v in np.moveaxis(values, 2, 0)]
+    borders = np.cumsum([len(rows) for _, rows, _ in kinds])[:-1]
+    all_gains = np.split(np.max(tried, axis=0), borders, axis=1)
+    all_supports = np.split(np.max([supports_of(g) for g in tried], axis=0), borders)
+    for (number, rows, _), gains, support in zip(kinds, all_gains, all_supports, strict=True):
+        order = np.argsort(-support)[: np.count_nonzero(support > 0.0)]
+        chosen = np.unique(np.argmax(gains, axis=1)) if alone else order[distinct(rows[order], KEPT)]
+        starts += [Hypothesis(number, rows[i], SCALES[0], gains[:, i]) for i in chosen]
     if alone and starts:
         gains = np.stack([h.gains for h in starts], axis=1)
         starts = [starts[i] for i in np.unique(np.argsort(-gains, axis=1)[:, :BEST_ALONE])]
@@ -263,17 +269,28 @@ def _fitted(
     """Each fitted to the samples that it explains, in turns with its scale; the best of its turns."""
     best = _scaled(views, starts, baseline, switch)
     going = list(range(len(best)))
-    for _ in range(TURNS):
+    for _ in range(TURNS if best else 0):
         now = [best[i] for i in going]
-        values = [h.evidence(views[h.view].thin) - baseline for h in now]
-        if not values:
-            break
-        held = held_by(np.stack(values, axis=1), views[0].thin.first, switch)
+        values = np.empty((len(baseline), len(now)))
+        for (view, s, scale), numbers in _grouped((h.view, h.n_rows, h.scale) for h in now):
+            energy = broken_energy(views[view].thin, np.stack([now[i].rows for i in numbers]))
+            values[:, numbers] = evidence(views[view].thin, energy, s, [scale])[:, :, 0]
+        held = held_by(values - baseline[:, None], views[0].thin.first, switch)
         again = zip(going, _again(views, now, held, baseline, switch), strict=True)
         better = {i: h for i, h in again if h.gains.sum() > best[i].gains.sum()}
         best = [better.get(i, h) for i, h in enumerate(best)]
         going = list(better)
+        if not going:
+            break
     return best
+
+
+def _grouped(keys: Iterable[Key]) -> list[tuple[Key, list[int]]]:
+    """Places of the same key: what is the same for all of them is computed once."""
+    out: dict[Key, list[int]] = {}
+    for i, key in enumerate(keys):
+        out.setdefault(key, []).append(i)
+    return list(out.items())
 
 
 def _again(
@@ -286,14 +303,18 @@ def _again(
     """Each fitted to its held samples, where these are enough to determine its rows; each sample is weighted by the
     inverse of the variance that is expected of it.
     """
-    fitted = []
-    for h, own in zip(hypotheses, held.T, strict=True):
-        thin = views[h.view].thin
-        if np.count_nonzero(own & thin.moving) >= SAMPLES_PER_DIRECTION * h.rows.shape[1]:
-            variance = h.scale.steady**2 * thin.noise + h.scale.share**2 * thin.free
-            rows = fitted_rows(thin, np.where(own, thin.weight / variance, 0.0), h.n_rows)
-            h = dataclasses.replace(h, rows=rows)
-        fitted.append(h)
+    fitted = list(hypotheses)
+    for (view, s), numbers in _grouped((h.view, h.n_rows) for h in hypotheses):
+        thin = views[view].thin
+        enough = np.count_nonzero(held[:, numbers] & thin.moving[:, None], axis=0)
+        numbers = [i for i, n in zip(numbers, enough, strict=True) if n >= SAMPLES_PER_DIRECTION * thin.rates.shape[1]]
+        scales = [hypotheses[i].scale for i in numbers]
+        variance = np.outer(thin.noise, [x.steady**2 for x in scales]) + np.outer(
+            thin.free, [x.share**2 for x in scales]
+        )
+        weights = np.where(held[:, numbers], thin.weight[:, None] / variance, 0.0)
+        for i, rows in zip(numbers, fitted_rows(thin, weights, s), strict=True):
+            fitted[i] = dataclasses.replace(hypotheses[i], rows=rows)
     return _scaled(views, fitted, baseline, switch)
 
 
@@ -303,12 +324,12 @@ def _scaled(
     """Each with the scale that gains most."""
     if not hypotheses:
         return []
-    values = []
-    for h in hypotheses:
-        thin = views[h.view].thin
-        energy = np.repeat(broken_energy(thin, h.rows[None]), len(SCALES), axis=1)
-        values.append(evidence(thin, energy, h.n_rows, SCALES) - baseline[:, None])
-    gains = gains_of(np.concatenate(values, axis=1), views[0].thin.first, switch)
+    values = np.empty((len(baseline), len(hypotheses), len(SCALES)))
+    for (view, s), numbers in _grouped((h.view, h.n_rows) for h in hypotheses):
+        energy = broken_energy(views[view].thin, np.stack([hypotheses[i].rows for i in numbers]))
+        values[:, numbers] = evidence(views[view].thin, energy, s, SCALES)
+    values -= baseline[:, None, None]
+    gains = gains_of(values.reshape(len(baseline), -1), views[0].thin.first, switch)
     gains = gains.reshape(len(gains), len(hypotheses), len(SCALES))
     most = np.argmax(gains.sum(axis=0), axis=1)
     return [
@@ -319,14 +340,3 @@ def _scaled(
 
 def _similar(first: Hypothesis, second: Hypothesis) -> bool:
     return first.view == second.view and row_space_angle(first.rows, second.rows) < SAME
-
-
-def _distinct(rows: Float[np.ndarray, "h s r"], order: Int[np.ndarray, " h"]) -> list[int]:
-    """The first few in this order whose row spaces differ."""
-    kept: list[int] = []
-    for i in order:
-        if not kept or np.all(row_space_angles(rows[kept], rows[i]) > SAME):
-            kept.append(int(i))
-        if len(kept) == KEPT:
-            break
-    return kept

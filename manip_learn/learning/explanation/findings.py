@@ -167,9 +167,9 @@ def _elsewhere(
 ) -> tuple[str, ...]:
     """A warning if rows in the other reference, which was not asked for, explain all recordings better."""
     tried = {f.reference for f in feature_maps if isinstance(f, FrameJacobian)}
-    whole = [np.all(explanation.gains[:, k] > 0.0) for k in range(len(explanation.hypotheses))]
-    firm = any(w and h.scale.share <= FIRM_SHARE for w, h in zip(whole, explanation.hypotheses, strict=True))
-    if len(tried) != 1 or firm:
+    firm = [h.scale.share <= FIRM_SHARE for h in explanation.hypotheses]
+    held = [bool(np.all(explanation.states == k + 1)) for k in range(len(firm))]
+    if len(tried) != 1 or any(f and h for f, h in zip(firm, held, strict=True)):
         return ()
     other: Reference = "local" if "world" in tried else "world"
     maps = [
@@ -258,6 +258,8 @@ def _lone_contacts(explanation: Explanation, believed: _Recombination) -> list[S
         explanation: What several recordings show.
         believed: The test of a hypothesis against chance, by a single stretch.
     """
+    if np.all(explanation.states > 0):
+        return []
     found = [h for h in candidates(explanation, alone=True) if h.scale.share <= FIRM_ALONE_SHARE]
     out, motion = list[Stretch](), explanation.views[0].motion
     for i in range(explanation.thin.n_trajectories if found else 0):

@@ -18,7 +18,9 @@ MOST_PAIRED = 60  # windows that are taken in pairs
 # recordings, and pairs of them, that are taken at most: more propose the same rows again
 MOST_ALONE, MOST_PAIRS = 16, 24
 # windows, and pairs of them, that propose s rows, those with the clearest gaps
-MOST = 200
+MOST = 100
+# rows closer together than this are one proposal [rad]
+SAME = np.radians(3.0)
 
 # keeps what does not move at all positive definite
 TINY = 1e-200
@@ -54,7 +56,9 @@ class Moments(NamedTuple):
         return Moments(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def proposed(motion: RowMotion, states: Int[np.ndarray, " n"], largest: int) -> dict[int, Float[np.ndarray, "h s r"]]:
+def proposed(
+    motion: RowMotion, states: Int[np.ndarray, " n"], largest: int, *, whole: bool = False
+) -> dict[int, Float[np.ndarray, "h s r"]]:
     """Rows for each number of rows s = 1 .. largest, orthonormal.
 
     Each window or recording solves M x = lambda S x with M = sum r r^T and S = sum Phi Phi^T, whose s least
@@ -66,10 +70,12 @@ def proposed(motion: RowMotion, states: Int[np.ndarray, " n"], largest: int) -> 
         motion: Chosen samples.
         states: What explains each of them.
         largest: Largest number of rows.
+        whole: Whether a recording is one state throughout, so that no window says more than it.
     """
     out: dict[int, list[np.ndarray]] = {s: [] for s in range(1, largest + 1)}
     wholes = [part for k in range(int(states.max(initial=0)) + 1) for part in _recordings(motion, states == k)]
-    for parts, most in ((_windows(motion, states == 0), MOST), (wholes, None)):
+    windows = [] if whole else _windows(motion, states == 0)
+    for parts, most in ((wholes, None), (windows, MOST)):
         moments = Moments.joined(parts) if parts else None
         if moments is None or not len(moments.M):
             continue
@@ -79,7 +85,21 @@ def proposed(motion: RowMotion, states: Int[np.ndarray, " n"], largest: int) -> 
             chosen = np.flatnonzero(gap > PROPOSAL_GAP)
             chosen = chosen[np.argsort(-gap[chosen])][:most]
             kept.append(np.linalg.qr(directions[chosen, :s].transpose(0, 2, 1))[0].transpose(0, 2, 1))
-    return {s: rows for s, kept in out.items() if kept and len(rows := np.concatenate(kept))}
+    joined = {s: np.concatenate(kept) for s, kept in out.items() if kept}
+    return {s: rows[distinct(rows)] for s, rows in joined.items() if len(rows)}
+
+
+def distinct(rows: Float[np.ndarray, "h s r"], most: int | None = None) -> list[int]:
+    """The first few of orthonormal rows whose row spaces differ."""
+    h, s, r = rows.shape
+    projectors = (rows.transpose(0, 2, 1) @ rows).reshape(h, r * r)
+    # tr(P1 P2) is the sum of the squared cosines of the principal angles
+    apart = s - projectors @ projectors.T > np.sin(SAME) ** 2
+    left, kept = np.arange(h), list[int]()
+    while len(left) and (most is None or len(kept) < most):
+        kept.append(int(left[0]))
+        left = left[apart[left[0], left]]
+    return kept
 
 
 def _windows(motion: RowMotion, chosen: Bool[np.ndarray, " n"]) -> list[Moments]:
@@ -154,8 +174,10 @@ def _window_moments(motion: RowMotion, lengths: Sequence[float]) -> Moments:
     return Moments(M, S, noise, np.concatenate(numbers).astype(np.int64))
 
 
-def fitted_rows(motion: RowMotion, weights: Float[np.ndarray, " n"], s: int) -> Float[np.ndarray, "s r"]:
-    """The s rows that the weighted samples use least, orthonormal."""
-    M, S = (motion.rates * weights[:, None]).T @ motion.rates, np.tensordot(weights, motion.gram, axes=1)
-    _, directions = _least_used(Moments(M[None], S[None], np.zeros(1), np.zeros(1, dtype=np.int64)))
-    return np.linalg.qr(directions[0, :s].T)[0].T
+def fitted_rows(motion: RowMotion, weights: Float[np.ndarray, "n h"], s: int) -> Float[np.ndarray, "h s r"]:
+    """The s rows that the weighted samples use least, orthonormal, for each set of weights."""
+    n, r = motion.rates.shape
+    products = (motion.rates[:, :, None] * motion.rates[:, None, :]).reshape(n, r * r)
+    M, S = ((weights.T @ one).reshape(-1, r, r) for one in (products, motion.gram.reshape(n, r * r)))
+    _, directions = _least_used(Moments(M, S, np.zeros(len(M)), np.zeros(len(M), dtype=np.int64)))
+    return np.linalg.qr(directions[:, :s].transpose(0, 2, 1))[0].transpose(0, 2, 1)

@@ -17,6 +17,7 @@ from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning.deciding import CUBIC, LONGEST_STEP_SECONDS, OVER_NOISE, SHORT_WINDOWS_SECONDS
 from manip_learn.learning.samples import whitening
 from manip_learn.linalg import null_basis
+from manip_learn.recordings.preprocessing import subsample
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 
@@ -118,9 +119,9 @@ class RowMotion:
         """Where the rows move clearly more than the noise: elsewhere nothing can be known."""
         return self.free > OVER_NOISE**2 * self.noise
 
-    def thinned(self, rate: float = SCAN_RATE) -> RowMotion:
-        """Evenly chosen samples, about so many a second, each standing for the time of those left out."""
-        step = max(1, round(len(self) / max(float(self.weight.sum()), 1e-9) / rate))
+    def thinned(self) -> RowMotion:
+        """Evenly chosen samples, about SCAN_RATE a second, each standing for the time of those left out."""
+        step = max(1, round(len(self) / max(float(self.weight.sum()), 1e-9) / SCAN_RATE))
         if step == 1:
             return self
         # of the shortest recording at least one
@@ -237,14 +238,23 @@ class View:
         return null_basis(np.linalg.svd(self.motion.whitening, full_matrices=False)[2]).T
 
 
-def views_of(feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory]) -> list[View]:
+def views_of(
+    feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory], *, scan_only: bool = False
+) -> list[View]:
     """The recordings in each feature map.
+
+    Args:
+        feature_maps: The candidates for Phi.
+        trajectories: With velocities.
+        scan_only: Whether the samples on which hypotheses are scored are all that is wanted.
 
     Raises:
         RecordingError: A trajectory lacks velocities.
         NotIdentifiableError: Every row of a map is zero throughout.
     """
     noise = [velocity_noise(t) for t in trajectories]
+    if scan_only:
+        trajectories = [subsample(t, max(2, round(t.duration * SCAN_RATE))) for t in trajectories]
     motions = [(f, RowMotion.collect(f, trajectories, noise)) for f in feature_maps]
     views = [View(f, motion, motion.thinned(), min(motion.rank, f.nv) - 1) for f, motion in motions]
     return [v for v in views if v.largest > 0]

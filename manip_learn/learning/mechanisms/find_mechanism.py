@@ -155,10 +155,14 @@ def find_mechanism(
     if max(np.ptp(paths.p, axis=0).max(), np.abs(paths.turns).max()) < 1e-3:
         raise NotIdentifiableError("the hand does not move in these trajectories", code="no-motion")
     moved = list(with_velocities(Demonstrations(chosen, ()), robot))
-    known = None if held is None else read_kind(*held, views_of([held[0]], moved)[0].immovable, paths.p)
+    known = None if held is None else read_kind(*held, views_of([held[0]], moved, scan_only=True)[0].immovable, paths.p)
     read, members, table = known, tuple(range(len(moved))), tuple[Alternative, ...]()
     if held is None or known is None or not any(unit.startswith("rad") for unit in held[0].row_units):
         searched, members, table = _read(robot, tip, moved, paths, rng, strength)
+        if held is not None and searched is not None and 2 * len(members) <= len(moved):
+            # where rows are known to be held in all of them, what holds in so few is not what holds them
+            few = f"a {searched[0].name} holds the hand in {len(members)} of {len(moved)} recordings only"
+            return MechanismFit(None, None, None, {}, table, few)
         read, members = (searched, members) if searched else (known, tuple(range(len(moved))))
     if read is None:
         return MechanismFit(None, None, None, {}, table, _why_none(table))
@@ -220,7 +224,7 @@ def _read(
         table.append(Alternative(name, h.n_rows, h.support, strength, verdict))
         return verdict == "chosen"
 
-    views, seed = views_of(maps, moved), int(rng.integers(2**32))
+    views, seed = views_of(maps, moved, scan_only=True), int(rng.integers(2**32))
     found = explain(views, believed, np.inf)
     if not found.hypotheses:
         return None, (), tuple(table)
