@@ -5,6 +5,7 @@ explains itself.
 from __future__ import annotations
 
 import importlib
+import itertools
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from manip_learn.errors import FeatureError
 from manip_learn.learning.explanation.evidence import HeldScale, evidence, gains_of, held_by, states_of
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, find
 from manip_learn.learning.explanation.odd import agreeing
-from manip_learn.learning.explanation.proposals import proposed
+from manip_learn.learning.explanation.proposals import SAME, distinct, fitted_rows, proposed
 from manip_learn.learning.explanation.row_motion import RowMotion, broken_energy, joints_at_once
 from manip_learn.learning.explanation.stretch import Stretch
 from manip_learn.linalg import complement_rows, row_space_angle
@@ -318,6 +319,34 @@ def test_what_is_free_is_the_mean_over_the_signs_of_the_joints():
         P = np.linalg.pinv(Phi) @ Phi
         signed = u * rng.choice([-1.0, 1.0], (20_000, len(u)))
         assert motion.free[i] == pytest.approx(np.mean(np.einsum("ni,ij,nj->n", signed, P, signed)) / 3.0, rel=0.03)
+
+
+def test_proposals_that_say_the_same_are_one():
+    """Of rows closer together than 3 degrees, the squared sines of all principal angles added, the first is kept."""
+    rng = np.random.default_rng(7)
+    for s, r in ((1, 3), (2, 6), (5, 7)):
+        bases = [np.linalg.qr(rng.normal(size=(r, s)))[0].T for _ in range(6)]
+        near = [np.linalg.qr((b + 0.2 * SAME / np.sqrt(s * r) * rng.normal(size=b.shape)).T)[0].T for b in bases]
+        rows = np.stack([row for both in zip(bases, near, strict=True) for row in both])
+        kept = distinct(rows)
+        angles = [row_space_angle(rows[i], rows[j]) for i, j in itertools.combinations(kept, 2)]
+        assert kept == list(range(0, 12, 2))
+        assert min(angles) > SAME / np.sqrt(s)
+        assert distinct(rows, 2) == [0, 2]
+
+
+def test_rows_are_fitted_to_the_samples_that_weigh():
+    """Several fits at once are those one by one, each the least of its weighted samples."""
+    features, trajectories, truth = recordings("drawer", "panda", 2011, 5)
+    motion = RowMotion.collect(features, trajectories)
+    a, b, _ = truth["windows"][0][0]
+    inside = (motion.trajectory == 0) & (motion.time > a + 0.1) & (motion.time < b - 0.1)
+    weights = np.stack([inside, np.ones(len(motion))], axis=1) * motion.weight[:, None]
+    both = fitted_rows(motion, weights, 2)
+    held = motion.selection(both[0])
+    for k in (0, 1):
+        assert row_space_angle(both[k], fitted_rows(motion, weights[:, k : k + 1], 2)[0]) < 1e-7
+    assert row_space_angle(held, complement_rows(np.atleast_2d(truth["mechanisms"][0]["axis"]))) < np.radians(0.2)
 
 
 def test_standstill_says_nothing():

@@ -309,9 +309,8 @@ def _again(
         enough = np.count_nonzero(held[:, numbers] & thin.moving[:, None], axis=0)
         numbers = [i for i, n in zip(numbers, enough, strict=True) if n >= SAMPLES_PER_DIRECTION * thin.rates.shape[1]]
         scales = [hypotheses[i].scale for i in numbers]
-        variance = np.outer(thin.noise, [x.steady**2 for x in scales]) + np.outer(
-            thin.free, [x.share**2 for x in scales]
-        )
+        variance = np.outer(thin.noise, [x.steady**2 for x in scales])
+        variance += np.outer(thin.free, [x.share**2 for x in scales])
         weights = np.where(held[:, numbers], thin.weight[:, None] / variance, 0.0)
         for i, rows in zip(numbers, fitted_rows(thin, weights, s), strict=True):
             fitted[i] = dataclasses.replace(hypotheses[i], rows=rows)
