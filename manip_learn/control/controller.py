@@ -153,6 +153,20 @@ class ResolvedRateController:
             q = self._checked_posture(q)
         return self._limited(q, dt, self._law(q, t, dt), previous, slide if self.task.slides else 0.0)
 
+    def task_velocity(self, q: ArrayLike, t: float, dt: float) -> Float[np.ndarray, " s"]:
+        """The velocity b that the task asks of the rows, in their units per second.
+
+        Args:
+            q: Posture: a configuration or joint positions.
+            t: Time [s].
+            dt: Time for which the command is held [s].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+            TargetError: The task's target does not fit the constraint, or b is not finite.
+        """
+        return self._law.task_velocity(self._checked_posture(q), t, dt)[0]
+
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]."""
         return self.task.error(self.constraint, np.asarray(q, dtype=np.float64), t)

@@ -71,7 +71,7 @@ def control_step(constants, q, dt, previous, slide, parts, work):
         dt: Time for which the command is held [s].
         previous: Velocity in the step before [rad/s or m/s], NaN where no acceleration is bounded.
         slide: See `ResolvedRateController`.
-        parts: The velocity, its parts and b, in the rows of `step_table`.
+        parts: The velocity, its parts and b, in the rows of `step_table`; a b that is GIVEN is there before.
         work: Its row FACTS holds the command's numbers afterwards.
     """
     state = free_step(constants, q, dt, previous, parts, work)

@@ -13,7 +13,7 @@ from manip_learn.control.compiled.limits_table import packed_limits
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.resolved_rate_law import ESCAPE_WIDTH
-from manip_learn.control.tasks import Hold, PointAttractor
+from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.rotations import rotation_matrix
 
@@ -43,6 +43,8 @@ def why_not(controller: ResolvedRateController) -> str | None:
     known = type(task) is Hold
     if type(task) is PointAttractor and isinstance(features, FrameJacobian):
         known = _is_packed(features, constraint.n_constraints, task.target)
+    if type(task) is FreeDirection:
+        known = task.along_rows
     if not known:
         reference = getattr(features, "reference", type(features).__name__)
         return f"the task is {task!r} with rows {' '.join(features.row_names)} ({reference})"
@@ -71,6 +73,8 @@ def packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
         header[0, table.GAIN] = task.gain
         header[0, table.MAX_SPEED] = np.inf if task.max_speed is None else task.max_speed
         _pack_target(features, constraint.selection, task.target, header, chain)
+    elif isinstance(task, FreeDirection):
+        header[0, table.TASK] = table.GIVEN
     _pack_policy(controller, header, dofs)
     return np.concatenate([header, chain, dofs, rows])
 

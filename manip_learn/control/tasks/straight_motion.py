@@ -62,6 +62,7 @@ class StraightMotion(DrivenMotion):
         self._f = f / max(linear_size, angular_size)  # a distance counts along the larger part
         self._held = constraint.selection
         self._twist = np.zeros(6)
+        self.along_rows = isinstance(features, FrameJacobian) and features.only_linear
         self._features: FrameJacobian | RelativeFrameJacobian | None = None
         if isinstance(features, FrameJacobian | RelativeFrameJacobian) and not features.only_linear:
             self._features = features
