@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.bounded_velocity import BoundedVelocity, bounded_velocity
 from manip_learn.control.command import Command
+from manip_learn.control.compiled.limits_table import tips_are_compiled
 from manip_learn.control.compiled_limits import CompiledLimits
 from manip_learn.control.limits import Limits
 from manip_learn.control.outcome import Law, bounded_command, plain_command
@@ -212,7 +213,7 @@ class ResolvedRateController:
 
     def _compiled_limits(self, report: Callable[[str], object] | None = None) -> CompiledLimits | None:
         wide = self.constraint.n_constraints > self.constraint.nv
-        if self.solver != "compiled" or self.limits is None or wide or self.limits.tip is not None:
+        if self.solver != "compiled" or self.limits is None or wide or not tips_are_compiled(self.limits):
             return None
         return CompiledLimits(self.limits, self.inverse, self.threshold, self.damping, report)
 
@@ -246,10 +247,10 @@ class ResolvedRateController:
             return plain_command(law, velocity, damped)
         slope, far = self._law.approach(q, dt, law, velocity), previous is None and limits.far(q, dt, velocity)
         tip, tips, fast = limits.tip, None, None
-        if tip is not None:
+        if tip is not None and self._compiled is None:
             tips = tip.at(q, dt, limits.acceleration, previous)
             fast = tip.rows(tips, velocity)
-        if far and slope is None and fast is None:
+        if far and slope is None and fast is None and (tip is None or tips is not None):
             return plain_command(law, velocity, damped)
         if self._compiled is not None:
             return self._compiled(q, dt, law, velocity, slope, previous, slide)

@@ -66,7 +66,7 @@ def free_step(constants, q, dt, previous, parts, work):
             return REFUSED
     dofs = CHAIN + JOINTS + joints
     rows, base, facts, posed = dofs + nv, MATRICES + 3 * s, work[FACTS], constants[0, TASK] == POSE
-    turn_joints(constants, joints, q, work, base)
+    turn_joints(constants, CHAIN, joints, q, work, base)
     p0, p1, p2 = columns_of(constants, CHAIN, joints, work, base, SLIDE, 1, work, base)
     mix = mix_at(s, joints, base)
     mix_rows(constants, rows, s, form_of(constants), p0, p1, p2, work, mix)
