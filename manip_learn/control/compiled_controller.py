@@ -99,9 +99,9 @@ class CompiledController:
         example = (np.zeros(self.nv), controller.dt, unknown, 0.0, np.zeros(shape))
         step = entry_point(command_of, self._constants, *example)
         # what a call looks up, in one place
-        given = None if self.rolls_out else (controller.task_velocity, s)
-        slides = controller.task.slides
-        self._known = (step, self._constants, (self.nv,), shape, unknown, controller.dt, views, slides, given)
+        # tasks whose velocity is compiled slide
+        given = None if self.rolls_out else (controller.task_velocity, s, controller.task.slides)
+        self._known = (step, self._constants, (self.nv,), shape, unknown, controller.dt, views, given)
 
     def __call__(
         self,
@@ -112,7 +112,7 @@ class CompiledController:
         slide: float = 0.0,
     ) -> Command:
         """The command at posture q; arguments and errors as for `ResolvedRateController`."""
-        step, constants, size, shape, before, held, views, slides, given = self._known
+        step, constants, size, shape, before, held, views, given = self._known
         if type(q) is _array and q.shape == size and q.dtype is _DOUBLE:
             x = _contiguous(q)
         else:
@@ -127,10 +127,9 @@ class CompiledController:
             return self.controller(q, t, dt, previous, slide)
         parts = _empty(shape)
         if given is not None:
-            task_velocity, s = given
+            task_velocity, s, slides = given
             parts[_TASK_VELOCITY, :s] = task_velocity(q, t, held)
-        if not slides:
-            slide = 0.0
+            slide = slide if slides else 0.0
         code, mu, smallest, scale, null_scale, progress, outside, joint, escapes = step(
             constants, x, held, before, slide, parts
         )
