@@ -150,3 +150,16 @@ def test_frames_that_followers_move_are_limited_in_python() -> None:
         limits = ml.Limits(robot, tip_speed=0.1, frames=frame)
         law = ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.0, 1.0]), limits=limits)
         assert ("the speed or the place of a frame" in (why_not(law) or "")) == refused
+
+
+@needs_numba
+def test_a_hand_far_from_every_joint_limit_is_slowed_down(robot_of: RobotOf) -> None:
+    """Behind a law in Python the short way past the limits does not pass those of frames by."""
+    robot, tip = robot_of("sawyer"), tip_of("sawyer")
+    constraint = ml.Constraint(np.eye(3)[:2], ml.CentreOfMass(robot))
+    goal = constraint.features.coordinates(READY) + [0.02, 0.05, 0.0]
+    limits = ml.Limits(robot, tip_speed=0.02, frames=tip)
+    law = ml.ResolvedRateController(constraint, ml.PointAttractor(goal), limits=limits)
+    expected, got = law(READY), law.with_solver("compiled")(READY)
+    agree(got, expected, at_limits=1e-9)
+    assert 0.0199 < np.linalg.norm(robot.jacobian(READY, tip)[:3] @ got.velocity) <= 0.02
