@@ -68,16 +68,19 @@ def tips_at(constants, q, dt, previous):
                 k = chain + JOINTS + j
                 tips[first + i, int(constants[k, SOURCE])] = tips[base + int(constants[k, TARGET]), i]
         for w in range(walls):
-            n = constants[at + 1 + w]
-            left = n[3] - n[0] * p0 - n[1] * p1 - n[2] * p2
-            _wall_row(constants, n, left, dt, previous, tips, first, first + LINEAR + w)
+            n, row = constants[at + 1 + w], first + LINEAR + w
+            tips[row, nv] = n[3] - n[0] * p0 - n[1] * p1 - n[2] * p2
+            _wall_row(constants, n, dt, previous, tips, first, row)
         chain += JOINTS + joints
     return tips
 
 
 @compiled_inside
-def _wall_row(constants, n, left, dt, previous, tips, first, row):
-    """Minus the rate at which a frame approaches a wall, per unit of joint velocity, and minus the rate allowed."""
+def _wall_row(constants, n, dt, previous, tips, first, row):
+    """Minus the rate at which a frame approaches a wall, per unit of joint velocity, and minus the rate allowed.
+
+    The latter takes the place of the distance from the wall [m].
+    """
     nv, braking, speed, G = int(constants[0, NV]), 0.0, 0.0, tips[row]
     dofs = CHAIN + JOINTS + int(constants[0, N_JOINTS])
     for j in range(nv):
@@ -85,7 +88,7 @@ def _wall_row(constants, n, left, dt, previous, tips, first, row):
         G[j] = -rate
         braking += abs(rate) * constants[dofs + j, ACCELERATION]
         speed += rate * previous[j]
-    G[nv], G[nv + 1] = -approach_rate(constants, dofs, left, G[:nv], norm(G[:nv]), dt), 0.0
+    G[nv], G[nv + 1] = -approach_rate(constants, dofs, G[nv], G[:nv], norm(G[:nv]), dt), 0.0
     if not math.isnan(speed):
         G[nv] = min(G[nv], BRAKING_SHARE * dt * braking - speed)
 
@@ -103,8 +106,7 @@ def breaks(constants, tips, u):
         for w in range(walls):
             row = first + LINEAR + w
             near = near or _along(tips, row, u, nv) < tips[row, nv]
-        v0, v1, v2 = _along(tips, first, u, nv), _along(tips, first + 1, u, nv), _along(tips, first + 2, u, nv)
-        fast = fast or math.sqrt(v0 * v0 + v1 * v1 + v2 * v2) > constants[at, TIP_SPEED]
+        fast = fast or _velocity(tips, first, u, nv)[3] > constants[at, TIP_SPEED]
     return fast or near, near
 
 
@@ -127,8 +129,7 @@ def with_broken(constants, tips, u, space, rows):
                     space[SLOPE + rows, j] = tips[row, j]
                 tips[row, nv + 1] = 1.0
                 rows += 1
-        v0, v1, v2 = _along(tips, first, u, nv), _along(tips, first + 1, u, nv), _along(tips, first + 2, u, nv)
-        speed = math.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
+        v0, v1, v2, speed = _velocity(tips, first, u, nv)
         if speed > fastest:  # the tangent where the ball of velocities was left
             for j in range(nv):
                 along = v0 * tips[first, j] + v1 * tips[first + 1, j] + v2 * tips[first + 2, j]
@@ -136,6 +137,13 @@ def with_broken(constants, tips, u, space, rows):
             space[SLOPE + rows, nv] = fastest * (RESERVE - 1.0)
             rows += 1
     return rows
+
+
+@compiled_inside
+def _velocity(tips, first, u, nv):
+    """The velocity of the frame whose rows begin at `first`, and its norm [m/s]."""
+    v0, v1, v2 = _along(tips, first, u, nv), _along(tips, first + 1, u, nv), _along(tips, first + 2, u, nv)
+    return v0, v1, v2, math.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
 
 
 @compiled_inside
