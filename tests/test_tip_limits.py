@@ -9,7 +9,7 @@ import pytest
 from servo_cases import Constantly
 
 import manip_learn as ml
-from manip_learn.errors import ConfigurationError, ConstraintError, UnknownNameError
+from manip_learn.errors import ConfigurationError, UnknownNameError
 
 TIP, SPEED, DT = "right_gripper_tip", 0.25, 0.002
 RobotOf = Callable[[str], ml.Robot]
@@ -125,7 +125,7 @@ def test_an_oblique_wall_and_a_start_beyond_it(robot_of: RobotOf) -> None:
 
 
 def test_bad_arguments(robot_of: RobotOf) -> None:
-    """Speeds that are none, unknown frames, and what is not compiled."""
+    """Speeds that are none, unknown frames, boxes without room and walls without a side."""
     robot = robot_of("sawyer")
     for speed in (0.0, -1.0, np.nan, np.inf, "fast"):
         with pytest.raises(ConfigurationError, match="tip_speed"):
@@ -138,7 +138,3 @@ def test_bad_arguments(robot_of: RobotOf) -> None:
     for walls in ([1.0, 0.0, 0.0, 1.0], [[0.0, 0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0, np.inf]]):
         with pytest.raises(ConfigurationError, match="walls must be rows"):
             ml.Limits(robot, tip_walls=walls)
-    constraint = ml.Constraint(np.eye(3), ml.FrameJacobian(robot, TIP, "xyz"))
-    controller = ml.ResolvedRateController(constraint, limits=ml.Limits(robot, tip_speed=1.0))
-    with pytest.raises(ConstraintError, match="speed or the place of frames"):
-        ml.CompiledController(controller)

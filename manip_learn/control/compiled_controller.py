@@ -28,7 +28,7 @@ _DOUBLE = np.dtype(np.float64)  # in the byte order of the machine
 # looked up at every step
 _INFINITY = math.inf
 _array, _empty, _contiguous, _new = np.ndarray, np.empty, np.ascontiguousarray, tuple.__new__
-_ESCAPE_PART = table.ESCAPE_PART
+_ESCAPE_PART, _TASK_VELOCITY = table.ESCAPE_PART, table.TASK_VELOCITY
 _WORDS = np.array(STATUSES, dtype=object)
 
 
@@ -48,13 +48,14 @@ class CompiledController:
     """The commands of a `ResolvedRateController`, computed by compiled code.
 
     For rows of a frame's Jacobian and for doors, tethers, screws and all that `MechanismRows` and `PlaceRows` hold, a
-    chain of revolute, continuous and prismatic joints, the tasks `Hold` and, for rows of a frame's Jacobian,
-    `PointAttractor` (positions, poses and whole rotations, along the axes of the base or of the frame), and a
-    `ManipulabilityAscent` of the same constraint, a `JointAttractor` or no policy; in every state, at limits and at
-    singularities too. (For all others there is the original's solver `"compiled"`.) The original controller computes
-    the command only where the posture or the velocity is not finite, where a direction is lost that the inverse
-    `"exact"` cannot invert, and where several are lost at once under a policy without a bound. The numbers are the same
-    everywhere (to 1e-12 of the largest, to 1e-9 at limits).
+    chain of revolute, continuous and prismatic joints, the tasks `Hold` and `FreeDirection` (along positions and
+    mechanisms; its b is computed in Python, once a call) and, for rows of a frame's Jacobian, `PointAttractor`
+    (positions, poses and whole rotations, along the axes of the base or of the frame), and a `ManipulabilityAscent` of
+    the same constraint, a `JointAttractor` or no policy; in every state, at limits and at singularities too. (For all
+    others there is the original's solver `"compiled"`.) The original controller computes the command only where the
+    posture or the velocity is not finite, where a direction is lost that the inverse `"exact"` cannot invert, and
+    where several are lost at once under a policy without a bound. The numbers are the same everywhere (to 1e-12 of the
+    largest, to 1e-9 at limits).
 
     The first one on a machine takes about a minute, which it says through the logger `manip_learn`; the machine
     code is kept on disk.
@@ -62,6 +63,9 @@ class CompiledController:
     Args:
         controller: What is compiled; later changes of its attributes are not seen.
         report: Called with a sentence where the code has to be compiled first.
+
+    Attributes:
+        rolls_out: Whether whole rollouts are compiled: not where b is computed in Python.
 
     Raises:
         ConstraintError: This combination is not compiled; says which part.
@@ -88,13 +92,16 @@ class CompiledController:
         views = itemgetter(table.VELOCITY, table.TASK_PART, table.NULL_PART, b)
         unknown = np.full(self.nv, np.nan)  # the velocity before, where no acceleration is bounded
         self._constants, self._rollout = packed(controller), rollout
+        self.rolls_out = self._constants[0, table.TASK] != table.GIVEN
         shape = (table.PARTS, self.nv)
         announce_compilation(command_of, report)
         # compiled, or read from the cache, now and not in the loop
-        example = (np.zeros(self.nv), controller.dt, unknown, 0.0, np.empty(shape))
+        example = (np.zeros(self.nv), controller.dt, unknown, 0.0, np.zeros(shape))
         step = entry_point(command_of, self._constants, *example)
         # what a call looks up, in one place
-        self._known = (step, self._constants, (self.nv,), shape, unknown, controller.dt, views)
+        # tasks whose velocity is compiled slide
+        given = None if self.rolls_out else (controller.task_velocity, s, controller.task.slides)
+        self._known = (step, self._constants, (self.nv,), shape, unknown, controller.dt, views, given)
 
     def __call__(
         self,
@@ -105,7 +112,7 @@ class CompiledController:
         slide: float = 0.0,
     ) -> Command:
         """The command at posture q; arguments and errors as for `ResolvedRateController`."""
-        step, constants, size, shape, before, held, views = self._known
+        step, constants, size, shape, before, held, views, given = self._known
         if type(q) is _array and q.shape == size and q.dtype is _DOUBLE:
             x = _contiguous(q)
         else:
@@ -119,6 +126,10 @@ class CompiledController:
         if not 0.0 < held < _INFINITY:
             return self.controller(q, t, dt, previous, slide)
         parts = _empty(shape)
+        if given is not None:
+            task_velocity, s, slides = given
+            parts[_TASK_VELOCITY, :s] = task_velocity(q, t, held)
+            slide = slide if slides else 0.0
         code, mu, smallest, scale, null_scale, progress, outside, joint, escapes = step(
             constants, x, held, before, slide, parts
         )
@@ -151,7 +162,10 @@ class CompiledController:
 
         Raises:
             ConfigurationError: A posture is not finite.
+            ConstraintError: b is computed in Python: `simulate` makes such rollouts, command by command.
         """
+        if not self.rolls_out:
+            raise ConstraintError(f"the velocity of {self.controller.task!r} is computed in Python: use simulate")
         T, nv = steps + 1, self.nv
         q, u, mu, error = np.empty((T, nv)), np.empty((T, nv)), np.empty(T), np.empty(T)
         code = np.zeros(T, dtype=np.int64)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from manip_learn.control.command import Command
 from manip_learn.control.compiled import step_table as table
-from manip_learn.control.compiled.limits_table import packed_limits
+from manip_learn.control.compiled.limits_table import packed_limits, with_tips
 from manip_learn.control.limits import Limits
 from manip_learn.control.outcome import Law
 from manip_learn.control.status import STATUSES
@@ -53,7 +53,7 @@ class CompiledLimits:
         self._robot, nv = limits.robot, limits.velocity.shape[0]
         header, dofs = packed_limits(limits, nv, inverse, threshold)
         header[0, table.NV], header[1, table.DAMPING] = nv, damping
-        self._constants = np.concatenate([header, np.zeros((JOINTS, table.WIDTH)), dofs])
+        self._constants = with_tips(np.concatenate([header, np.zeros((JOINTS, table.WIDTH)), dofs]), limits)
         self._unknown = np.full(nv, np.nan)
         self._nv, self._shape = nv, (table.PARTS, nv)
         parts, A = np.zeros(self._shape), np.eye(1, nv)

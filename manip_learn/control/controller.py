@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.bounded_velocity import BoundedVelocity, bounded_velocity
 from manip_learn.control.command import Command
+from manip_learn.control.compiled.limits_table import tips_are_compiled
 from manip_learn.control.compiled_limits import CompiledLimits
 from manip_learn.control.limits import Limits
 from manip_learn.control.outcome import Law, bounded_command, plain_command
@@ -153,6 +154,20 @@ class ResolvedRateController:
             q = self._checked_posture(q)
         return self._limited(q, dt, self._law(q, t, dt), previous, slide if self.task.slides else 0.0)
 
+    def task_velocity(self, q: ArrayLike, t: float, dt: float) -> Float[np.ndarray, " s"]:
+        """The velocity b that the task asks of the rows, in their units per second.
+
+        Args:
+            q: Posture: a configuration or joint positions.
+            t: Time [s].
+            dt: Time for which the command is held [s].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+            TargetError: The task's target does not fit the constraint, or b is not finite.
+        """
+        return self._law.task_velocity(self._checked_posture(q), t, dt)[0]
+
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]."""
         return self.task.error(self.constraint, np.asarray(q, dtype=np.float64), t)
@@ -198,7 +213,7 @@ class ResolvedRateController:
 
     def _compiled_limits(self, report: Callable[[str], object] | None = None) -> CompiledLimits | None:
         wide = self.constraint.n_constraints > self.constraint.nv
-        if self.solver != "compiled" or self.limits is None or wide or self.limits.tip is not None:
+        if self.solver != "compiled" or self.limits is None or wide or not tips_are_compiled(self.limits):
             return None
         return CompiledLimits(self.limits, self.inverse, self.threshold, self.damping, report)
 
@@ -232,10 +247,10 @@ class ResolvedRateController:
             return plain_command(law, velocity, damped)
         slope, far = self._law.approach(q, dt, law, velocity), previous is None and limits.far(q, dt, velocity)
         tip, tips, fast = limits.tip, None, None
-        if tip is not None:
+        if tip is not None and self._compiled is None:
             tips = tip.at(q, dt, limits.acceleration, previous)
             fast = tip.rows(tips, velocity)
-        if far and slope is None and fast is None:
+        if far and slope is None and fast is None and (tip is None or tips is not None):
             return plain_command(law, velocity, damped)
         if self._compiled is not None:
             return self._compiled(q, dt, law, velocity, slope, previous, slide)

@@ -104,7 +104,7 @@ class Limits:
         position: False ignores the position limits.
         margin: Distance to keep from the position limits [rad or m].
         tip_speed: Largest speed of the frames' origins [m/s], e.g. 0.25 beside people; None for none. Rows of the same
-            program (see `TipLimits`), which is then solved in Python.
+            program (see `TipLimits`).
         tip_box: shape (2, 3), lowest and highest x, y, z of the frames' origins in the base frame [m], -inf and inf
             where there is none; None for no box.
         tip_walls: shape (w, 4), rows (n, d): the frames' origins p stay where n^T p <= d [m]; None for no walls.

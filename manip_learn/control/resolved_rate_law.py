@@ -93,10 +93,7 @@ class ResolvedRateLaw:
             A = self.constraint(q)
         else:  # one Hessian and one inverse serve the task and the policy
             A, vjp = self.constraint.value_and_vjp(q)
-        sampled = (dt,) if self.task.sampled else ()
-        b, E = self.task.velocity_and_jacobian(self.constraint, q, t, *sampled)
-        if not self._own_task:
-            b = self._checked(b, A.shape[0], "the task's velocity b")
+        b, E = self.task_velocity(q, t, dt)
         if E is not None:  # orientation targets: the rows whose velocity b is are those of the error
             return self._of_error_rows(q, t, dt, A, E, b, vjp)
         inverse = row_inverse(A)
@@ -107,6 +104,20 @@ class ResolvedRateLaw:
         pi = self._policy(q, t, dt) if ascent is None or vjp is None else ascent.from_inverse(X, mu, smallest, vjp, dt)
         desired = Desired(b.dot(X), pi - A.dot(pi).dot(X), None)
         return Law(A, b, desired, mu, smallest, False, None, vjp, X)
+
+    def task_velocity(
+        self, q: np.ndarray, t: float, dt: float
+    ) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s nv"] | None]:
+        """b for the time dt [s] that begins at t, in the rows' units per second, and E (see `Task.error_jacobian`).
+
+        Raises:
+            TargetError: The task's target does not fit the constraint, or b is not finite.
+        """
+        sampled = (dt,) if self.task.sampled else ()
+        b, E = self.task.velocity_and_jacobian(self.constraint, q, t, *sampled)
+        if not self._own_task:
+            b = self._checked(b, self.constraint.n_constraints, "the task's velocity b")
+        return b, E
 
     def _of_error_rows(
         self, q: np.ndarray, t: float, dt: float, A: np.ndarray, E: np.ndarray, b: np.ndarray, vjp: Vjp | None

@@ -115,7 +115,7 @@ def simulate(
         controller = compiled_if_possible(controller, compiled, announce)
     if np.ndim(q0) == 2:
         return _simulate_table(robot, controller, np.asarray(q0), steps, dt, method, report)
-    if isinstance(controller, CompiledController) and controller.robot is robot and not _averages(controller, method):
+    if isinstance(controller, CompiledController) and controller.robot is robot and _rolls_out(controller, method):
         rollout = _compiled_rollout(controller, np.asarray(controller.robot.checked_posture(q0)), steps, dt, method)
         report("simulating", 1.0)
         return rollout
@@ -213,10 +213,11 @@ def _law_of(controller: Controller, robot: Robot | None) -> bool:
     return isinstance(controller, ResolvedRateController) and controller.robot is robot
 
 
-def _averages(controller: CompiledController, method: Method) -> bool:
-    """Whether jerk limits ask for the average of commands that a servo loop keeps."""
+def _rolls_out(controller: CompiledController, method: Method) -> bool:
+    """Whether a rollout is compiled as a whole: not where jerk limits ask for the average that a servo loop keeps."""
     limits = controller.controller.limits
-    return method == "euler" and limits is not None and limits.jerk is not None
+    averages = method == "euler" and limits is not None and limits.jerk is not None
+    return controller.rolls_out and not averages
 
 
 def _compiled_rollout(

@@ -159,6 +159,8 @@ class FrameJacobian(FeatureMap):
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Position of the frame's origin in the base frame [m] and its rotation vector [rad], the chosen rows."""
+        if self.only_linear:  # no rotation vector, which is most of the time
+            return self._kinematics.position(q)[self._rows]
         return pose_coordinates(self.robot.pose(q, self.frame))[self._rows]
 
     def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:

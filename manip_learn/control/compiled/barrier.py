@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
-from manip_learn.control.compiled.bounded_step import HIGH, LOW, SLOPE
+from manip_learn.control.compiled.bounded_step import SLOPE
 from manip_learn.control.compiled.constrained_rows import vjp
 from manip_learn.control.compiled.decomposition import decompose
 from manip_learn.control.compiled.near_singularity import approach_bound, norm, outer_product, smallest_weights
@@ -17,6 +17,7 @@ from manip_learn.control.compiled.step_table import (
     INVERSE,
     MATRICES,
     N_JOINTS,
+    NV,
     SMALLEST,
 )
 from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE
@@ -66,8 +67,8 @@ def barrier(constants, A, Ut, sigma, Vt, weights, dt, u, space, work):
 @compiled_inside
 def bounded_approach(constants, smallest, dt, space):
     """Write the bound for the gradient in row SLOPE of the space, `approach_bound`; False if there is none."""
-    nv = space.shape[1] - 2
+    nv = int(constants[0, NV])
     dofs, gradient = CHAIN + JOINTS + int(constants[0, N_JOINTS]), space[SLOPE, :nv]
     bound = approach_bound(constants, dofs, smallest, gradient, norm(gradient), dt)
-    space[LOW, nv], space[HIGH, nv] = -bound, math.inf
+    space[SLOPE, nv] = -bound
     return bound < math.inf

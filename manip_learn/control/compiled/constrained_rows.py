@@ -22,11 +22,11 @@ from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 
 @compiled_inside
-def turn_joints(constants, joints, q, work, base):
-    """Slide, sine and cosine of each joint, for `columns_of`."""
+def turn_joints(constants, chain, joints, q, work, base):
+    """Slide, sine and cosine of each joint of the chain whose table begins at row `chain`, for `columns_of`."""
     for j in range(joints):
-        k = CHAIN + JOINTS + j
-        x = constants[CHAIN + 1, SIGN] * q[int(constants[k, SOURCE])]
+        k = chain + JOINTS + j
+        x = constants[chain + 1, SIGN] * q[int(constants[k, SOURCE])]
         angle = constants[k, OFFSET] + (1.0 - constants[k, PRISMATIC]) * x
         work[base + j, SLIDE] = x
         if abs(angle) > LARGEST_ANGLE:

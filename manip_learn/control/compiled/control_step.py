@@ -12,10 +12,7 @@ import math
 import numpy as np
 
 from manip_learn.control.compiled.barrier import barrier
-from manip_learn.control.compiled.bounded_step import (
-    SLOPE,
-    space_rows,
-)
+from manip_learn.control.compiled.bounded_step import SLOPE, space_of
 from manip_learn.control.compiled.constrained_rows import public_rows
 from manip_learn.control.compiled.decomposition import row_space
 from manip_learn.control.compiled.free_step import free_step, scratch
@@ -42,6 +39,7 @@ from manip_learn.control.compiled.step_table import (
     TASK_SCALE,
     VELOCITY,
 )
+from manip_learn.control.compiled.tip_rows import breaks, has_tips, most_rows, tips_at
 from manip_learn.control.compiled.within_limits import within_limits
 from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 
@@ -71,15 +69,18 @@ def control_step(constants, q, dt, previous, slide, parts, work):
         dt: Time for which the command is held [s].
         previous: Velocity in the step before [rad/s or m/s], NaN where no acceleration is bounded.
         slide: See `ResolvedRateController`.
-        parts: The velocity, its parts and b, in the rows of `step_table`.
+        parts: The velocity, its parts and b, in the rows of `step_table`; a b that is GIVEN is there before.
         work: Its row FACTS holds the command's numbers afterwards.
     """
     state = free_step(constants, q, dt, previous, parts, work)
-    if state >= REFUSED:
+    if state >= REFUSED and (state == REFUSED or not has_tips(constants)):
+        return state
+    tips = tips_at(constants, q, dt, previous)
+    if state > REFUSED and not breaks(constants, tips, parts[VELOCITY])[0]:
         return state
     joints, nv, s = int(constants[0, N_JOINTS]), int(constants[0, NV]), int(constants[0, N_CONSTRAINTS])
     # few arrays: making one takes as long as a product of a matrix and a vector
-    rows, left, space = np.empty((2 * s + nv, nv)), np.empty((s + 1, s)), np.empty((space_rows(nv), nv + 2))
+    rows, left, space = np.empty((2 * s + nv, nv)), np.empty((s + 1, s)), space_of(nv, most_rows(constants))
     A, weights, Vt, Ut, sigma = rows[:s], rows[s : 2 * s], rows[2 * s :], left[:s], left[s]
     space[SLOPE, 0] = math.nan  # unknown
     public_rows(constants, s, joints, work, MATRICES, A)
@@ -95,7 +96,8 @@ def control_step(constants, q, dt, previous, slide, parts, work):
         row_space(A, s, Vt)
     barred = not posed and constants[0, LIMITS] != 0.0
     barred = barred and barrier(constants, A, Ut, sigma, Vt, weights, dt, parts[VELOCITY], space, work)
-    return within_limits(constants, q, dt, previous, slide, A, Ut, sigma, Vt, rank, barred, space, parts, work[FACTS])
+    facts = work[FACTS]
+    return within_limits(constants, q, dt, previous, slide, A, Ut, sigma, Vt, rank, barred, tips, space, parts, facts)
 
 
 @compiled_inside

@@ -19,6 +19,7 @@ from manip_learn.control.compiled.step_table import (
     DAMPED,
     ERROR,
     FACTS,
+    GIVEN,
     HAS_ESCAPE,
     ILL_CONDITIONED,
     ILL_POSED,
@@ -65,7 +66,7 @@ def free_step(constants, q, dt, previous, parts, work):
             return REFUSED
     dofs = CHAIN + JOINTS + joints
     rows, base, facts, posed = dofs + nv, MATRICES + 3 * s, work[FACTS], constants[0, TASK] == POSE
-    turn_joints(constants, joints, q, work, base)
+    turn_joints(constants, CHAIN, joints, q, work, base)
     p0, p1, p2 = columns_of(constants, CHAIN, joints, work, base, SLIDE, 1, work, base)
     mix = mix_at(s, joints, base)
     mix_rows(constants, rows, s, form_of(constants), p0, p1, p2, work, mix)
@@ -131,7 +132,9 @@ def chain_rows(weights, rows, s, joints, work, base):
 
 @compiled_inside
 def task_velocity(constants, rows, s, p0, p1, p2, b):
-    """Write the task velocity b = gain Lambda (r* - r(q)), norm at most max_speed; return the error."""
+    """Write the task velocity b = gain Lambda (r* - r(q)), norm at most max_speed; return the error, 0 of a given b."""
+    if constants[0, TASK] == GIVEN:
+        return 0.0
     if constants[0, TASK] != POINT:
         for i in range(s):
             b[i] = 0.0

@@ -136,12 +136,19 @@ def approach_bound(constants, dofs, smallest, slope, length, dt):
     """`singularity.approach_bound`, `length` the norm of the slope."""
     if length == 0.0:
         return math.inf
-    usable = math.inf
+    return length * CROSSING_SPEED + approach_rate(constants, dofs, smallest, slope, length, dt)
+
+
+@compiled_inside
+def approach_rate(constants, dofs, distance, slope, length, dt):
+    """`singularity.approach_rate`, `length` the norm of the slope."""
+    rate, usable = min(APPROACH_RATE, 0.5 / dt), math.inf
+    if length == 0.0:
+        return rate * distance
     for j in range(slope.shape[0]):
         usable = min(usable, constants[dofs + j, ACCELERATION] / max(abs(slope[j]), 1e-12 * length))
     deceleration = BRAKING_SHARE * length * length * usable
-    rate = min(APPROACH_RATE, 0.5 / dt)
-    return length * CROSSING_SPEED + min(rate * smallest, math.sqrt(2.0 * deceleration * smallest))
+    return min(rate * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
 
 
 @compiled_inside

@@ -9,11 +9,11 @@ from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.pose_error import goal_rotation
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity, compiled_form
 from manip_learn.control.compiled import step_table as table
-from manip_learn.control.compiled.limits_table import packed_limits
+from manip_learn.control.compiled.limits_table import packed_limits, tips_are_compiled, with_tips
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.resolved_rate_law import ESCAPE_WIDTH
-from manip_learn.control.tasks import Hold, PointAttractor
+from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.rotations import rotation_matrix
 
@@ -34,8 +34,8 @@ def why_not(controller: ResolvedRateController) -> str | None:
         )
     if controller.robot is not features.robot:
         return "its limits are those of another robot"
-    if controller.limits is not None and controller.limits.tip is not None:
-        return "the speed or the place of frames is limited"
+    if not tips_are_compiled(controller.limits):
+        return "the speed or the place of a frame is limited that other joints than revolute or prismatic ones move"
     if any(b.kind in ("floating", "planar", "other") for b in features.robot.blocks):
         return "the robot's base moves"
     if constraint.n_constraints > len(kinematics.public_columns):
@@ -43,6 +43,8 @@ def why_not(controller: ResolvedRateController) -> str | None:
     known = type(task) is Hold
     if type(task) is PointAttractor and isinstance(features, FrameJacobian):
         known = _is_packed(features, constraint.n_constraints, task.target)
+    if type(task) is FreeDirection:
+        known = task.along_rows
     if not known:
         reference = getattr(features, "reference", type(features).__name__)
         return f"the task is {task!r} with rows {' '.join(features.row_names)} ({reference})"
@@ -71,8 +73,10 @@ def packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
         header[0, table.GAIN] = task.gain
         header[0, table.MAX_SPEED] = np.inf if task.max_speed is None else task.max_speed
         _pack_target(features, constraint.selection, task.target, header, chain)
+    elif isinstance(task, FreeDirection):
+        header[0, table.TASK] = table.GIVEN
     _pack_policy(controller, header, dofs)
-    return np.concatenate([header, chain, dofs, rows])
+    return with_tips(np.concatenate([header, chain, dofs, rows]), controller.limits)
 
 
 def _is_packed(features: FrameJacobian, n_constraints: int, target: np.ndarray) -> bool:

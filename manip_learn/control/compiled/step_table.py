@@ -5,15 +5,18 @@ from __future__ import annotations
 from manip_learn.control.status import STATUSES, Status
 
 # The constants of a controller are one table of twelve columns: two rows of settings, the chain's table, one row per
-# degree of freedom (velocity limit, lower, upper, rest posture, whether it wraps, acceleration limit), and Lambda's
-# table (`compiled_form`).
+# degree of freedom (velocity limit, lower, upper, rest posture, whether it wraps, acceleration limit), Lambda's table
+# (`compiled_form`), and the limits of frames where there are any: a row of numbers, the walls (n, d), the chains.
 WIDTH = 12
 N_JOINTS, NV, N_CONSTRAINTS, POLICY, POLICY_GAIN, INVERSE, THRESHOLD, LIMITS, TASK, GAIN, MAX_SPEED, LONGEST = range(12)
 DAMPING, ESCAPES, ESCAPE_WIDTH, GOAL = range(4)  # columns of the second row, the last of them nine of a rotation
 CHAIN = 2
-TARGET_POINT, FORM = 6, 9  # columns of the chain's second row, after the tool's position, sign and reference
+# columns of a chain's second row, after the tool's position, sign and reference: of a limited frame's its number of
+# joints; of the constraint's, in TIPS, the row where the limits of frames begin, 0 for none
+LENGTH, TARGET_POINT, FORM, TIPS = 5, 6, 9, 10
+N_FRAMES, N_WALLS, TIP_SPEED = range(3)
 LIMIT, LOWER, UPPER, REST_AT, WRAPS, ACCELERATION = range(6)
-HOLD, POINT, POSE = range(3)  # kinds of tasks
+HOLD, POINT, POSE, GIVEN = range(4)  # kinds of tasks; b of the last is in the parts before the step
 NO_POLICY, ASCENT, LOG_ASCENT, REST = range(4)
 DAMPED, EXACT, TRUNCATED = range(3)
 INVERSES = ("damped", "exact", "truncated")

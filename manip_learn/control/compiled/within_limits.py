@@ -15,7 +15,7 @@ from manip_learn.control.compiled.bounded_step import (
     LOW_CAUSE,
     SLOPE,
     bounded_step,
-    space_rows,
+    space_of,
 )
 from manip_learn.control.compiled.decomposition import complete, decompose, row_space
 from manip_learn.control.compiled.joint_limits import binding, bounds_of, within
@@ -24,6 +24,7 @@ from manip_learn.control.compiled.outcome import bounded_outcome, plain_outcome,
 from manip_learn.control.compiled.step_table import (
     CHAIN,
     DAMPED,
+    DAMPED_STATUS,
     DAMPING,
     ESCAPE_PART,
     HAS_ESCAPE,
@@ -35,6 +36,7 @@ from manip_learn.control.compiled.step_table import (
     N_JOINTS,
     NULL_SCALE,
     OUTSIDE,
+    POSITION_LIMITED,
     PROGRESS,
     SMALLEST,
     TASK_PART,
@@ -42,7 +44,10 @@ from manip_learn.control.compiled.step_table import (
     TASK_VELOCITY,
     THRESHOLD,
     VELOCITY,
+    VELOCITY_LIMITED,
 )
+from manip_learn.control.compiled.tip_rows import breaks, most_rows, tips_at, with_broken
+from manip_learn.control.tip_limits import MOST_ROWS
 from manip_learn.robot.batch.compiled_kinematics import JOINTS
 from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 
@@ -68,7 +73,7 @@ def bounded_law(constants, q, dt, previous, slide, parts, A, slope, smallest, il
     """
     s, nv = A.shape
     Vt, left, facts = np.empty((nv, nv)), np.empty((s + 1, s)), np.empty(N_FACTS)
-    Ut, sigma, space, rank = left[:s], left[s], np.empty((space_rows(nv), nv + 2)), s
+    Ut, sigma, space, rank = left[:s], left[s], space_of(nv, most_rows(constants)), s
     if ill_conditioned:
         decompose(A, s, Ut, sigma, Vt)
         rank = rank_of(sigma, truncation(sigma, nv))
@@ -83,19 +88,20 @@ def bounded_law(constants, q, dt, previous, slide, parts, A, slope, smallest, il
         for j in range(nv):
             space[SLOPE, j] = slope[j]
         barred = bounded_approach(constants, smallest, dt, space)
-    code = within_limits(constants, q, dt, previous, slide, A, Ut, sigma, Vt, rank, barred, space, parts, facts)
+    tips = tips_at(constants, q, dt, previous)
+    code = within_limits(constants, q, dt, previous, slide, A, Ut, sigma, Vt, rank, barred, tips, space, parts, facts)
     numbers = facts[TASK_SCALE], facts[NULL_SCALE], facts[PROGRESS], facts[OUTSIDE]
     return code, numbers[0], numbers[1], numbers[2], numbers[3], int(facts[LIMITING_JOINT])
 
 
 @compiled_inside
-def within_limits(constants, q, dt, previous, slide, A, Ut, sigma, Vt, rank, barred, space, parts, facts):
+def within_limits(constants, q, dt, previous, slide, A, Ut, sigma, Vt, rank, barred, tips, space, parts, facts):
     """Bring the law within the limits; return the status of the command.
 
     Arguments as for `bounded_law`, and the decomposition of A: left singular vectors in the rows of Ut and sigma, whose
     first is negative where they are not known; in Vt orthonormal rows that span those of A, with its null space behind
     them where A is singular; its rank. Where the approach to a singularity is `barred`, gradient and bound are in the
-    space (see `bounded_step`). `facts` holds the numbers of the command.
+    space (see `bounded_step`). `tips` are the limited frames (see `tips_at`). `facts` holds the numbers of the command.
     """
     s, nv = A.shape
     singular = is_singular(sigma)
@@ -105,7 +111,9 @@ def within_limits(constants, q, dt, previous, slide, A, Ut, sigma, Vt, rank, bar
     dofs = CHAIN + JOINTS + int(constants[0, N_JOINTS])
     causes = space[LOW_CAUSE : HIGH_CAUSE + 1]
     outside = bounds_of(constants, dofs, nv, q, dt, previous, space[LOW], space[HIGH], causes[0], causes[1])
-    if within(parts[VELOCITY], space[LOW], space[HIGH], nv, 0.0) and not (barred and _too_fast(parts, space)):
+    broken, near = breaks(constants, tips, parts[VELOCITY])
+    slow = not broken and not (barred and _too_fast(parts, space))
+    if slow and within(parts[VELOCITY], space[LOW], space[HIGH], nv, 0.0):
         return plain_outcome(A, singular, damped, outside, parts, facts)
     if not singular:
         complete(Vt, s)
@@ -113,13 +121,23 @@ def within_limits(constants, q, dt, previous, slide, A, Ut, sigma, Vt, rank, bar
         decompose(A, s, Ut, sigma, Vt)
     # an explicit step of dt follows sliding that is damped that much
     blur = max(constants[1, DAMPING], math.sqrt(2.0 * dt * _length(parts[TASK_VELOCITY], s)))
-    escape, escapes = parts[ESCAPE_PART], facts[HAS_ESCAPE] != 0.0
-    fastest = constants[dofs : dofs + nv, LIMIT]
-    scale = bounded_step(A, parts, escape, escapes, fastest, sigma, Vt, rank, space, barred, slide, blur)
+    escape, escapes, rows = parts[ESCAPE_PART], facts[HAS_ESCAPE] != 0.0, 1 if barred else 0
+    fastest, u, scale = constants[dofs : dofs + nv, LIMIT], parts[VELOCITY], -1.0
+    for turn in range(MOST_ROWS if tips.shape[0] > 0 else 1):  # `TipLimits.bounded`
+        more = with_broken(constants, tips, u, space, rows)
+        if turn > 0 and more == rows:
+            break
+        rows, u = more, space[FOUND]
+        scale, kept = bounded_step(A, parts, escape, escapes, fastest, sigma, Vt, rank, space, rows, slide, blur)
+        if not kept:  # more rows would be kept even less
+            break
     fits = within(parts[TASK_PART], space[LOW], space[HIGH], nv, 0.0)
     joint, cause = binding(space[FOUND], parts, space[LOW], space[HIGH], causes, nv)
     split_parts(space[FOUND], Vt, rank, scale >= 0.0, parts, facts)
-    return bounded_outcome(A, singular, damped, outside, joint, cause, max(scale, 0.0), fits, parts, facts)
+    status = bounded_outcome(A, singular, damped, outside, joint, cause, max(scale, 0.0), fits, parts, facts)
+    if not broken or damped or status != DAMPED_STATUS:
+        return status
+    return POSITION_LIMITED if near else VELOCITY_LIMITED
 
 
 @compiled_inside
@@ -136,4 +154,4 @@ def _too_fast(parts, space):
     rate, nv = 0.0, parts.shape[1]
     for j in range(nv):
         rate += space[SLOPE, j] * parts[VELOCITY, j]
-    return rate < space[LOW, nv]
+    return rate < space[SLOPE, nv]

@@ -34,10 +34,12 @@ class DrivenMotion(ABC):
     Attributes of every child:
         constraint: The constrained rows and the driven one.
         unit: `"m"` or `"rad"`, of distances along the motion.
+        along_rows: Whether `error_jacobian` is known to be None at every posture.
     """
 
     constraint: Constraint
     unit: Unit
+    along_rows: bool
 
     @abstractmethod
     def origin(self, q: ArrayLike) -> Float[np.ndarray, "..."]:

@@ -123,6 +123,11 @@ class FreeDirection(Task):
         return self._motion.unit
 
     @property
+    def along_rows(self) -> bool:
+        """Whether the rate of the error is known to be that of the rows: no E in the place of A(q) (see `Task`)."""
+        return self._motion.along_rows
+
+    @property
     def wanted(self) -> float:
         """The whole way [m or rad]."""
         return self._profile.distance

@@ -55,6 +55,7 @@ class MechanismMotion(DrivenMotion):
         unit: Unit | None = None,
         straight: bool = False,
     ):
+        self.along_rows = True
         rows: MechanismRows = constraint.features  # type: ignore[assignment]
         g = rows.geometry
         held = _held(constraint, rows)

@@ -37,9 +37,9 @@ class MotionProfile:
 
     def at(self, t: float) -> tuple[float, float]:
         """Distance covered and its rate, t [s] after the start; at rest before the start and after the end."""
-        peak, ramp = math.copysign(self.peak, self.distance), self.ramp
-        t = min(max(t, 0.0), self.duration)
-        left = self.duration - t
+        peak, ramp, duration = math.copysign(self.peak, self.distance), self.ramp, self.duration
+        t = min(max(t, 0.0), duration)
+        left = duration - t
         x = min(t, left) / ramp
         if x >= 1.0:
             return peak * (t - 0.5 * ramp), peak

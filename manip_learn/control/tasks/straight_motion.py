@@ -60,8 +60,10 @@ class StraightMotion(DrivenMotion):
         linear_size, angular_size = (float(np.linalg.norm(f[part])) for part in (~angular, angular))
         self.unit = "rad" if angular_size > linear_size else "m"
         self._f = f / max(linear_size, angular_size)  # a distance counts along the larger part
+        self._square = float(self._f.dot(self._f))
         self._held = constraint.selection
         self._twist = np.zeros(6)
+        self.along_rows = isinstance(features, FrameJacobian) and features.only_linear
         self._features: FrameJacobian | RelativeFrameJacobian | None = None
         if isinstance(features, FrameJacobian | RelativeFrameJacobian) and not features.only_linear:
             self._features = features
@@ -99,7 +101,8 @@ class StraightMotion(DrivenMotion):
     def _rates(self, error: np.ndarray, along: np.ndarray, setpoint: Setpoint, gain: float) -> np.ndarray:
         lag = self._lag(error)
         excess = setpoint.rate + gain * lag - setpoint.approached(lag, gain)
-        return along * setpoint.rate + gain * error - excess * self._f
+        rates = along * setpoint.rate + gain * error
+        return rates - excess * self._f if excess else rates
 
     def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
         """Error along the constrained rows."""
@@ -120,7 +123,7 @@ class StraightMotion(DrivenMotion):
         return None if E is None else self.constraint.selection @ E
 
     def _lag(self, error: np.ndarray) -> float:
-        return float(self._f @ error / (self._f @ self._f))
+        return float(self._f.dot(error)) / self._square
 
     def _error(self, origin: np.ndarray, q: ArrayLike, distance: float) -> np.ndarray:
         if self._features is None:
