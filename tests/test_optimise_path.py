@@ -9,8 +9,7 @@ import pytest
 import scipy.sparse
 
 import manip_learn as ml
-from manip_learn.control.paths.path_policy import PathPolicy
-from manip_learn.control.paths.path_problem import JointBounds, PathProblem
+from manip_learn.control.paths.path_problem import JointBounds, PathPolicy, PathProblem
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError
 
 TIPS = {"planar3": "tip", "sawyer": "right_hand", "gantry": "tip", "wrist": "tip"}
@@ -131,7 +130,7 @@ class TestWithCasadi:
 
     def test_acceleration_between_knots(self, robot_of):
         """The solver's knots keep the acceleration limit, and obey the task between them."""
-        from manip_learn.control.paths.interior_point import solve
+        from manip_learn.control.paths.optimise_path import solve
 
         robot = robot_of("planar3")
         constraint, task, start = reaching(robot, "tip", 1, 1)

@@ -10,14 +10,13 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.command import Command, Controller
+from manip_learn.control.command import STATUSES, Command, Controller, Status
 from manip_learn.control.compiled_controller import CompiledController
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.following import STIFFNESS, FollowingError
 from manip_learn.control.limits import Bounds, bound_changes
-from manip_learn.control.moving_average import MovingAverage
-from manip_learn.control.outcome import next_slide
-from manip_learn.control.servo_period import Period, Return
+from manip_learn.control.resolved_rate_law import next_slide
+from manip_learn.control.servo_period import MovingAverage, Period, Return
 from manip_learn.control.servo_settings import (
     aimed_at,
     constraint_of,
@@ -29,7 +28,6 @@ from manip_learn.control.servo_settings import (
     task_of,
     with_limits,
 )
-from manip_learn.control.status import STATUSES, Status
 from manip_learn.control.tasks import Task
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
