@@ -12,14 +12,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE
 from manip_learn.control.tip_limits import TipLimits, walls_of
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
-# share of the acceleration limit that braking before a position limit uses; the rest keeps the task on its way
-BRAKING_SHARE = 0.5
-# [1/s] rate at which a joint approaches its position limit exponentially, at the end of its braking distance
-APPROACH_RATE = 20.0
 # share of the velocity limit at which a joint that starts outside its position limits returns
 RETURN_SPEED = 0.25
 
