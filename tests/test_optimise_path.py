@@ -130,7 +130,7 @@ class TestWithCasadi:
 
     def test_acceleration_between_knots(self, robot_of):
         """The solver's knots keep the acceleration limit, and obey the task between them."""
-        from manip_learn.control.paths.optimise_path import solve
+        from manip_learn.control.paths.interior_point import solve
 
         robot = robot_of("planar3")
         constraint, task, start = reaching(robot, "tip", 1, 1)

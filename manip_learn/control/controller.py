@@ -13,7 +13,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.bounded_velocity import BoundedVelocity, bounded_velocity
+from manip_learn.control.bounded_velocity import BoundedVelocity, Solver, bounded_velocity, projection_by
 from manip_learn.control.command import Command, Status
 from manip_learn.control.compiled.limits_table import tips_are_compiled
 from manip_learn.control.compiled_limits import CompiledLimits
@@ -23,7 +23,6 @@ from manip_learn.control.policies import (
     ZeroPolicy,
     climbing,
 )
-from manip_learn.control.polytope_projection import Solver, projection_by
 from manip_learn.control.resolved_rate_law import Law, ResolvedRateLaw, bounded_command, plain_command
 from manip_learn.control.singularity import approach_bound
 from manip_learn.control.tasks import Hold, Task

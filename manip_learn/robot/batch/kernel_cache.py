@@ -64,7 +64,7 @@ CONSTANT_FILES = (
     "control/singularity.py",
     "control/resolved_rate_law.py",
     "control/bounded_velocity.py",
-    "control/polytope_projection.py",
+    "control/bounded_velocity.py",
     "constraint/manipulability.py",
 )
 
