@@ -150,6 +150,7 @@ class ServoLoop:
         self._impossible = farthest if bounded else LARGEST_POSITION
         self._compiled = compiled
         self._period = Period(self.dt)
+        self._slowed = 1.0, self.limits  # a share of the acceleration, and the limits with it
         self._return: Return | None = None
         self.reset()
 
@@ -400,7 +401,9 @@ class ServoLoop:
     def _careful(self, q: np.ndarray, late: float) -> Bounds:
         """Bounds from which a joint stops however late the calls are, without those of its acceleration."""
         share = self._period.usual / late
-        return self.limits.with_rates(share * self.limits.acceleration, None).bounds(q, late, None)
+        if share != self._slowed[0]:
+            self._slowed = share, self.limits.with_rates(share * self.limits.acceleration, None)
+        return self._slowed[1].bounds(q, late, None)
 
     def _command(self, q: np.ndarray, time: float, held: float) -> Command:
         """The controller's command, within the limits."""
