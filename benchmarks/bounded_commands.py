@@ -17,7 +17,7 @@ import numpy as np
 from controller_cases import ROBOTS, inside
 
 import manip_learn as ml
-from manip_learn.control.polytope_projection import project_by_active_set, project_by_daqp
+from manip_learn.control.bounded_velocity import project_by_active_set, project_by_daqp
 
 PERIOD, DURATION = 0.005, 6.0  # [s]
 ROUNDS = 3

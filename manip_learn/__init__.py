@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         penalised_manipulability,
         penalised_manipulability_gradient,
     )
-    from manip_learn.control.command import Command, Controller
+    from manip_learn.control.command import Command, Controller, Status
     from manip_learn.control.compiled_controller import CompiledController
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.driver import Driver, RunRecord, run
@@ -52,7 +52,6 @@ if TYPE_CHECKING:
     from manip_learn.control.rollout import Rollout
     from manip_learn.control.servo_loop import ServoLoop
     from manip_learn.control.simulation import simulate
-    from manip_learn.control.status import Status
     from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, Track, motion
     from manip_learn.control.warm_up import warm_up
     from manip_learn.errors import ManipLearnError
@@ -119,7 +118,7 @@ _HOMES = {
     "Robot": "robot",
     "Rollout": "control.rollout",
     "ServoLoop": "control.servo_loop",
-    "Status": "control.status",
+    "Status": "control.command",
     "Stacked": "constraint.features",
     "Task": "control.tasks",
     "Track": "control.tasks",

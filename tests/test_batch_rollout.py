@@ -13,8 +13,8 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
 from manip_learn.control import compiled_controller
 from manip_learn.control import simulation as simulation_module
+from manip_learn.control.command import Method
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.integration import Method
 from manip_learn.control.limits import Limits
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.rollout import Rollout

@@ -18,11 +18,11 @@ from manip_learn.constraint.features import CentreOfMass, FrameJacobian, Mechani
 from manip_learn.constraint.manipulability_batch import row_inverses
 from manip_learn.constraint.small_matrices import row_inverse
 from manip_learn.control import compiled_controller
+from manip_learn.control.command import Method
 from manip_learn.control.compiled import joint_limits, packing, step_table
 from manip_learn.control.compiled import row_inverse as compiled_row_inverse
 from manip_learn.control.compiled_controller import CompiledController, why_not
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.integration import Method
 from manip_learn.control.limits import Limits
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.control.simulation import simulate

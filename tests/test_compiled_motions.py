@@ -10,8 +10,8 @@ from random_arms import random_posture
 from test_batch_rollout import same
 
 import manip_learn as ml
+from manip_learn.control.command import Method
 from manip_learn.control.compiled_controller import why_not
-from manip_learn.control.integration import Method
 from manip_learn.errors import ConfigurationError, ConstraintError
 
 DT = 0.0023  # [s] whose multiples do not reach a velocity limit by the acceleration limit exactly

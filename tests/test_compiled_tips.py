@@ -15,8 +15,8 @@ from test_mimic import load
 
 import manip_learn as ml
 from manip_learn.control import compiled_limits
+from manip_learn.control.command import Method
 from manip_learn.control.compiled_controller import why_not
-from manip_learn.control.integration import Method
 
 READY = np.array([0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0])
 

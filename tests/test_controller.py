@@ -8,11 +8,11 @@ from conftest import tip_of
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
+from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.outcome import Law
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
+from manip_learn.control.resolved_rate_law import Law
 from manip_learn.control.simulation import simulate
-from manip_learn.control.status import Status
 from manip_learn.control.tasks import PointAttractor, Track
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 

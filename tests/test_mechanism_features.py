@@ -15,7 +15,7 @@ from manip_learn.constraint.manipulability import manipulability, manipulability
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.compiled_controller import CompiledController
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.policies.manipulability_ascent import ManipulabilityAscent
+from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import Hold, PointAttractor
 from manip_learn.errors import ConstraintMismatchError, FeatureError

@@ -9,8 +9,7 @@ import pytest
 import scipy.sparse
 
 import manip_learn as ml
-from manip_learn.control.paths.path_policy import PathPolicy
-from manip_learn.control.paths.path_problem import JointBounds, PathProblem
+from manip_learn.control.paths.path_problem import JointBounds, PathPolicy, PathProblem
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError
 
 TIPS = {"planar3": "tip", "sawyer": "right_hand", "gantry": "tip", "wrist": "tip"}

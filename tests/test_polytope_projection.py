@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manip_learn.control.polytope_projection import project_by_active_set, projection_by
+from manip_learn.control.bounded_velocity import project_by_active_set, projection_by
 from manip_learn.errors import ConstraintError
 
 KINDS = ["random", "duplicated", "zero", "equal", "nearly dependent", "badly scaled", "both"]

@@ -149,5 +149,6 @@ def test_the_learner_fits_the_place_to_what_was_recorded(robot_of):
     learner = ml.ConstraintLearner(ml.FrameJacobian(robot, TIP, "xyz")).fit(demos)
     direct = ml.find_mechanism(robot, TIP, demos, np.random.default_rng(0)).mechanism
     found = learner.report_.mechanism
-    np.testing.assert_allclose(found.point, direct.point, atol=1e-6)
+    # [m] the fits start from rows that were found otherwise; smoothed recordings would move the place by 0.5 mm
+    np.testing.assert_allclose(found.point, direct.point, atol=1e-5)
     assert found.uncertainty["radius"] == pytest.approx(direct.uncertainty["radius"], rel=0.05)

@@ -14,12 +14,11 @@ from manip_learn.commands.robot_loading import robot_of_constraint
 from manip_learn.commands.robot_options import RobotOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
+from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
-from manip_learn.control.policies.manipulability_ascent import ASCENT_GAIN
+from manip_learn.control.policies import ASCENT_GAIN, JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
-from manip_learn.control.status import Status
 from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, motion
 from manip_learn.control.tasks.motion import motion_to
 from manip_learn.control.tasks.straight_motion import in_words

@@ -1,13 +1,59 @@
-"""What a controller is: a function from posture and time to a command."""
+"""What a controller commands, and what it had to do for it."""
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, final, runtime_checkable
+from enum import StrEnum
+from typing import Literal, NamedTuple, Protocol, final, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.control.status import Status
+from manip_learn.robot.robot import Robot
+
+
+@final
+class Status(StrEnum):
+    """The most serious thing that was done to a command; the members are in that order, most serious first.
+
+    Members are strings: `command.status == "ok"` works, and files hold the words.
+
+    Attributes:
+        INVALID_INPUT: The posture or the time is not a number, or the controller failed: the arm brakes and stands
+            (`ServoLoop`).
+        STALE: No new state for too long: the arm brakes and stands (`ServoLoop`).
+        FOLLOWING_ERROR: The measured posture is too far from the commanded one: the arm brakes and stands
+            (`ServoLoop`).
+        STOPPED: `ServoLoop.stop` was called: the arm brakes and stands.
+        OUTSIDE_LIMITS: A joint is outside its position limits, and returns where it can.
+        SINGULAR: A task direction is lost at this posture.
+        STALLED: The task has not reached its goal and does not approach it: less than a hundredth of the velocity asked
+            for is left along it, because limits or a singularity block the rest.
+        POSITION_LIMITED: The task was slowed down for a position limit.
+        VELOCITY_LIMITED: The task was slowed down for a velocity limit.
+        ACCELERATION_LIMITED: The task was slowed down for an acceleration limit.
+        DAMPED: The task part was damped near a singularity.
+        REROUTED: Null-space motion keeps limits from slowing the task down (saturation in the null space).
+        NULL_SCALED: The null-space part was changed to what the limits leave beside the task.
+        OK: The law as it stands.
+    """
+
+    INVALID_INPUT = "invalid-input"
+    STALE = "stale"
+    FOLLOWING_ERROR = "following-error"
+    STOPPED = "stopped"
+    OUTSIDE_LIMITS = "outside-limits"
+    SINGULAR = "singular"
+    STALLED = "stalled"
+    POSITION_LIMITED = "position-limited"
+    VELOCITY_LIMITED = "velocity-limited"
+    ACCELERATION_LIMITED = "acceleration-limited"
+    DAMPED = "damped"
+    REROUTED = "rerouted"
+    NULL_SCALED = "null-scaled"
+    OK = "ok"
+
+
+STATUSES = tuple(Status)  # the kernel returns a place in this table
 
 
 @final
@@ -64,3 +110,46 @@ class TaskController(Controller, Protocol):
     def task_error(self, q: Float[np.ndarray, " n"], t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]."""
         ...
+
+
+Method = Literal["euler", "rk4"]
+
+
+def next_posture(
+    robot: Robot | None,
+    controller: Controller,
+    q: Float[np.ndarray, " n"],
+    t: float,
+    dt: float,
+    method: Method,
+    velocity: Float[np.ndarray, " nv"],
+) -> Float[np.ndarray, " n"]:
+    """The posture at time t + dt, from the one at time t.
+
+    Euler: q (+) dt k1. The classic Runge-Kutta scheme in Munthe-Kaas form (Munthe-Kaas, 1998), with stages that are
+    tangent displacements from q:
+
+        q (+) dt/6 (k1 + 2 k2 + 2 k3 + k4),  k2 = u(q (+) dt/2 k1),  k3 = u(q (+) dt/2 k2),  k4 = u(q (+) dt k3)
+
+    The order is 4 where the tangent coordinates commute (all joints but floating bases), and 2 otherwise.
+
+    Args:
+        robot: The robot, for (+) on its configuration manifold; None where positions simply add up.
+        controller: u(q, t).
+        q: Posture at time t.
+        t: Time [s].
+        dt: Step [s].
+        method: `"euler"` or `"rk4"`.
+        velocity: k1 = u(q, t) [rad/s or m/s].
+    """
+    if method == "euler":
+        return _moved(robot, q, dt * velocity)
+    k1 = velocity
+    k2 = controller(_moved(robot, q, 0.5 * dt * k1), t + 0.5 * dt, dt).velocity
+    k3 = controller(_moved(robot, q, 0.5 * dt * k2), t + 0.5 * dt, dt).velocity
+    k4 = controller(_moved(robot, q, dt * k3), t + dt, dt).velocity
+    return _moved(robot, q, dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
+
+
+def _moved(robot: Robot | None, q: np.ndarray, step: np.ndarray) -> np.ndarray:
+    return q + step if robot is None else robot.integrate(q, step)

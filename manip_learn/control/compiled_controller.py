@@ -12,13 +12,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.control.command import Command, Controller
+from manip_learn.control.command import STATUSES, Command, Controller, Method, Status, next_posture
 from manip_learn.control.compiled import step_table as table
 from manip_learn.control.compiled.packing import packed, why_not
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.integration import Method, next_posture
-from manip_learn.control.outcome import next_slide
-from manip_learn.control.status import STATUSES, Status
+from manip_learn.control.resolved_rate_law import next_slide
 from manip_learn.errors import ConstraintError, MissingExtraError
 from manip_learn.robot.robot import Robot
 

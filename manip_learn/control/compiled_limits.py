@@ -9,12 +9,11 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.control.command import Command
+from manip_learn.control.command import STATUSES, Command
 from manip_learn.control.compiled import step_table as table
 from manip_learn.control.compiled.limits_table import packed_limits, with_tips
 from manip_learn.control.limits import Limits
-from manip_learn.control.outcome import Law
-from manip_learn.control.status import STATUSES
+from manip_learn.control.resolved_rate_law import Law
 from manip_learn.errors import MissingExtraError
 from manip_learn.linalg import Inverse
 

@@ -13,21 +13,18 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.bounded_velocity import BoundedVelocity, bounded_velocity
-from manip_learn.control.command import Command
+from manip_learn.control.bounded_velocity import BoundedVelocity, Solver, bounded_velocity, projection_by
+from manip_learn.control.command import Command, Status
 from manip_learn.control.compiled.limits_table import tips_are_compiled
 from manip_learn.control.compiled_limits import CompiledLimits
 from manip_learn.control.limits import Limits
-from manip_learn.control.outcome import Law, bounded_command, plain_command
 from manip_learn.control.policies import (
     NullSpacePolicy,
     ZeroPolicy,
     climbing,
 )
-from manip_learn.control.polytope_projection import Solver, projection_by
-from manip_learn.control.resolved_rate_law import ResolvedRateLaw
+from manip_learn.control.resolved_rate_law import Law, ResolvedRateLaw, bounded_command, plain_command
 from manip_learn.control.singularity import approach_bound
-from manip_learn.control.status import Status
 from manip_learn.control.tasks import Hold, Task
 from manip_learn.control.tip_limits import Barrier
 from manip_learn.errors import ConfigurationError, ConstraintError, advice, an

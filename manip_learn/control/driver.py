@@ -16,11 +16,10 @@ from typing import Any, Protocol, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.control.command import Command
+from manip_learn.control.command import Command, Status
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.simulation import guided
-from manip_learn.control.status import Status
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability
-from manip_learn.control.status import Status
+from manip_learn.control.command import Status
 from manip_learn.errors import FeatureError, RecordingError, spoken
 from manip_learn.recordings.readers.saved_reader import read_saved
 from manip_learn.recordings.saved_motion import FileHeader, SavedMotion, check_robot

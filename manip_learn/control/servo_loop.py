@@ -10,14 +10,13 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.command import Command, Controller
+from manip_learn.control.command import STATUSES, Command, Controller, Status
 from manip_learn.control.compiled_controller import CompiledController
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.following import STIFFNESS, FollowingError
 from manip_learn.control.limits import Bounds, bound_changes
-from manip_learn.control.moving_average import MovingAverage
-from manip_learn.control.outcome import next_slide
-from manip_learn.control.servo_period import Period, Return
+from manip_learn.control.resolved_rate_law import next_slide
+from manip_learn.control.servo_period import MovingAverage, Period, Return
 from manip_learn.control.servo_settings import (
     aimed_at,
     constraint_of,
@@ -29,7 +28,6 @@ from manip_learn.control.servo_settings import (
     task_of,
     with_limits,
 )
-from manip_learn.control.status import STATUSES, Status
 from manip_learn.control.tasks import Task
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
@@ -152,6 +150,7 @@ class ServoLoop:
         self._impossible = farthest if bounded else LARGEST_POSITION
         self._compiled = compiled
         self._period = Period(self.dt)
+        self._slowed = 1.0, self.limits  # a share of the acceleration, and the limits with it
         self._return: Return | None = None
         self.reset()
 
@@ -402,7 +401,9 @@ class ServoLoop:
     def _careful(self, q: np.ndarray, late: float) -> Bounds:
         """Bounds from which a joint stops however late the calls are, without those of its acceleration."""
         share = self._period.usual / late
-        return self.limits.with_rates(share * self.limits.acceleration, None).bounds(q, late, None)
+        if share != self._slowed[0]:
+            self._slowed = share, self.limits.with_rates(share * self.limits.acceleration, None)
+        return self._slowed[1].bounds(q, late, None)
 
     def _command(self, q: np.ndarray, time: float, held: float) -> Command:
         """The controller's command, within the limits."""

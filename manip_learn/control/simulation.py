@@ -10,10 +10,9 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.command import Command, Controller, TaskController
+from manip_learn.control.command import Command, Controller, Method, TaskController, next_posture
 from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.integration import Method, next_posture
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.servo_settings import constraint_of, frame_of, law_of, task_of

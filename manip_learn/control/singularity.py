@@ -29,11 +29,12 @@ STABLE_SLOPE = 0.25
 # second at 1, 10 and 20 ms, 1 leaves 61, 61 and 58, 1.25 and more leave all; from 1.5 on arms that are pressed against
 # a singularity turn to and fro now and then
 GROWTH = 1.25
-# [1/s] rate at which the smallest singular value may fall where it is nearly 0
+# [1/s] rate at which a wall is approached exponentially at the end of the braking distance: a singularity, where the
+# smallest singular value falls, a position limit, a wall of the hand
 APPROACH_RATE = 20.0
 # [rad/s] speed at which a singularity may be crossed
 CROSSING_SPEED = 5e-4
-# share of the joints' acceleration that is kept for braking before a singularity
+# share of the joints' acceleration that braking before a wall uses; the rest keeps the task on its way
 BRAKING_SHARE = 0.5
 
 # share of a policy's velocity up to which what is left of it in the null space is rounding

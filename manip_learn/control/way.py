@@ -9,12 +9,12 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float, Int
 
+from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
-from manip_learn.control.status import Status
 from manip_learn.control.tasks.driven_motion import Unit
-from manip_learn.control.tasks.free_direction import FreeDirection
+from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.errors import ConfigurationError
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.robot import Robot

@@ -10,9 +10,7 @@ import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.policies.joint_attractor import JointAttractor
-from manip_learn.control.policies.manipulability_ascent import ManipulabilityAscent
-from manip_learn.control.policies.policy import NullSpacePolicy, ZeroPolicy
+from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.point_attractor import PointAttractor

@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import math
 
-from manip_learn.control.approach import APPROACH_RATE, BRAKING_SHARE, RETURN_SPEED
 from manip_learn.control.compiled.step_table import ACCELERATION, LIMIT, LOWER, NULL_PART, TASK_PART, UPPER
 from manip_learn.control.limits import ACCELERATION as BY_ACCELERATION
-from manip_learn.control.limits import AT_BOUND, OUTSIDE, POSITION, ROOM_TO_LEAVE, VELOCITY
+from manip_learn.control.limits import (
+    APPROACH_RATE,
+    AT_BOUND,
+    BRAKING_SHARE,
+    OUTSIDE,
+    POSITION,
+    RETURN_SPEED,
+    ROOM_TO_LEAVE,
+    VELOCITY,
+)
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 

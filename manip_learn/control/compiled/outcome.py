@@ -27,7 +27,14 @@ from manip_learn.control.compiled.step_table import (
     VELOCITY_LIMITED,
 )
 from manip_learn.control.limits import ACCELERATION, POSITION
-from manip_learn.control.outcome import AT_GOAL, GOING_ON, KEEPING_AFTER, SCALED_BELOW, SLIDING_AFTER, STALLED_BELOW
+from manip_learn.control.resolved_rate_law import (
+    AT_GOAL,
+    GOING_ON,
+    KEEPING_AFTER,
+    SCALED_BELOW,
+    SLIDING_AFTER,
+    STALLED_BELOW,
+)
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 

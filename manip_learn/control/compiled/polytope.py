@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from manip_learn.control.polytope_projection import DEPENDENT, REORTHOGONAL, TOLERANCE
+from manip_learn.control.bounded_velocity import DEPENDENT, REORTHOGONAL, TOLERANCE
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 # rows of the scratch of `project`, each as long as x, before those of the triangle and of the basis

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from manip_learn.control.status import STATUSES, Status
+from manip_learn.control.command import STATUSES, Status
 
 # The constants of a controller are one table of twelve columns: two rows of settings, the chain's table, one row per
 # degree of freedom (velocity limit, lower, upper, rest posture, whether it wraps, acceleration limit), Lambda's table

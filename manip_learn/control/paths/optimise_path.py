@@ -14,8 +14,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.command import Controller
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.paths.path_policy import PathPolicy
-from manip_learn.control.paths.path_problem import JointBounds, PathProblem
+from manip_learn.control.paths.path_problem import JointBounds, PathPolicy, PathProblem
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate

@@ -1,4 +1,4 @@
-"""The optimisation problem behind `optimise_path`: what is maximised over the knots, and under which constraints."""
+"""The optimisation problem behind `optimise_path`, and the policy that follows its answer."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
+from manip_learn.control.policies import NullSpacePolicy
 from manip_learn.control.tasks import Task
+from manip_learn.robot.robot import Robot
 
 SLOWNESS = 1.0  # cost of a knot at which the task stands still, in units of log mu: a factor e of manipulability
 SMOOTHNESS = 1e-3  # cost of a change of velocity by 1 rad/s from one knot to the next, in units of log mu
@@ -258,3 +262,40 @@ class PathProblem:
         cross_left = (cross[0][n:] - n, cross[1][n:])
         places = [blocks, (k * n + i, (k + 1) * n + j), (z, z + 2 * n), cross, cross_left]
         return Triplets(np.concatenate([p[0] for p in places]), np.concatenate([p[1] for p in places]))
+
+
+@final
+class PathPolicy(NullSpacePolicy):
+    """pi = dq*/dt + gain (q*(t) - q), with q*(t) a cubic spline through knots; at rest in q* behind the last one.
+
+    Args:
+        time: Times of the knots, rising [s].
+        knots: Joint positions [rad or m], one row per knot.
+        gain: Rate at which differences from the path are made up [1/s].
+        robot: Whose joints they are; None for a system whose state is a plain vector.
+    """
+
+    def __init__(
+        self, time: Float[np.ndarray, " K"], knots: Float[np.ndarray, "K nv"], gain: float, robot: Robot | None = None
+    ):
+        self.time = np.array(time, dtype=np.float64)
+        self.knots = np.array(knots, dtype=np.float64)
+        self.gain = float(gain)
+        self._robot = robot
+        self._spline = CubicSpline(self.time, self.knots, bc_type="natural")
+        self._rate = self._spline.derivative()
+
+    def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
+        """Velocity along the path and towards it [rad/s or m/s].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+        """
+        end = float(self.time[-1])
+        goal = self._spline(min(t, end))
+        posture = np.asarray(q, dtype=np.float64)
+        error = goal - posture if self._robot is None else self._robot.difference(posture, goal)
+        return self.gain * error + (self._rate(t) if t < end else 0.0)
+
+    def __repr__(self) -> str:
+        return f"PathPolicy({len(self.time)} knots over {self.time[-1] - self.time[0]:g} s, gain={self.gain:g})"

@@ -1,19 +1,266 @@
-"""A way along whatever was learnt, in one call: by metres where it slides, by radians where it turns."""
+"""Motion along what a constraint leaves free: a drawer, a door, a screw, by metres or by radians."""
 
 from __future__ import annotations
 
 import math
+from typing import Any, final
 
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.mechanism import Mechanism
-from manip_learn.control.tasks.driven_motion import Unit
-from manip_learn.control.tasks.free_direction import FreeDirection
-from manip_learn.control.tasks.mechanism_motion import place_about
+from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint, ShownPlaces, Unit, apart, between
+from manip_learn.control.tasks.mechanism_motion import MechanismMotion, place_about
+from manip_learn.control.tasks.point_attractor import Task
+from manip_learn.control.tasks.straight_motion import MotionProfile, StraightMotion
 from manip_learn.errors import ConstraintError, TargetError, advice
+
+APPROACH_SPEED = 0.25  # [m/s] of a hand on its way to the mechanism: the reduced speed of ISO 10218-1 beside people
+SETTLING = 0.5  # [s] at most until the hand is there after its way to the mechanism: e^-5 of a lag, at gain 10 /s
+NOISY = 2e-3  # [m] what counts as there after that: measured postures with noise of 1e-3 rad come no nearer
+TAKEN = 2e-4  # [m] the hand is at the mechanism: a tenth of the 2 mm that it may be off it, twice the encoders' noise
+
+
+@final
+class FreeDirection(Task):
+    """Move along what a constraint leaves free, by so much, at such a speed, and hold what it holds.
+
+    A drawer moves by metres along its rail, a door or a screw by radians about its axis (one turn is 2 pi). The speed
+    rises and falls smoothly over `ramp`. Feedback keeps the constrained coordinates at their values at the start: on
+    the line, on the circle, on the helix. Where limits slow the arm down it arrives later, and never moves faster
+    than `speed`.
+
+    The motion starts with the first call: its posture and time are the start. A call at or before that time after
+    later ones is a new run and starts again. `reset` forgets the start.
+
+    With `take_hold` the hand first goes straight to where the mechanism is, if it is not there: to the nearest place at
+    which the task was shown and from which the way stays within what was shown (see `hold`).
+
+    Args:
+        constraint: What holds the hand; the controller gets the same. Constant rows (the rows of one frame's Jacobian,
+            relative to another frame, of the centre of mass, or any features with coordinates) or rows of a mechanism.
+        distance: Way along the free direction [m], or angle [rad]; negative for the other way. For one free direction
+            of constant rows, the positive sense is that of its largest number along the rows (see `direction`), for
+            mechanisms that of the axis, right-handed.
+        speed: Largest rate [m/s or rad/s], positive.
+        direction: Along which direction, where several are free: numbers along the features' rows, or three for
+            x, y, z; projected onto what is free. The other free directions are left to the null-space policy. For a
+            cylinder or a sleeve the name of a row (`"tangential"`, `"axial"`, `"turn"`, `"slide"`), for a ball the
+            axis of the turn.
+        gain: Rate at which deviations are taken back [1/s].
+        ramp: Time from rest to the speed [s].
+        start: Posture at which the motion starts, where it is not that of the first call.
+        unit: `"m"` or `"rad"`: which free directions are meant, where the constraint leaves both free.
+        straight: The hand's place moves along the way only: free translations beside it stand still too, rather than
+            being left to the null-space policy.
+        keep_orientation: The hand does not turn either, as of a gripper that has closed on a handle.
+        pause: Time for which the hand stands still at the mechanism before the way begins, as to close a gripper [s];
+            the null-space policy meanwhile brings the arm into a better posture.
+        take_hold: Go to the mechanism first. Only constraints that were learnt with a loose grip know where it is.
+
+    Raises:
+        ConstraintError: The constraint leaves nothing free, or several directions without `direction`; lists them.
+        FeatureError: Features that have no coordinates.
+        TargetError: Distance, speed, gain or ramp that is no such thing, or a direction that is held.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("planar3")
+        >>> constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+        >>> task = ml.FreeDirection(constraint, distance=0.3, speed=0.1)  # along x, y held [m], [m/s]
+        >>> controller = ml.ResolvedRateController(constraint, task)
+        >>> rollout = ml.simulate(robot, controller, [0.3, 0.8, 0.4], duration=task.duration + 1.0)
+        >>> round(task.progress(rollout.q[-1]), 3)
+        0.3
+    """
+
+    slides = False  # beside the way is what the constraint holds: an arm that cannot go on stands
+    waits = True  # the way goes on where it was interrupted
+
+    def __init__(
+        self,
+        constraint: Constraint,
+        distance: float,
+        speed: float,
+        *,
+        direction: ArrayLike | str | None = None,
+        gain: float = 10.0,
+        ramp: float = 0.5,
+        start: ArrayLike | None = None,
+        unit: Unit | None = None,
+        straight: bool = False,
+        keep_orientation: bool = False,
+        pause: float = 0.0,
+        take_hold: bool = False,
+    ):
+        numbers = {"distance": distance, "speed": speed, "gain": gain, "ramp": ramp}
+        for name, value in numbers.items():
+            numbers[name] = _number(name, value, positive=name != "distance")
+        self.learnt = constraint
+        held = constraint.with_orientation() if keep_orientation else constraint.about_its_mechanism()
+        motion_of = MechanismMotion if isinstance(held.features, MechanismRows) else StraightMotion
+        self._motion: DrivenMotion = motion_of(held, direction, unit, straight)
+        self._n_held = constraint.n_constraints
+        self.pause = _number("pause", pause, positive=True) if pause else 0.0
+        self._profile = MotionProfile(numbers["distance"], numbers["speed"], numbers["ramp"])
+        self.gain = numbers["gain"]
+        self._shown = ShownPlaces.of(constraint, self._motion) if take_hold else None
+        self._given = None if start is None else self._motion.origin(start)
+        self.reset()
+
+    @property
+    def constraint(self) -> Constraint:
+        """The constrained rows and the driven one."""
+        return self._motion.constraint
+
+    @property
+    def unit(self) -> Unit:
+        """Unit of the distance, `"m"` or `"rad"`."""
+        return self._motion.unit
+
+    @property
+    def along_rows(self) -> bool:
+        """Whether the rate of the error is known to be that of the rows: no E in the place of A(q) (see `Task`)."""
+        return self._motion.along_rows
+
+    @property
+    def wanted(self) -> float:
+        """The whole way [m or rad]."""
+        return self._profile.distance
+
+    @property
+    def duration(self) -> float:
+        """How long the motion takes where no limit slows it down, with the way to the mechanism if known [s]."""
+        return self.pause + self._profile.duration + (0.0 if self._approach is None else self._approach.duration)
+
+    @property
+    def way_begins(self) -> float | None:
+        """Time at which the hand was at the mechanism and the way began [s]; None as long as it is not there."""
+        return self._way_begun
+
+    def reset(self) -> None:
+        """Forget the start: the next call is the first one again."""
+        self._start = self._origin = self._given
+        self._begun: float | None = None
+        self._way_begun: float | None = None
+        self._approach: MotionProfile | None = None
+        self._latest = -math.inf
+
+    def hold(self, q: ArrayLike) -> float:
+        """How far a hand at posture q has to go to the mechanism [m]; 0 if it is on it, or if that is not known."""
+        here = self._motion.origin(q)
+        return 0.0 if self._shown is None else apart(here, self._shown.nearest(here, self.wanted))
+
+    def duration_from(self, q: ArrayLike) -> float:
+        """How long the motion takes from posture q where no limit slows it down [s]."""
+        far = self.hold(q)
+        to_hold = 0.0 if far <= TAKEN else MotionProfile(far, APPROACH_SPEED, self._profile.ramp).duration + SETTLING
+        return self.pause + self._profile.duration + to_hold
+
+    def progress(self, q: ArrayLike) -> float:
+        """How far the way has come at posture q [m or rad]; 0 before it began, unless `start` was given."""
+        if self._origin is None or (self._way_begun is None and self._begun is not None):
+            return 0.0
+        near = 0.0 if self._way_begun is None else self._profile.at(self._latest - self._way_begun)[0]
+        return self.progress_near(q, near)
+
+    def progress_near(self, q: ArrayLike, near: float) -> float:
+        """The same of a posture on the way; of angles a turn apart the one next to `near` [rad]."""
+        return 0.0 if self._origin is None else self._motion.progress(self._origin, q, near)
+
+    def deviation(self, q: ArrayLike, progress: float = 0.0) -> float:
+        """How far the rows of the constraint are from where they are held, that much of the way done [m or rad]."""
+        if self._origin is None:
+            return 0.0
+        return float(np.linalg.norm(self._motion.deviation(self._origin, q, progress)[: self._n_held]))
+
+    def rows(self, constraint: Constraint) -> Constraint:
+        """The constrained rows and the driven one.
+
+        Raises:
+            ConstraintError: Another constraint than that of the task.
+        """
+        if constraint is not self.learnt and constraint is not self.constraint:
+            raise ConstraintError("the task moves along another constraint: give both the same one")
+        return self.constraint
+
+    def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
+        """b along the constrained rows and the driven one."""
+        return self.velocity_and_jacobian(constraint, q, t)[0]
+
+    def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
+        """E with d/dt (error along the rows) = -E u for a setpoint at rest; None where E = A(q) (see `Task`)."""
+        origin, setpoint = self._now(q, t)
+        return self._motion.error_jacobian(origin, q, setpoint.distance)
+
+    def velocity_and_jacobian(
+        self, constraint: Constraint, q: np.ndarray, t: float
+    ) -> tuple[Any, Float[np.ndarray, "s nv"] | None]:
+        """b and E from one look at the pose."""
+        origin, setpoint = self._now(q, t)
+        rates, E = self._motion.rates_and_jacobian(origin, q, setpoint, self.gain)
+        return self.constraint.selection.dot(rates), E
+
+    def goal(self) -> Float[np.ndarray, "..."] | None:
+        """Where the motion ends; None before the first call, unless `start` was given."""
+        return None if self._origin is None else self._motion.goal(self._origin, self._profile.distance)
+
+    def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
+        """Way that is left, and the deviation of the constrained coordinates, as one norm [m or rad]."""
+        origin, setpoint = self._now(q, t)
+        left = self._profile.distance - self._motion.progress(origin, q, setpoint.distance)
+        return float(np.hypot(left, np.linalg.norm(self._motion.deviation(origin, q, setpoint.distance))))
+
+    def _now(self, q: ArrayLike, t: float) -> tuple[np.ndarray, Setpoint]:
+        """From where the way counts, and how far along it the hand should be."""
+        if self._begun is not None and t <= self._begun < self._latest:
+            self.reset()
+        begun, origin = self._begun, self._origin
+        if begun is None or origin is None:
+            begun, origin = self._begin(q, t)
+        self._latest = t
+        if self._way_begun is None and self._start is not None and self._approach is not None:
+            gone, _ = self._approach.at(t - begun)
+            late = t - begun - self._approach.duration  # [s]
+            near = TAKEN if late < SETTLING else NOISY
+            if late < 0.0 or apart(self._motion.origin(q), origin) > near:
+                share = min(gone / self._approach.distance, 1.0)
+                return between(self._start, origin, share), Setpoint(0.0, 0.0, math.inf)
+            self._way_begun = t + self.pause
+        after = t - (begun if self._way_begun is None else self._way_begun)
+        return origin, Setpoint(*self._profile.at(after), self._profile.speed)
+
+    def _begin(self, q: ArrayLike, t: float) -> tuple[float, np.ndarray]:
+        """The start, and where the way begins: at the mechanism if that is elsewhere."""
+        start = origin = self._motion.origin(q) if self._given is None else self._given
+        if self._shown is not None:
+            origin = self._shown.nearest(start, self.wanted)
+        far = apart(start, origin)
+        if far > TAKEN:
+            self._approach = MotionProfile(far, APPROACH_SPEED, self._profile.ramp)
+        else:
+            self._way_begun = t + self.pause
+        self._begun, self._start, self._origin = t, start, origin
+        return t, origin
+
+    def __repr__(self) -> str:
+        p = self._profile
+        return f"FreeDirection(distance={p.distance:g} {self.unit}, speed={p.speed:g} {self.unit}/s)"
+
+
+def _number(name: str, value: float, positive: bool) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError) as error:
+        raise TargetError(f"the {name} must be a number, got {value!r}") from error
+    if not math.isfinite(number) or number == 0.0 or (positive and number < 0.0):
+        kind = "a positive number" if positive else "a finite number other than 0 (negative: the other way)"
+        raise TargetError(f"the {name} must be {kind}, got {value!r}")
+    return number
+
 
 HAND_SPEED = 0.1  # [m/s] of the hand where none is asked for: a drawer of 0.3 m in 3.5 s, less than half of ISO 10218-1
 TURN_SPEED = 0.5  # [rad/s] at most, of a hand near the axis: 0.1 m/s at 0.2 m

@@ -57,14 +57,14 @@ CONSTANT_FILES = (
     "linalg.py",
     "constraint/features/weighed_velocity.py",
     "constraint/small_matrices.py",
-    "control/status.py",
-    "control/approach.py",
+    "control/command.py",
+    "control/limits.py",
     "control/limits.py",
     "control/tip_limits.py",
     "control/singularity.py",
-    "control/outcome.py",
+    "control/resolved_rate_law.py",
     "control/bounded_velocity.py",
-    "control/polytope_projection.py",
+    "control/bounded_velocity.py",
     "constraint/manipulability.py",
 )
 

@@ -1,0 +1,453 @@
+"""Null-space policies: the motion that the redundant degrees of freedom should make."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.feature_map import Vjp
+from manip_learn.constraint.manipulability import SINGULAR_RATIO, escape_direction, gradient_from
+from manip_learn.constraint.penalised_manipulability import limited_robot, penalised_value_and_vjp
+from manip_learn.constraint.small_matrices import row_inverse, svd
+from manip_learn.control.singularity import GROWTH, SEED_SPEED, Decomposition, steepest_ascent
+from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
+from manip_learn.robot.collision import SelfCollision
+from manip_learn.robot.limit_potential import has_range, ranges, room_of
+from manip_learn.robot.robot import Robot
+
+
+class NullSpacePolicy(ABC):
+    """pi(q, t) of equation (2), u = A^+ b + N pi: a desired joint velocity.
+
+    The controller projects it; a policy does not know the projector.
+    """
+
+    @abstractmethod
+    def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
+        """Desired joint velocity [rad/s or m/s] at posture q and time t [s]."""
+
+
+class SampledPolicy(NullSpacePolicy):
+    """A policy that takes into account for how long its velocity is held, so that explicit steps can follow it."""
+
+    @abstractmethod
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
+        """Desired joint velocity [rad/s or m/s] at posture q and time t [s], held for dt [s]."""
+
+
+@final
+class ZeroPolicy(NullSpacePolicy):
+    """pi = 0: the plain pseudo-inverse, equation (2) with its second term left out.
+
+    Args:
+        nv: Number of velocities.
+    """
+
+    def __init__(self, nv: int):
+        self._zero = np.zeros(nv)
+        self._zero.setflags(write=False)
+
+    def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
+        """Zeros, shape (nv,)."""
+        return self._zero
+
+    def __repr__(self) -> str:
+        return "ZeroPolicy()"
+
+
+def positive(name: str, value: float) -> float:
+    """A setting that must be a positive number.
+
+    Raises:
+        ConfigurationError: It is not.
+    """
+    if not (math.isfinite(value) and value > 0.0):
+        raise ConfigurationError(f"{name} must be a positive number, got {value!r}")
+    return float(value)
+
+
+@final
+class JointAttractor(NullSpacePolicy):
+    """pi = gain * (rest - q), the point attractor of the paper's comparisons.
+
+    Differences are taken on the configuration manifold if the robot is given, so that a continuous joint goes the
+    short way; without it they are plain differences.
+
+    Args:
+        rest: Rest posture psi*, the same kind of vector as q.
+        gain: Rate [1/s].
+        robot: The robot, for differences on its configuration manifold.
+
+    Raises:
+        TargetError: Not finite, or not a vector.
+        ConfigurationError: Wrong size for the robot.
+    """
+
+    def __init__(self, rest: ArrayLike, gain: float = 1.0, robot: Robot | None = None):
+        self.rest = np.array(rest, dtype=np.float64)
+        if self.rest.ndim != 1 or not np.all(np.isfinite(self.rest)):
+            raise TargetError(f"the rest posture must be finite numbers in one row, got {rest!r}")
+        if robot is not None:
+            robot.configuration(self.rest)
+        self.rest.setflags(write=False)
+        self.gain = float(gain)
+        self.robot = robot
+
+    def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
+        """gain * (rest - q) [rad/s or m/s].
+
+        Raises:
+            TargetError: q and the rest posture have different sizes.
+        """
+        if self.robot is not None:
+            return self.gain * self.robot.difference(q, self.rest)
+        here = np.asarray(q, dtype=np.float64)
+        if here.shape != self.rest.shape:
+            raise TargetError(f"the rest posture has {self.rest.size} numbers, the posture has shape {here.shape}")
+        return self.gain * (self.rest - here)
+
+    def __repr__(self) -> str:
+        return f"JointAttractor({np.array2string(self.rest, precision=3)}, gain={self.gain:g})"
+
+
+# [1/s] half ranges a second that a joint moves at most, for joints whose range is short
+LARGEST_RATE = 1.0
+
+
+@final
+class JointLimitAvoidance(NullSpacePolicy):
+    """Gradient descent of the joint-limit potential h of `limit_potential`, with a bounded speed.
+
+    With x_j in -1 ... 1 the place of joint j in its range u_j - l_j, h = sum_j 1 / (1 - x_j^2) and
+
+        p_j = gain ((u_j - l_j) / 2)^2 dh / dq_j = gain (u_j - l_j) x_j / (1 - x_j^2)^2
+        pi_j = -p_j / sqrt(1 + (p_j / v_j)^2)
+
+    The descent is that of h in the coordinates x, so that joints of different ranges and units return to the middle at
+    the same rate, 2 gain. The speed is v_j at a limit and outside; in between it is smooth. Joints that are not limited
+    on both sides are left out.
+
+    Args:
+        robot: Whose limits are avoided.
+        gain: Rate [1/s].
+        max_speed: v_j, the largest speed of a joint [rad/s or m/s], and at most half its range a second.
+
+    Raises:
+        ConfigurationError: The gain or the speed is not positive.
+    """
+
+    def __init__(self, robot: Robot, gain: float = 0.1, *, max_speed: float = 0.5):
+        self.robot = robot
+        self.gain = positive("gain", gain)
+        self.max_speed = positive("max_speed", max_speed)
+        limited = has_range(robot)
+        width = np.where(limited, ranges(robot), 0.0)
+        self._strength = self.gain * width
+        self._middle = np.zeros(robot.nv)
+        self._middle[limited] = 0.5 * (robot.position_lower[limited] + robot.position_upper[limited])
+        self._per_half = np.divide(2.0, width, out=np.zeros(robot.nv), where=limited)
+        self._longest = np.where(limited, np.minimum(self.max_speed, 0.5 * LARGEST_RATE * width), 1.0)
+
+    def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
+        """Velocity towards the middle of the ranges [rad/s or m/s].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+        """
+        x = (self.robot.positions(q) - self._middle) * self._per_half
+        room, pull = room_of(x), self._strength * x
+        # multiplied by room^2 above and below: finite at the limits
+        return -pull / np.hypot(room * room, pull / self._longest)
+
+    def __repr__(self) -> str:
+        return f"JointLimitAvoidance(gain={self.gain:g}, max_speed={self.max_speed:g})"
+
+
+@final
+class SelfCollisionAvoidance(NullSpacePolicy):
+    """pi pushes links apart that are nearer to each other than `distance`, with a bounded speed.
+
+        p = gain sum_i (1 - d_i / distance)^2 grad d_i    over the pairs of links with d_i < distance
+        pi = p / sqrt(1 + |p|^2 / max_speed^2)
+
+    Value and slope are 0 where a pair comes into range, so that pi is continuous however many pairs there are, but for
+    where the nearest points of two shapes jump (see `SelfCollision`). Shapes are convex, meshes their convex hulls.
+
+    Args:
+        robot: A robot with collision shapes, or a `SelfCollision` with other settings.
+        distance: Distance below which links are pushed apart [m].
+        gain: Largest rate, times a lever arm in m, at contact [1/(m s)].
+        max_speed: Largest norm of pi [rad/s].
+
+    Raises:
+        RobotError: The robot has no collision shapes, or one of them cannot be used.
+        ConfigurationError: The distance, the gain or the speed is not positive.
+    """
+
+    def __init__(
+        self, robot: Robot | SelfCollision, distance: float = 0.1, gain: float = 10.0, *, max_speed: float = 2.0
+    ):
+        self.distance = positive("distance", distance)
+        self.gain = positive("gain", gain)
+        self.max_speed = positive("max_speed", max_speed)
+        self.collision = robot if isinstance(robot, SelfCollision) else SelfCollision(robot)
+
+    def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
+        """Velocity that increases the distances of the pairs in range [rad/s or m/s].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+        """
+        push = np.zeros(self.collision.robot.nv)
+        for near in self.collision.closer_than(q, self.distance):
+            push += self.gain * (1.0 - near.distance / self.distance) ** 2 * near.gradient
+        return push / math.sqrt(1.0 + push.dot(push) / self.max_speed**2)
+
+    def __repr__(self) -> str:
+        return (
+            f"SelfCollisionAvoidance({self.collision.robot.name!r}, distance={self.distance:g}, gain={self.gain:g}, "
+            f"max_speed={self.max_speed:g})"
+        )
+
+
+# [rad^2/s] default gain: the highest manipulability of the gains that were compared (docs/control.md)
+ASCENT_GAIN = 3.0
+
+
+@final
+class ManipulabilityAscent(SampledPolicy):
+    """pi = gain * grad log mu, at most `max_speed`; or gain * grad mu as in equation (13) of Manavalan and Howard.
+
+        d mu / d q_k = mu tr((A A^T)^-1 A (dA / dq_k)^T) = mu A^{+T} : dA / dq_k,    grad log mu = grad mu / mu
+
+    grad log mu points the same way and does not depend on the units of the constraint, nor on how small mu has become:
+    raw grad mu all but vanishes in SI units where it matters most. It grows as 1 / sigma towards a singularity, where
+    an explicit step would jump from one side to the other; its length is therefore bounded by
+
+        max_speed sigma / sqrt(sigma^2 + r^2),    r = dt max_speed |grad log mu| sigma / GROWTH,
+
+    sigma the smallest singular value of A: continuous, with a slope that a step of dt can follow. It vanishes towards
+    the singularity; at it, `SEED_SPEED` along the steepest ascent of mu is left, and the controller adds the motion
+    that leaves it (see `singularity`).
+
+    Args:
+        constraint: Whose manipulability is climbed; true or learnt.
+        gain: Rate; for grad log mu [rad^2/s].
+        logarithmic: False for the paper's raw gradient, which is not bounded.
+        max_speed: Largest norm of pi [rad/s]; None for no bound. At a singularity the unbounded gradient has the
+            direction of steepest ascent, also where several directions are lost at once.
+
+    Raises:
+        ConstraintError: `max_speed` is not positive.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("planar3")
+        >>> constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+        >>> climb = ml.ResolvedRateController(constraint, null_policy=ml.ManipulabilityAscent(constraint))
+        >>> rollout = ml.simulate(robot, climb, [0.3, 0.8, 0.4], duration=3.0)  # the tip keeps its y
+        >>> rollout.manipulability[[0, -1]].round(1)
+        array([1.6, 2.6])
+    """
+
+    def __init__(
+        self,
+        constraint: Constraint,
+        gain: float = ASCENT_GAIN,
+        *,
+        logarithmic: bool = True,
+        max_speed: float | None = 10.0,
+    ):
+        if max_speed is not None and not max_speed > 0.0:
+            raise ConstraintError(f"max_speed must be positive [rad/s], or None for no bound, got {max_speed!r}")
+        self.constraint = constraint
+        self.gain = float(gain)
+        self.logarithmic = bool(logarithmic)
+        self.max_speed = None if max_speed is None or not logarithmic else float(max_speed)
+
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
+        """Ascent velocity, finite everywhere.
+
+        Args:
+            q: Posture: a configuration or joint positions.
+            t: Time [s]; the policy does not depend on it.
+            dt: Time for which the velocity is held [s].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+        """
+        A, vjp = self.constraint.value_and_vjp(q)
+        inverse = row_inverse(A)
+        if inverse is not None:
+            return self.from_inverse(*inverse, vjp, dt)
+        return self.from_decomposition(A.shape, svd(A), vjp, dt)
+
+    def from_inverse(
+        self, X: Float[np.ndarray, "s nv"], mu: float, smallest: float, vjp: Vjp, dt: float
+    ) -> Float[np.ndarray, " nv"]:
+        """The same away from singularities, where d log mu = A^{+T} : dA, from X = A^{+T} that the controller has."""
+        if not self.logarithmic:
+            return vjp(X) * (self.gain * mu)
+        return self.bounded(vjp(X), smallest, dt)
+
+    def from_decomposition(
+        self, shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp, dt: float
+    ) -> Float[np.ndarray, " nv"]:
+        """The same near a singularity too, see `gradient_from`."""
+        sigma = decomposition[1]
+        smallest = float(sigma[-1])
+        if self.logarithmic and shape[0] > shape[1]:
+            return np.zeros(shape[1])
+        if self.logarithmic and self.max_speed is not None and smallest <= SINGULAR_RATIO * sigma[0]:
+            return self.seed * steepest_ascent(Decomposition(*decomposition), vjp)
+        mu, gradient, floor = gradient_from(shape, decomposition, vjp)
+        if not self.logarithmic:
+            return gradient * self.gain
+        if 1 < shape[0] <= shape[1] and sigma[-2] <= SINGULAR_RATIO * sigma[0]:
+            return escape_direction(decomposition, vjp) * (self.gain / SINGULAR_RATIO)
+        return self.bounded(gradient / max(mu, floor, 1e-300), smallest, dt)
+
+    @property
+    def seed(self) -> float:
+        """Speed at a singularity itself [rad/s]; only where the policy is bounded."""
+        return SEED_SPEED if self.max_speed is None else min(self.max_speed, SEED_SPEED)
+
+    def bounded(self, slope: Float[np.ndarray, " nv"], smallest: float, dt: float) -> Float[np.ndarray, " nv"]:
+        """gain * grad log mu, shortened to the bound.
+
+        Args:
+            slope: grad log mu.
+            smallest: Smallest singular value of A.
+            dt: Time for which the velocity is held [s].
+        """
+        if self.max_speed is None:
+            return slope * self.gain
+        steepness = math.sqrt(slope.dot(slope))
+        ramp = dt * self.max_speed * steepness / GROWTH  # r / sigma
+        longest = self.max_speed / math.sqrt(1.0 + ramp * ramp)
+        speed = self.gain * steepness
+        return slope * (self.gain if speed <= longest else longest / steepness)
+
+    def __repr__(self) -> str:
+        return f"ManipulabilityAscent(gain={self.gain:g}, logarithmic={self.logarithmic})"
+
+
+@final
+class PenalisedManipulabilityAscent(SampledPolicy):
+    """pi = gain * grad log mu_w, at most `max_speed`: `ManipulabilityAscent` with A_w = A W in place of A.
+
+        d log mu_w = A_w^{+T} : dA_w,    dA_w_ij / dq_k = w_j dA_ij / dq_k + delta_jk A_ij dw_j / dq_j
+
+    with the weights w_j of `limit_weights`, 1 in the middle of a joint's range and 0 at its limits. It is bounded as
+    `ManipulabilityAscent` is.
+
+    Args:
+        constraint: Whose manipulability is climbed; true or learnt.
+        gain: Rate [rad^2/s].
+        max_speed: Largest norm of pi [rad/s]; None for no bound.
+
+    Raises:
+        ConstraintError: The constraint's features have no robot, or `max_speed` is not positive.
+    """
+
+    def __init__(self, constraint: Constraint, gain: float = ASCENT_GAIN, *, max_speed: float | None = 4.0):
+        limited_robot(constraint)
+        self.constraint = constraint
+        self._ascent = ManipulabilityAscent(constraint, gain, max_speed=max_speed)
+        self.gain, self.max_speed = self._ascent.gain, self._ascent.max_speed
+
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
+        """Ascent velocity, finite everywhere.
+
+        Args:
+            q: Posture: a configuration or joint positions.
+            t: Time [s]; the policy does not depend on it.
+            dt: Time for which the velocity is held [s].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+        """
+        A, vjp = penalised_value_and_vjp(self.constraint, q)
+        inverse = row_inverse(A)
+        if inverse is not None:
+            return self._ascent.from_inverse(*inverse, vjp, dt)
+        return self._ascent.from_decomposition(A.shape, svd(A), vjp, dt)
+
+    def __repr__(self) -> str:
+        return f"PenalisedManipulabilityAscent(gain={self.gain:g})"
+
+
+@final
+class WeightedPolicies(SampledPolicy):
+    """pi = sum_i w_i pi_i: several objectives in one null space, their compromise set by the weights.
+
+    Where one of them is a `ManipulabilityAscent` of the controller's own constraint, singularities are left as they are
+    with that policy alone.
+
+    Args:
+        policies: pi_i.
+        weights: w_i >= 0, one a policy; 1 each by default.
+
+    Raises:
+        ConfigurationError: No policies, another number of weights, or a weight that is negative or not finite.
+    """
+
+    def __init__(self, policies: Sequence[NullSpacePolicy], weights: Sequence[float] | None = None):
+        self.policies = tuple(policies)
+        self.weights = (1.0,) * len(self.policies) if weights is None else tuple(float(w) for w in weights)
+        if not self.policies or len(self.weights) != len(self.policies):
+            raise ConfigurationError(f"{len(self.policies)} policies need as many weights, got {len(self.weights)}")
+        if not all(math.isfinite(w) and w >= 0.0 for w in self.weights):
+            raise ConfigurationError(f"weights must be numbers of at least 0, got {list(self.weights)}")
+
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
+        """Weighted sum of the policies' velocities [rad/s or m/s].
+
+        Args:
+            q: Posture: a configuration or joint positions.
+            t: Time [s].
+            dt: Time for which the velocity is held [s].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+            TargetError: The policies belong to different numbers of joints.
+        """
+        parts = [
+            w * (policy(q, t, dt) if isinstance(policy, SampledPolicy) else policy(q, t))
+            for w, policy in zip(self.weights, self.policies, strict=True)
+        ]
+        if len({part.shape for part in parts}) > 1:
+            sizes = ", ".join(str(part.size) for part in parts)
+            raise TargetError(f"the policies of a weighted sum return {sizes} velocities: they belong to one robot")
+        return np.sum(parts, axis=0)
+
+    def climbs(self, constraint: Constraint) -> bool:
+        """Whether a bounded `ManipulabilityAscent` of this very constraint has a weight, here or in a sum within."""
+        for w, policy in zip(self.weights, self.policies, strict=True):
+            if w > 0.0 and isinstance(policy, ManipulabilityAscent):
+                if policy.constraint is constraint and policy.max_speed is not None:
+                    return True
+            elif w > 0.0 and isinstance(policy, WeightedPolicies) and policy.climbs(constraint):
+                return True
+        return False
+
+    def __repr__(self) -> str:
+        terms = " + ".join(f"{w:g} {policy!r}" for w, policy in zip(self.weights, self.policies, strict=True))
+        return f"WeightedPolicies({terms})"
+
+
+def climbing(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> NullSpacePolicy:
+    """The same policy, its ascents of one constraint climbing the manipulability of another."""
+    if isinstance(policy, ManipulabilityAscent) and policy.constraint is before:
+        speed = policy.max_speed
+        return ManipulabilityAscent(after, policy.gain, logarithmic=policy.logarithmic, max_speed=speed)
+    if isinstance(policy, WeightedPolicies):
+        return WeightedPolicies([climbing(part, before, after) for part in policy.policies], policy.weights)
+    return policy
