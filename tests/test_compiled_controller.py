@@ -241,13 +241,13 @@ def test_unsupported_controllers_are_refused(robot_of: RobotOf, monkeypatch: pyt
     features = FrameJacobian(arm, "right_hand")
     constraint = Constraint(np.eye(3), features)
     other = Constraint(np.eye(3)[:2], features)
-    local = FrameJacobian(arm, "right_hand", "x z", "local")
+    local, turning = FrameJacobian(arm, "right_hand", "x z", "local"), FrameJacobian(arm, "right_hand", "pose")
     refused = {
         "CentreOfMass": ResolvedRateController(Constraint(np.eye(3), CentreOfMass(arm))),
         "revolute": ResolvedRateController(Constraint(np.eye(3), FrameJacobian(robot, "tip"))),
         "another robot": ResolvedRateController(constraint, robot=robot_of("planar3")),
         "Own": ResolvedRateController(constraint, Own([0.5, 0.1, 0.2])),
-        "Track": ResolvedRateController(constraint, Track(lambda t: [0.5, 0.1, 0.2])),
+        "Track": ResolvedRateController(Constraint(np.eye(6), turning), Track(lambda t: np.eye(4))),
         "x z (local)": ResolvedRateController(Constraint(np.eye(2), local), PointAttractor([0.5, 0.1])),
         "another constraint": ResolvedRateController(constraint, null_policy=ManipulabilityAscent(other)),
         "rest posture": ResolvedRateController(constraint, null_policy=JointAttractor(np.zeros(3))),

@@ -48,14 +48,14 @@ class CompiledController:
     """The commands of a `ResolvedRateController`, computed by compiled code.
 
     For rows of a frame's Jacobian and for doors, tethers, screws and all that `MechanismRows` and `PlaceRows` hold, a
-    chain of revolute, continuous and prismatic joints, the tasks `Hold` and `FreeDirection` (along positions and
-    mechanisms; its b is computed in Python, once a call) and, for rows of a frame's Jacobian, `PointAttractor`
-    (positions, poses and whole rotations, along the axes of the base or of the frame), and a `ManipulabilityAscent` of
-    the same constraint, a `JointAttractor` or no policy; in every state, at limits and at singularities too. (For all
-    others there is the original's solver `"compiled"`.) The original controller computes the command only where the
-    posture or the velocity is not finite, where a direction is lost that the inverse `"exact"` cannot invert, and
-    where several are lost at once under a policy without a bound. The numbers are the same everywhere (to 1e-12 of the
-    largest, to 1e-9 at limits).
+    chain of revolute, continuous and prismatic joints, the tasks `Hold`, `FreeDirection` (along positions and
+    mechanisms) and `Track` (of positions in the base), whose b is computed in Python, once a call, and, for rows of a
+    frame's Jacobian, `PointAttractor` (positions, poses and whole rotations, along the axes of the base or of the
+    frame), and a `ManipulabilityAscent` of the same constraint, a `JointAttractor` or no policy; in every state, at
+    limits and at singularities too. (For all others there is the original's solver `"compiled"`.) The original
+    controller computes the command only where the posture or the velocity is not finite, where a direction is lost that
+    the inverse `"exact"` cannot invert, and where several are lost at once under a policy without a bound. The numbers
+    are the same everywhere (to 1e-12 of the largest, to 1e-9 at limits).
 
     The first one on a machine takes about a minute, which it says through the logger `manip_learn`; the machine
     code is kept on disk.

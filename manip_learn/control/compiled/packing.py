@@ -13,7 +13,7 @@ from manip_learn.control.compiled.limits_table import packed_limits, tips_are_co
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.resolved_rate_law import ESCAPE_WIDTH
-from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor
+from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Track
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.rotations import rotation_matrix
 
@@ -45,6 +45,8 @@ def why_not(controller: ResolvedRateController) -> str | None:
         known = _is_packed(features, constraint.n_constraints, task.target)
     if type(task) is FreeDirection:
         known = task.along_rows
+    if type(task) is Track:  # elsewhere the rows of the error are others than those held
+        known = isinstance(features, FrameJacobian) and features.only_linear
     if not known:
         reference = getattr(features, "reference", type(features).__name__)
         return f"the task is {task!r} with rows {' '.join(features.row_names)} ({reference})"
@@ -73,7 +75,7 @@ def packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
         header[0, table.GAIN] = task.gain
         header[0, table.MAX_SPEED] = np.inf if task.max_speed is None else task.max_speed
         _pack_target(features, constraint.selection, task.target, header, chain)
-    elif isinstance(task, FreeDirection):
+    elif isinstance(task, FreeDirection | Track):
         header[0, table.TASK] = table.GIVEN
     _pack_policy(controller, header, dofs)
     return with_tips(np.concatenate([header, chain, dofs, rows]), controller.limits)
