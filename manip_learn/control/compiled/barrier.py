@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
-from manip_learn.control.compiled.bounded_step import SLOPE
 from manip_learn.control.compiled.constrained_rows import vjp
 from manip_learn.control.compiled.decomposition import decompose
 from manip_learn.control.compiled.near_singularity import approach_bound, norm, outer_product, smallest_weights
@@ -18,6 +17,7 @@ from manip_learn.control.compiled.step_table import (
     MATRICES,
     N_JOINTS,
     NV,
+    SLOPE,
     SMALLEST,
 )
 from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from manip_learn.control.compiled.barrier import barrier
-from manip_learn.control.compiled.bounded_step import SLOPE, space_of
+from manip_learn.control.compiled.bounded_step import space_of
 from manip_learn.control.compiled.constrained_rows import public_rows
 from manip_learn.control.compiled.decomposition import row_space
 from manip_learn.control.compiled.free_step import free_step, scratch
@@ -33,11 +33,15 @@ from manip_learn.control.compiled.step_table import (
     OUTSIDE,
     POSE,
     PROGRESS,
+    RANK,
     REFUSED,
+    SLOPE,
     SMALLEST,
     TASK,
     TASK_SCALE,
     VELOCITY,
+    Rows,
+    Step,
 )
 from manip_learn.control.compiled.tip_rows import breaks, has_tips, most_rows, tips_at
 from manip_learn.control.compiled.within_limits import within_limits
@@ -85,6 +89,7 @@ def control_step(constants, q, dt, previous, slide, parts, work):
     space[SLOPE, 0] = math.nan  # unknown
     public_rows(constants, s, joints, work, MATRICES, A)
     rank, sigma[0] = s, -1.0  # unknown
+    step, driven = Step(constants, q, dt, previous, slide, parts, work), Rows(A, Ut, sigma, Vt, weights)
     posed = constants[0, TASK] == POSE
     if state == ILL_CONDITIONED or state == ILL_POSED:
         if posed and state == ILL_CONDITIONED and not posed_policy(constants, q, dt, A, Ut, sigma, Vt, weights, work):
@@ -96,8 +101,8 @@ def control_step(constants, q, dt, previous, slide, parts, work):
         row_space(A, s, Vt)
     barred = not posed and constants[0, LIMITS] != 0.0
     barred = barred and barrier(constants, A, Ut, sigma, Vt, weights, dt, parts[VELOCITY], space, work)
-    facts = work[FACTS]
-    return within_limits(constants, q, dt, previous, slide, A, Ut, sigma, Vt, rank, barred, tips, space, parts, facts)
+    work[FACTS, RANK] = rank
+    return within_limits(step, driven, barred, tips, space)
 
 
 @compiled_inside

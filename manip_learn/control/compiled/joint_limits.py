@@ -5,9 +5,24 @@ from __future__ import annotations
 import math
 
 from manip_learn.control.approach import APPROACH_RATE, BRAKING_SHARE, RETURN_SPEED
-from manip_learn.control.compiled.step_table import ACCELERATION, LIMIT, LOWER, NULL_PART, TASK_PART, UPPER
+from manip_learn.control.compiled.step_table import (
+    ACCELERATION,
+    CHAIN,
+    FOUND,
+    HIGH,
+    HIGH_CAUSE,
+    LIMIT,
+    LOW,
+    LOW_CAUSE,
+    LOWER,
+    N_JOINTS,
+    NULL_PART,
+    TASK_PART,
+    UPPER,
+)
 from manip_learn.control.limits import ACCELERATION as BY_ACCELERATION
 from manip_learn.control.limits import AT_BOUND, OUTSIDE, POSITION, ROOM_TO_LEAVE, VELOCITY
+from manip_learn.robot.batch.compiled_kinematics import JOINTS
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 
@@ -54,10 +69,11 @@ def admitted(constants, dofs, nv, q, dt, u, previous):
 
 
 @compiled_inside
-def bounds_of(constants, dofs, nv, q, dt, previous, low, high, low_cause, high_cause):
+def bounds_of(step, space):
     """`Limits.bounds`: write the lowest and highest velocities and their causes; return how far a joint is outside."""
-    outside = 0.0
-    for j in range(nv):
+    constants, q, dt, previous, outside = step.constants, step.q, step.dt, step.previous, 0.0
+    dofs = CHAIN + JOINTS + int(constants[0, N_JOINTS])
+    for j in range(q.shape[0]):
         k = dofs + j
         v, a = constants[k, LIMIT], constants[k, ACCELERATION]
         above, below = constants[k, UPPER] - q[j], q[j] - constants[k, LOWER]
@@ -78,29 +94,31 @@ def bounds_of(constants, dofs, nv, q, dt, previous, low, high, low_cause, high_c
             if bottom > top:  # too fast, or too far, for what the acceleration limit allows: it has precedence
                 bottom = slowest if top < slowest else fastest
                 top = bottom
-        low[j], high[j], low_cause[j], high_cause[j] = bottom, top, bottom_cause, top_cause
+        space[LOW, j], space[HIGH, j] = bottom, top
+        space[LOW_CAUSE, j], space[HIGH_CAUSE, j] = bottom_cause, top_cause
     return outside if outside > OUTSIDE else 0.0
 
 
 @compiled_inside
-def within(u, low, high, nv, tolerance):
-    """Whether a velocity is within bounds, but for a tolerance."""
+def within(u, space, nv, tolerance):
+    """Whether a velocity is within the bounds, but for a tolerance."""
     for j in range(nv):
-        if not low[j] - tolerance <= u[j] <= high[j] + tolerance:
+        if not space[LOW, j] - tolerance <= u[j] <= space[HIGH, j] + tolerance:
             return False
     return True
 
 
 @compiled_inside
-def binding(u, parts, low, high, causes, nv):
+def binding(parts, space):
     """The joint at a bound that task and null part exceed most, and the limit that sets it; (-1, -1) if none."""
     joint, cause, most = -1, -1.0, 0.0
-    for j in range(nv):
+    u, low, high = space[FOUND], space[LOW], space[HIGH]
+    for j in range(parts.shape[1]):
         tolerance, wish = AT_BOUND * (1.0 + abs(u[j])), parts[TASK_PART, j] + parts[NULL_PART, j]
         if u[j] >= high[j] - tolerance and wish - high[j] > most:
-            joint, cause, most = j, causes[1, j], wish - high[j]
+            joint, cause, most = j, space[HIGH_CAUSE, j], wish - high[j]
         elif u[j] <= low[j] + tolerance and low[j] - wish > most:
-            joint, cause, most = j, causes[0, j], low[j] - wish
+            joint, cause, most = j, space[LOW_CAUSE, j], low[j] - wish
     return joint, cause
 
 

@@ -7,6 +7,7 @@ from manip_learn.control.compiled.step_table import (
     ACCELERATION_LIMITED,
     DAMPED_STATUS,
     ESCAPE_PART,
+    FACTS,
     HAS_ESCAPE,
     LIMITING_JOINT,
     NULL_PART,
@@ -17,6 +18,7 @@ from manip_learn.control.compiled.step_table import (
     OUTSIDE_LIMITS,
     POSITION_LIMITED,
     PROGRESS,
+    RANK,
     REROUTED,
     SINGULAR,
     STALLED,
@@ -45,11 +47,11 @@ def progress_of(A, parts):
 
 
 @compiled_inside
-def plain_outcome(A, singular, damped, outside, parts, facts):
+def plain_outcome(step, A, singular, damped, outside):
     """Status and numbers of a command that no limit changes, `outcome.plain_command`."""
-    progress, status = 1.0, OK
+    progress, status, facts = 1.0, OK, step.work[FACTS]
     if damped or singular:
-        progress = progress_of(A, parts)
+        progress = progress_of(A, step.parts)
         status = STALLED if progress < STALLED_BELOW else DAMPED_STATUS
     if singular:
         status = SINGULAR
@@ -59,19 +61,21 @@ def plain_outcome(A, singular, damped, outside, parts, facts):
 
 
 @compiled_inside
-def bounded_outcome(A, singular, damped, outside, joint, cause, task_scale, task_fits, parts, facts):
-    """Status of a command that limits change, `outcome.bounded_command`."""
-    progress = progress_of(A, parts)
-    facts[TASK_SCALE], facts[PROGRESS] = min(task_scale, 1.0), progress
-    facts[OUTSIDE], facts[LIMITING_JOINT] = outside, joint
-    if outside > 0.0:
+def bounded_outcome(step, A, singular, damped, scale, cause, task_fits):
+    """Status of a command that limits change, `outcome.bounded_command`, by the limit that stands in its way most.
+
+    How far a joint is outside and the limiting joint are among the facts already.
+    """
+    facts, progress = step.work[FACTS], progress_of(A, step.parts)
+    facts[TASK_SCALE], facts[PROGRESS] = min(scale, 1.0), progress
+    if facts[OUTSIDE] > 0.0:
         return OUTSIDE_LIMITS
     if singular:
         return SINGULAR
     if progress < STALLED_BELOW and cause != ACCELERATION:
         return STALLED
-    if task_scale < SCALED_BELOW:
-        if joint < 0:
+    if scale < SCALED_BELOW:
+        if facts[LIMITING_JOINT] < 0.0:
             return DAMPED_STATUS
         if cause == POSITION:
             return POSITION_LIMITED
@@ -82,9 +86,10 @@ def bounded_outcome(A, singular, damped, outside, joint, cause, task_scale, task
 
 
 @compiled_inside
-def split_parts(found, Vt, rank, solved, parts, facts):
-    """Write the velocity and its parts as commanded into `parts`; see `Command`."""
-    nv = Vt.shape[1]
+def split_parts(step, Vt, found, solved):
+    """Write the velocity found and its parts as commanded into those of the step; see `Command`."""
+    nv, parts, facts = Vt.shape[1], step.parts, step.work[FACTS]
+    rank = int(facts[RANK])
     along = square = 0.0
     for j in range(nv):
         parts[VELOCITY, j], square = found[j], square + parts[NULL_PART, j] * parts[NULL_PART, j]

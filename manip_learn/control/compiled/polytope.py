@@ -12,7 +12,7 @@ DIRECTION, ALONG, FALL, MULTIPLIERS, BOUNDS, SIGNS, ACTIVE, SCRATCH = range(8)
 
 
 @compiled_inside
-def project(x, C, low, high, m, k, y, work):
+def project(x, C, bounds, m, k, y, work):
     """y = argmin |y - x|^2 subject to low <= C y <= high for the first m rows and k columns; False if there is no y.
 
     The dual active-set method of Goldfarb and Idnani (1983). An orthonormal basis of the active rows' normals is kept
@@ -21,8 +21,7 @@ def project(x, C, low, high, m, k, y, work):
     Args:
         x: The point.
         C: One row per constraint.
-        low: Lower bounds.
-        high: Upper bounds.
+        bounds: Lower and upper bounds, in two rows.
         m: Number of rows.
         k: Number of columns.
         y: The answer.
@@ -33,7 +32,7 @@ def project(x, C, low, high, m, k, y, work):
     for c in range(k):
         y[c] = x[c]
     for _ in range(8 * m):
-        worst, excess, sign = _most_exceeded(y, C, low, high, m, k, active, n)
+        worst, excess, sign = _most_exceeded(y, C, bounds, m, k, active, n)
         if worst < 0:
             if n > 0:
                 _on_faces(x, y, work, n, k)
@@ -61,7 +60,7 @@ def project(x, C, low, high, m, k, y, work):
                 excess -= step * slope
             if step == full:
                 active[n], multipliers[n], work[SIGNS, n] = worst, multiplier, sign
-                work[BOUNDS, n] = high[worst] if sign > 0.0 else -low[worst]
+                work[BOUNDS, n] = bounds[1, worst] if sign > 0.0 else -bounds[0, worst]
                 _enter(work, n, k, slope)
                 n += 1
                 break
@@ -70,20 +69,20 @@ def project(x, C, low, high, m, k, y, work):
 
 
 @compiled_inside
-def _most_exceeded(y, C, low, high, m, k, active, n):
+def _most_exceeded(y, C, bounds, m, k, active, n):
     """(row, by how much, 1 above and -1 below) of the row whose bound is exceeded most; row -1 if none is."""
     worst, excess, sign = -1, TOLERANCE, 1.0
     for i in range(m):
         reached = 0.0
         for c in range(k):
             reached += C[i, c] * y[c]
-        beyond = max(reached - high[i], low[i] - reached)
+        beyond = max(reached - bounds[1, i], bounds[0, i] - reached)
         if beyond > excess:
             known = False
             for a in range(n):
                 known = known or active[a] == i
             if not known:
-                worst, excess, sign = i, beyond, 1.0 if reached > high[i] else -1.0
+                worst, excess, sign = i, beyond, 1.0 if reached > bounds[1, i] else -1.0
     return worst, excess, sign
 
 

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from manip_learn.control.compiled.bounded_step import SLOPE
 from manip_learn.control.compiled.constrained_rows import turn_joints
 from manip_learn.control.compiled.near_singularity import approach_rate, norm
 from manip_learn.control.compiled.step_table import (
@@ -17,6 +16,7 @@ from manip_learn.control.compiled.step_table import (
     N_JOINTS,
     N_WALLS,
     NV,
+    SLOPE,
     TIP_SPEED,
     TIPS,
 )

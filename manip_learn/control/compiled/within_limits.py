@@ -7,37 +7,28 @@ import math
 import numpy as np
 
 from manip_learn.control.compiled.barrier import bounded_approach, is_singular
-from manip_learn.control.compiled.bounded_step import (
-    FOUND,
-    HIGH,
-    HIGH_CAUSE,
-    LOW,
-    LOW_CAUSE,
-    SLOPE,
-    bounded_step,
-    space_of,
-)
+from manip_learn.control.compiled.bounded_step import bounded_step, space_of
 from manip_learn.control.compiled.decomposition import complete, decompose, row_space
 from manip_learn.control.compiled.joint_limits import binding, bounds_of, within
 from manip_learn.control.compiled.near_singularity import rank_of, truncation
 from manip_learn.control.compiled.outcome import bounded_outcome, plain_outcome, split_parts
 from manip_learn.control.compiled.step_table import (
-    CHAIN,
     DAMPED,
     DAMPED_STATUS,
     DAMPING,
-    ESCAPE_PART,
+    FACTS,
+    FOUND,
     HAS_ESCAPE,
     INVERSE,
-    LIMIT,
     LIMITING_JOINT,
     LIMITS,
     N_FACTS,
-    N_JOINTS,
     NULL_SCALE,
     OUTSIDE,
     POSITION_LIMITED,
     PROGRESS,
+    RANK,
+    SLOPE,
     SMALLEST,
     TASK_PART,
     TASK_SCALE,
@@ -45,10 +36,11 @@ from manip_learn.control.compiled.step_table import (
     THRESHOLD,
     VELOCITY,
     VELOCITY_LIMITED,
+    Rows,
+    Step,
 )
 from manip_learn.control.compiled.tip_rows import breaks, most_rows, tips_at, with_broken
 from manip_learn.control.tip_limits import MOST_ROWS
-from manip_learn.robot.batch.compiled_kinematics import JOINTS
 from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 
 
@@ -72,11 +64,18 @@ def bounded_law(constants, q, dt, previous, slide, parts, A, slope, smallest, il
         escapes: Whether there is a velocity out of a singularity.
     """
     s, nv = A.shape
-    Vt, left, facts = np.empty((nv, nv)), np.empty((s + 1, s)), np.empty(N_FACTS)
-    Ut, sigma, space, rank = left[:s], left[s], space_of(nv, most_rows(constants)), s
+    square, left, work, space = (
+        np.empty((nv + s, nv)),
+        np.empty((s + 1, s)),
+        np.empty((1, N_FACTS)),
+        space_of(nv, most_rows(constants)),
+    )
+    Ut, sigma, Vt, facts = left[:s], left[s], square[:nv], work[FACTS]
+    rows, step = Rows(A, Ut, sigma, Vt, square[nv:]), Step(constants, q, dt, previous, slide, parts, work)
+    facts[RANK] = s
     if ill_conditioned:
         decompose(A, s, Ut, sigma, Vt)
-        rank = rank_of(sigma, truncation(sigma, nv))
+        facts[RANK] = rank_of(sigma, truncation(sigma, nv))
         if is_singular(sigma):
             complete(Vt, rank_of(sigma, 0.0))
     else:
@@ -88,53 +87,53 @@ def bounded_law(constants, q, dt, previous, slide, parts, A, slope, smallest, il
         for j in range(nv):
             space[SLOPE, j] = slope[j]
         barred = bounded_approach(constants, smallest, dt, space)
-    tips = tips_at(constants, q, dt, previous)
-    code = within_limits(constants, q, dt, previous, slide, A, Ut, sigma, Vt, rank, barred, tips, space, parts, facts)
+    code = within_limits(step, rows, barred, tips_at(constants, q, dt, previous), space)
     numbers = facts[TASK_SCALE], facts[NULL_SCALE], facts[PROGRESS], facts[OUTSIDE]
     return code, numbers[0], numbers[1], numbers[2], numbers[3], int(facts[LIMITING_JOINT])
 
 
 @compiled_inside
-def within_limits(constants, q, dt, previous, slide, A, Ut, sigma, Vt, rank, barred, tips, space, parts, facts):
+def within_limits(step, rows, barred, tips, space):
     """Bring the law within the limits; return the status of the command.
 
-    Arguments as for `bounded_law`, and the decomposition of A: left singular vectors in the rows of Ut and sigma, whose
-    first is negative where they are not known; in Vt orthonormal rows that span those of A, with its null space behind
-    them where A is singular; its rank. Where the approach to a singularity is `barred`, gradient and bound are in the
-    space (see `bounded_step`). `tips` are the limited frames (see `tips_at`). `facts` holds the numbers of the command.
+    Args:
+        step: Its parts are replaced by those commanded.
+        rows: As `Rows` says, with the null space in Vt where A is singular.
+        barred: Whether the approach to a singularity is bounded; gradient and bound are in the space then.
+        tips: The limited frames, see `tips_at`.
+        space: See `space_of`.
     """
+    constants, parts, facts, A, sigma = step.constants, step.parts, step.work[FACTS], rows.A, rows.sigma
     s, nv = A.shape
     singular = is_singular(sigma)
     damped = int(constants[0, INVERSE]) == DAMPED and facts[SMALLEST] < constants[0, THRESHOLD]
     if constants[0, LIMITS] == 0.0:
-        return plain_outcome(A, singular, damped, 0.0, parts, facts)
-    dofs = CHAIN + JOINTS + int(constants[0, N_JOINTS])
-    causes = space[LOW_CAUSE : HIGH_CAUSE + 1]
-    outside = bounds_of(constants, dofs, nv, q, dt, previous, space[LOW], space[HIGH], causes[0], causes[1])
+        return plain_outcome(step, A, singular, damped, 0.0)
+    outside = bounds_of(step, space)
     broken, near = breaks(constants, tips, parts[VELOCITY])
     slow = not broken and not (barred and _too_fast(parts, space))
-    if slow and within(parts[VELOCITY], space[LOW], space[HIGH], nv, 0.0):
-        return plain_outcome(A, singular, damped, outside, parts, facts)
+    if slow and within(parts[VELOCITY], space, nv, 0.0):
+        return plain_outcome(step, A, singular, damped, outside)
     if not singular:
-        complete(Vt, s)
-    if sigma[0] < 0.0 and slide > 0.0:
-        decompose(A, s, Ut, sigma, Vt)
+        complete(rows.Vt, s)
+    if sigma[0] < 0.0 and step.slide > 0.0:
+        decompose(A, s, rows.Ut, sigma, rows.Vt)
     # an explicit step of dt follows sliding that is damped that much
-    blur = max(constants[1, DAMPING], math.sqrt(2.0 * dt * _length(parts[TASK_VELOCITY], s)))
-    escape, escapes, rows = parts[ESCAPE_PART], facts[HAS_ESCAPE] != 0.0, 1 if barred else 0
-    fastest, u, scale = constants[dofs : dofs + nv, LIMIT], parts[VELOCITY], -1.0
+    blur = max(constants[1, DAMPING], math.sqrt(2.0 * step.dt * _length(parts[TASK_VELOCITY], s)))
+    barriers, u, scale = 1 if barred else 0, parts[VELOCITY], -1.0
     for turn in range(MOST_ROWS if tips.shape[0] > 0 else 1):  # `TipLimits.bounded`
-        more = with_broken(constants, tips, u, space, rows)
-        if turn > 0 and more == rows:
+        more = with_broken(constants, tips, u, space, barriers)
+        if turn > 0 and more == barriers:
             break
-        rows, u = more, space[FOUND]
-        scale, kept = bounded_step(A, parts, escape, escapes, fastest, sigma, Vt, rank, space, rows, slide, blur)
+        barriers, u = more, space[FOUND]
+        scale, kept = bounded_step(step, rows, space, barriers, blur)
         if not kept:  # more rows would be kept even less
             break
-    fits = within(parts[TASK_PART], space[LOW], space[HIGH], nv, 0.0)
-    joint, cause = binding(space[FOUND], parts, space[LOW], space[HIGH], causes, nv)
-    split_parts(space[FOUND], Vt, rank, scale >= 0.0, parts, facts)
-    status = bounded_outcome(A, singular, damped, outside, joint, cause, max(scale, 0.0), fits, parts, facts)
+    fits = within(parts[TASK_PART], space, nv, 0.0)
+    joint, cause = binding(parts, space)
+    facts[OUTSIDE], facts[LIMITING_JOINT] = outside, joint
+    split_parts(step, rows.Vt, space[FOUND], scale >= 0.0)
+    status = bounded_outcome(step, A, singular, damped, max(scale, 0.0), cause, fits)
     if not broken or damped or status != DAMPED_STATUS:
         return status
     return POSITION_LIMITED if near else VELOCITY_LIMITED
