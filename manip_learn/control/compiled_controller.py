@@ -167,8 +167,8 @@ class CompiledController:
         if not self.rolls_out:
             raise ConstraintError(f"the velocity of {self.controller.task!r} is computed in Python: use simulate")
         T, nv = steps + 1, self.nv
-        q, u, mu, error = np.empty((T, nv)), np.empty((T, nv)), np.empty(T), np.empty(T)
-        code = np.zeros(T, dtype=np.int64)
+        motion, numbers = np.empty((2, T, nv)), np.empty((3, T))
+        (q, u), (mu, error, code) = motion, numbers
         bounded = method == "euler" and self.controller.limits is not None
         state = np.zeros(nv + 1)  # the velocity before, and the slide
         if not bounded:
@@ -176,7 +176,7 @@ class CompiledController:
         q[0] = start
         row, before = 0, state[:nv]
         while row < T:
-            row = self._rollout(self._constants, row, dt, method == "rk4", q, u, mu, error, code, state)
+            row = self._rollout(self._constants, row, dt, method == "rk4", motion, numbers, state)
             if row < T:
                 command = self.controller(q[row], row * dt, dt, before if bounded else None, float(state[nv]))
                 u[row], mu[row], code[row] = command.velocity, command.manipulability, STATUSES.index(command.status)
@@ -186,7 +186,7 @@ class CompiledController:
                 if row + 1 < T:
                     q[row + 1] = next_posture(None, self.controller, q[row], row * dt, dt, method, command.velocity)
                 row += 1
-        return CompiledRollout(q, u, mu, error, tuple(_WORDS[code].tolist()))
+        return CompiledRollout(q, u, mu, error, tuple(_WORDS[code.astype(np.intp)].tolist()))
 
     def __reduce__(self) -> tuple[object, ...]:
         return CompiledController, (self.controller,)  # machine code stays in its process

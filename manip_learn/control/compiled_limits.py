@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from importlib.util import find_spec
 from typing import final
@@ -55,21 +56,9 @@ class CompiledLimits:
         header[0, table.NV], header[1, table.DAMPING] = nv, damping
         self._constants = with_tips(np.concatenate([header, np.zeros((JOINTS, table.WIDTH)), dofs]), limits)
         self._unknown = np.full(nv, np.nan)
-        self._nv, self._shape = nv, (table.PARTS, nv)
-        parts, A = np.zeros(self._shape), np.eye(1, nv)
-        arguments = (
-            self._constants,
-            np.zeros(nv),
-            0.01,
-            self._unknown,
-            0.0,
-            parts,
-            A,
-            self._unknown,
-            1.0,
-            False,
-            False,
-        )
+        self._nv = nv
+        law, work = np.zeros((table.PARTS + 2, nv)), np.ones((1, table.N_FACTS))
+        arguments = (self._constants, np.zeros(nv), 0.01, self._unknown, 0.0, law, work)
         self._bounded = entry_point(bounded_law, *arguments)
 
     def __call__(
@@ -94,23 +83,26 @@ class CompiledLimits:
             slide: As for `ResolvedRateController`.
         """
         task, null, escape = law.desired
-        parts, s = np.empty(self._shape), law.b.shape[0]
-        parts[table.VELOCITY], parts[table.TASK_PART], parts[table.NULL_PART] = velocity, task, null
+        s = law.b.shape[0]
+        rows, work = np.empty((table.PARTS + 1 + s, self._nv)), np.empty((1, table.N_FACTS))
+        rows[table.VELOCITY], rows[table.TASK_PART], rows[table.NULL_PART] = velocity, task, null
         if escape is not None:
-            parts[table.ESCAPE_PART] = escape
-        parts[table.TASK_VELOCITY, :s] = law.b
+            rows[table.ESCAPE_PART] = escape
+        rows[table.TASK_VELOCITY, :s] = law.b
+        rows[table.PARTS] = math.nan if slope is None else slope
+        rows[table.PARTS + 1 :] = law.A
+        facts = work[table.FACTS]
+        facts[table.SMALLEST], facts[table.HAS_ESCAPE] = law.smallest, escape is not None
+        facts[table.RANK] = s if law.decomposition is None else -1.0
         x = np.ascontiguousarray(q if q.shape[0] == self._nv else self._robot.positions(q))
         before = self._unknown if previous is None else np.ascontiguousarray(previous, np.float64)
-        steepness = self._unknown if slope is None else np.ascontiguousarray(slope)
-        numbers = (float(law.smallest), law.decomposition is not None, escape is not None)
-        found = self._bounded(
-            self._constants, x, float(dt), before, float(slide), parts, np.ascontiguousarray(law.A), steepness, *numbers
-        )
-        code, scale, null_scale, progress, outside, joint = found
-        u, task, null, *_ = parts
+        code = self._bounded(self._constants, x, float(dt), before, float(slide), rows, work)
+        numbers = facts.tolist()
         return Command(
-            u, STATUSES[code], law.mu, law.b, task, null, scale, null_scale, law.smallest,
-            None if escape is None else parts[table.ESCAPE_PART], progress, outside, joint,
+            rows[table.VELOCITY], STATUSES[code], law.mu, law.b, rows[table.TASK_PART], rows[table.NULL_PART],
+            numbers[table.TASK_SCALE], numbers[table.NULL_SCALE], law.smallest,
+            None if escape is None else rows[table.ESCAPE_PART],
+            numbers[table.PROGRESS], numbers[table.OUTSIDE], int(numbers[table.LIMITING_JOINT]),
         )  # fmt: skip
 
     def __reduce__(self) -> tuple[object, ...]:

@@ -61,14 +61,14 @@ def bounded_step(step, rows, space, barriers, damping):
         barriers: Number of rows of the barrier.
         damping: See `bounded_velocity`.
     """
-    constants, parts, nv = step.constants, step.parts, rows.A.shape[1]
+    constants, parts, facts, nv = step.constants, step.parts, step.work[FACTS], rows.A.shape[1]
     found, too_fast, dofs = space[FOUND], 1.0, CHAIN + JOINTS + int(constants[0, N_JOINTS])
     for j in range(nv):
         too_fast = max(too_fast, abs(parts[TASK_PART, j]) / constants[dofs + j, LIMIT])
     for attempt in range(2 if barriers > 0 else 1):
         n = barriers if attempt == 0 else 0
-        scale = _scaled_wish(step, too_fast, space, n)
-        kept = _along(step, rows.Vt, scale, space, n)
+        scale = _scaled_wish(parts, facts, too_fast, space, n)
+        kept = _along(rows.Vt, scale, parts, facts, space, n)
         if kept < 0.0:
             kept = _beside(rows, space, n)
         slides = kept >= 0.0 and step.slide > 0.0
@@ -85,9 +85,9 @@ def bounded_step(step, rows, space, barriers, damping):
 
 
 @compiled_inside
-def _scaled_wish(step, too_fast, space, barriers):
+def _scaled_wish(parts, facts, too_fast, space, barriers):
     """v slowed down into row TASK_AIM, the velocity wished for into WISH; returns the scale of v, `approach_scale`."""
-    parts, nv, escapes = step.parts, step.parts.shape[1], step.work[FACTS, HAS_ESCAPE] != 0.0
+    nv, escapes = parts.shape[1], facts[HAS_ESCAPE] != 0.0
     for j in range(nv):
         space[TASK_AIM, j] = parts[TASK_PART, j] / too_fast
         space[WISH, j] = parts[NULL_PART, j] + (parts[ESCAPE_PART, j] if escapes else 0.0)
@@ -105,12 +105,12 @@ def _scaled_wish(step, too_fast, space, barriers):
 
 
 @compiled_inside
-def _along(step, Vt, scale, space, barriers):
+def _along(Vt, scale, parts, facts, space, barriers):
     """The first program, that keeps the task's direction: its scale, the velocity in FOUND; -1 if there is none."""
-    parts, nv, rank = step.parts, step.parts.shape[1], int(step.work[FACTS, RANK])
+    nv, rank = parts.shape[1], int(facts[RANK])
     start, v, null, escape = space[START], space[TASK_AIM, :nv], nv - rank, parts[ESCAPE_PART]
     length = norm(v)
-    speed = norm(escape) if step.work[FACTS, HAS_ESCAPE] != 0.0 else 0.0
+    speed = norm(escape) if facts[HAS_ESCAPE] != 0.0 else 0.0
     weight = TASK_WEIGHT * max(length, min(norm(parts[NULL_PART]), LARGEST_RATIO * length))
     moves, leaves = length > NEGLIGIBLE, speed > NEGLIGIBLE
     at, k, program = null, null, _program(space, nv)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from manip_learn.constraint.compiled_rows import joint_weights, rows_vjp
-from manip_learn.control.compiled.step_table import CHAIN, FORM
+from manip_learn.control.compiled.step_table import CHAIN, FORM, MATRICES, N_JOINTS
 from manip_learn.robot.batch.compiled_kinematics import (
     JOINTS,
     LARGEST_ANGLE,
@@ -36,9 +36,9 @@ def turn_joints(constants, chain, joints, q, work, base):
 
 
 @compiled_inside
-def mix_at(s, joints, base):
+def mix_at(s, joints):
     """Row of the work space where the weights of (v, w) begin, see `compiled_rows`: behind a pose's error."""
-    return base + joints + s + 2
+    return joints_at(s) + joints + s + 2
 
 
 @compiled_inside
@@ -48,18 +48,32 @@ def form_of(constants):
 
 
 @compiled_inside
-def chain_vjp(constants, s, joints, weights, work, base):
+def dofs_of(constants):
+    """Row where the degrees of freedom begin."""
+    return CHAIN + JOINTS + int(constants[0, N_JOINTS])
+
+
+@compiled_inside
+def joints_at(s):
+    """Row of the work space where the joints of the chain begin."""
+    return MATRICES + 3 * s
+
+
+@compiled_inside
+def chain_vjp(constants, weights, work):
     """sum_ij weights_ij dA_ij / dq_k for weights in columns of the chain, into the joints' entries GRADIENT."""
-    form, at = form_of(constants), mix_at(s, joints, base)
+    s, joints = weights.shape
+    form, at, base = form_of(constants), mix_at(s, joints), joints_at(s)
     for j in range(joints):
         joint_weights(s, form, weights, j, work, base + j, at)
     rows_vjp(s, form, joints, constants[CHAIN + 1, LOCAL] != 0.0, work, base, at)
 
 
 @compiled_inside
-def vjp(constants, s, joints, weights, work, base, gradient):
+def vjp(constants, weights, work, gradient):
     """sum_ij weights_ij dA_ij / dq_k into `gradient`, weights (s, nv) and gradient (nv,) in public columns."""
-    form, at = form_of(constants), mix_at(s, joints, base)
+    s, joints = weights.shape[0], int(constants[0, N_JOINTS])
+    form, at, base = form_of(constants), mix_at(s, joints), joints_at(s)
     for k in range(gradient.shape[0]):
         gradient[k] = 0.0
     for j in range(joints):
@@ -79,11 +93,24 @@ def places(constants, j):
 
 
 @compiled_inside
-def public_rows(constants, s, joints, chain_rows, first, A):
-    """A (s, nv) in public columns, from rows of columns of the chain that begin at row `first`."""
-    for i in range(s):
+def public_rows(constants, work, A):
+    """A (s, nv) in public columns, from those of the chain in the work space."""
+    for i in range(A.shape[0]):
         for j in range(A.shape[1]):
             A[i, j] = 0.0
-        for j in range(joints):
+        for j in range(int(constants[0, N_JOINTS])):
             column, place = places(constants, j)
-            A[i, column] = chain_rows[first + i, place]
+            A[i, column] = work[MATRICES + i, place]
+
+
+@compiled_inside
+def chain_rows(weights, first, s, joints, work):
+    """Weights, from row `first` on, times the Jacobian in columns of the chain, into the rows of `work` for A."""
+    base = joints_at(s)
+    for i in range(s):
+        for j in range(joints):
+            # the joint that moves column j, as many as there are from the base
+            total = 0.0
+            for k in range(6):
+                total += weights[first + i, k] * work[base + j, k]
+            work[MATRICES + i, j] = total

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from manip_learn.control.compiled.barrier import barrier
+from manip_learn.control.compiled.barrier import barrier, may_approach
 from manip_learn.control.compiled.bounded_step import space_of
 from manip_learn.control.compiled.constrained_rows import public_rows
 from manip_learn.control.compiled.decomposition import row_space
@@ -24,7 +24,6 @@ from manip_learn.control.compiled.step_table import (
     ILL_POSED,
     LIMITING_JOINT,
     LIMITS,
-    MATRICES,
     MU,
     N_CONSTRAINTS,
     N_JOINTS,
@@ -33,7 +32,6 @@ from manip_learn.control.compiled.step_table import (
     OUTSIDE,
     POSE,
     PROGRESS,
-    RANK,
     REFUSED,
     SLOPE,
     SMALLEST,
@@ -52,7 +50,7 @@ from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 def command_of(constants, q, dt, previous, slide, parts):
     """One command: its parts go into `parts`, and back come its status, or REFUSED, and its numbers.
 
-    Arguments as for `control_step`; one array fewer to hand over.
+    Arguments as for `Step`, whose work space is made here; a b that is GIVEN is among the parts before.
     """
     joints, nv, s = int(constants[0, N_JOINTS]), int(constants[0, NV]), int(constants[0, N_CONSTRAINTS])
     work = scratch(joints, nv, s)
@@ -67,14 +65,7 @@ def command_of(constants, q, dt, previous, slide, parts):
 def control_step(constants, q, dt, previous, slide, parts, work):
     """Write one command, u = A^+ b + N pi within the limits; return its status, or REFUSED.
 
-    Args:
-        constants: The table, see `step_table`.
-        q: Joint positions [rad or m].
-        dt: Time for which the command is held [s].
-        previous: Velocity in the step before [rad/s or m/s], NaN where no acceleration is bounded.
-        slide: See `ResolvedRateController`.
-        parts: The velocity, its parts and b, in the rows of `step_table`; a b that is GIVEN is there before.
-        work: Its row FACTS holds the command's numbers afterwards.
+    Arguments as for `Step`, which takes longer to make than most steps should wait.
     """
     state = free_step(constants, q, dt, previous, parts, work)
     if state >= REFUSED and (state == REFUSED or not has_tips(constants)):
@@ -82,32 +73,23 @@ def control_step(constants, q, dt, previous, slide, parts, work):
     tips = tips_at(constants, q, dt, previous)
     if state > REFUSED and not breaks(constants, tips, parts[VELOCITY])[0]:
         return state
-    joints, nv, s = int(constants[0, N_JOINTS]), int(constants[0, NV]), int(constants[0, N_CONSTRAINTS])
+    nv, s = int(constants[0, NV]), int(constants[0, N_CONSTRAINTS])
     # few arrays: making one takes as long as a product of a matrix and a vector
-    rows, left, space = np.empty((2 * s + nv, nv)), np.empty((s + 1, s)), space_of(nv, most_rows(constants))
-    A, weights, Vt, Ut, sigma = rows[:s], rows[s : 2 * s], rows[2 * s :], left[:s], left[s]
+    right, left, space = np.empty((2 * s + nv, nv)), np.empty((s + 1, s)), space_of(nv, most_rows(constants))
+    step = Step(constants, q, dt, previous, slide, parts, work)
+    rows = Rows(right[:s], left[:s], left[s], right[2 * s :], right[s : 2 * s])
     space[SLOPE, 0] = math.nan  # unknown
-    public_rows(constants, s, joints, work, MATRICES, A)
-    rank, sigma[0] = s, -1.0  # unknown
-    step, driven = Step(constants, q, dt, previous, slide, parts, work), Rows(A, Ut, sigma, Vt, weights)
+    public_rows(constants, work, rows.A)
+    rows.sigma[0] = -1.0  # unknown
     posed = constants[0, TASK] == POSE
     if state == ILL_CONDITIONED or state == ILL_POSED:
-        if posed and state == ILL_CONDITIONED and not posed_policy(constants, q, dt, A, Ut, sigma, Vt, weights, work):
+        if posed and state == ILL_CONDITIONED and not posed_policy(constants, q, dt, rows, work):
             return REFUSED
-        rank = singular_parts(constants, q, dt, A, Ut, sigma, Vt, weights, space[SLOPE, :nv], parts, work)
-        if rank < 0 or not _finite(parts):
+        if not singular_parts(step, rows, space[SLOPE, :nv]):
             return REFUSED
     else:
-        row_space(A, s, Vt)
+        row_space(rows.A, s, rows.Vt)
     barred = not posed and constants[0, LIMITS] != 0.0
-    barred = barred and barrier(constants, A, Ut, sigma, Vt, weights, dt, parts[VELOCITY], space, work)
-    work[FACTS, RANK] = rank
-    return within_limits(step, driven, barred, tips, space)
-
-
-@compiled_inside
-def _finite(parts):
-    total = 0.0
-    for j in range(parts.shape[1]):
-        total += parts[VELOCITY, j]
-    return math.isfinite(total)
+    barred = barred and may_approach(constants, rows.A, rows.sigma, work[FACTS, SMALLEST], dt, parts[VELOCITY])
+    barred = barred and barrier(constants, rows, dt, space, work)
+    return within_limits(step, rows, barred, tips, space)

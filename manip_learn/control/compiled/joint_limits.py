@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from manip_learn.control.approach import APPROACH_RATE, BRAKING_SHARE, RETURN_SPEED
+from manip_learn.control.compiled.constrained_rows import dofs_of
 from manip_learn.control.compiled.step_table import (
     ACCELERATION,
-    CHAIN,
     FOUND,
     HIGH,
     HIGH_CAUSE,
@@ -15,14 +15,15 @@ from manip_learn.control.compiled.step_table import (
     LOW,
     LOW_CAUSE,
     LOWER,
-    N_JOINTS,
     NULL_PART,
     TASK_PART,
     UPPER,
 )
 from manip_learn.control.limits import ACCELERATION as BY_ACCELERATION
-from manip_learn.control.limits import AT_BOUND, OUTSIDE, POSITION, ROOM_TO_LEAVE, VELOCITY
-from manip_learn.robot.batch.compiled_kinematics import JOINTS
+from manip_learn.control.limits import AT_BOUND, ROOM_TO_LEAVE
+from manip_learn.control.limits import OUTSIDE as LEAST_OUTSIDE
+from manip_learn.control.limits import POSITION as BY_POSITION
+from manip_learn.control.limits import VELOCITY as BY_VELOCITY
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 
@@ -40,14 +41,14 @@ def allowed_speed(distance, velocity, acceleration, dt):
 
 
 @compiled_inside
-def admitted(constants, dofs, nv, q, dt, u, previous):
+def admitted(constants, q, dt, u, previous):
     """Whether `Limits.bounds` admit the velocity u; `previous` is NaN where no acceleration is bounded.
 
     `allowed_speed` with the squares of both sides, which needs neither its root nor its divisions.
     """
-    rate = min(APPROACH_RATE, 0.5 / dt)
+    rate, dofs = min(APPROACH_RATE, 0.5 / dt), dofs_of(constants)
     period = 1.0 / rate
-    for j in range(nv):
+    for j in range(q.shape[0]):
         k = dofs + j
         v, a, speed = constants[k, LIMIT], constants[k, ACCELERATION], abs(u[j])
         above, below = constants[k, UPPER] - q[j], q[j] - constants[k, LOWER]
@@ -69,21 +70,20 @@ def admitted(constants, dofs, nv, q, dt, u, previous):
 
 
 @compiled_inside
-def bounds_of(step, space):
+def bounds_of(constants, q, dt, previous, space):
     """`Limits.bounds`: write the lowest and highest velocities and their causes; return how far a joint is outside."""
-    constants, q, dt, previous, outside = step.constants, step.q, step.dt, step.previous, 0.0
-    dofs = CHAIN + JOINTS + int(constants[0, N_JOINTS])
+    outside, dofs = 0.0, dofs_of(constants)
     for j in range(q.shape[0]):
         k = dofs + j
         v, a = constants[k, LIMIT], constants[k, ACCELERATION]
         above, below = constants[k, UPPER] - q[j], q[j] - constants[k, LOWER]
-        bottom, top, bottom_cause, top_cause = -v, v, VELOCITY, VELOCITY
+        bottom, top, bottom_cause, top_cause = -v, v, BY_VELOCITY, BY_VELOCITY
         fastest = allowed_speed(above, v, BRAKING_SHARE * a, dt)
         if fastest < v:
-            top, top_cause = fastest, POSITION
+            top, top_cause = fastest, BY_POSITION
         fastest = allowed_speed(below, v, BRAKING_SHARE * a, dt)
         if fastest < v:
-            bottom, bottom_cause = -fastest, POSITION
+            bottom, bottom_cause = -fastest, BY_POSITION
         outside = max(outside, -below, -above)
         if not math.isnan(previous[j]):
             slowest, fastest = previous[j] - a * dt, previous[j] + a * dt
@@ -96,7 +96,7 @@ def bounds_of(step, space):
                 top = bottom
         space[LOW, j], space[HIGH, j] = bottom, top
         space[LOW_CAUSE, j], space[HIGH_CAUSE, j] = bottom_cause, top_cause
-    return outside if outside > OUTSIDE else 0.0
+    return outside if outside > LEAST_OUTSIDE else 0.0
 
 
 @compiled_inside
@@ -123,9 +123,9 @@ def binding(parts, space):
 
 
 @compiled_inside
-def turn_to_freer_sense(constants, dofs, nv, q, direction):
+def turn_to_freer_sense(constants, q, direction):
     """Turn a direction round where position limits leave its opposite more room, as `Limits.freer_sense`."""
-    fastest = 0.0
+    nv, dofs, fastest = q.shape[0], dofs_of(constants), 0.0
     for j in range(nv):
         fastest = max(fastest, abs(direction[j]))
     if fastest == 0.0:

@@ -7,9 +7,15 @@ import math
 import numpy as np
 
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
-from manip_learn.control.compiled.constrained_rows import vjp
+from manip_learn.control.compiled.constrained_rows import dofs_of, vjp
 from manip_learn.control.compiled.decomposition import leading
-from manip_learn.control.compiled.step_table import ACCELERATION, DAMPED, EXACT, INVERSE, THRESHOLD
+from manip_learn.control.compiled.step_table import (
+    ACCELERATION,
+    DAMPED,
+    EXACT,
+    INVERSE,
+    THRESHOLD,
+)
 from manip_learn.control.singularity import (
     APPROACH_RATE,
     BRAKING_SHARE,
@@ -42,7 +48,7 @@ def rank_of(sigma, least):
 
 @compiled_inside
 def task_part(constants, sigma, along, damping, Vt, task):
-    """V diag(g) U^T b, where g is 1 / sigma in the controller's sense (`linalg.inverse_singular_values`)."""
+    """A^+ b = V diag(g) U^T b, where g is 1 / sigma in the controller's sense (`linalg.inverse_singular_values`)."""
     inverse, threshold = int(constants[0, INVERSE]), constants[0, THRESHOLD]
     least = math.ldexp(1.0, -1022) if inverse == EXACT else truncation(sigma, Vt.shape[1])
     for j in range(Vt.shape[1]):
@@ -100,11 +106,12 @@ def norm(x):
 
 
 @compiled_inside
-def stable_damping(constants, s, joints, Ut, sigma, along, dt, weights, row, work, base):
-    """`singularity.stable_damping`; `weights` (s, nv) and `row` (nv,) are scratch."""
-    nv, pressing, square = row.shape[0], False, 0.0
+def stable_damping(constants, rows, along, dt, row, work):
+    """`singularity.stable_damping`; `row` (nv,) is scratch."""
+    Ut, sigma, weights = rows.Ut, rows.sigma, rows.weights
+    (s, nv), threshold, pressing, square = weights.shape, constants[0, THRESHOLD], False, 0.0
     for i in range(s):
-        pressing = pressing or (sigma[i] < constants[0, THRESHOLD] and along[i] != 0.0)
+        pressing = pressing or (sigma[i] < threshold and along[i] != 0.0)
     if not pressing:
         return 0.0
     for j in range(nv):
@@ -112,9 +119,9 @@ def stable_damping(constants, s, joints, Ut, sigma, along, dt, weights, row, wor
             for k in range(nv):
                 weights[r, k] = 0.0
             for i in range(s):
-                if sigma[i] < constants[0, THRESHOLD]:
+                if sigma[i] < threshold:
                     weights[r, j] += along[i] * Ut[i, r]
-        vjp(constants, s, joints, weights, work, base, row)
+        vjp(constants, weights, work, row)
         for k in range(nv):
             square += row[k] * row[k]
     return math.sqrt(dt * math.sqrt(square) / (2.0 * STABLE_SLOPE))
@@ -132,17 +139,18 @@ def pressed_damping(damping, stable, slope, length, task):
 
 
 @compiled_inside
-def approach_bound(constants, dofs, smallest, slope, length, dt):
-    """`singularity.approach_bound`, `length` the norm of the slope."""
+def approach_bound(constants, smallest, slope, dt):
+    """`singularity.approach_bound`."""
+    length = norm(slope)
     if length == 0.0:
         return math.inf
-    return length * CROSSING_SPEED + approach_rate(constants, dofs, smallest, slope, length, dt)
+    return length * CROSSING_SPEED + approach_rate(constants, smallest, slope, length, dt)
 
 
 @compiled_inside
-def approach_rate(constants, dofs, distance, slope, length, dt):
+def approach_rate(constants, distance, slope, length, dt):
     """`singularity.approach_rate`, `length` the norm of the slope."""
-    rate, usable = min(APPROACH_RATE, 0.5 / dt), math.inf
+    rate, usable, dofs = min(APPROACH_RATE, 0.5 / dt), math.inf, dofs_of(constants)
     if length == 0.0:
         return rate * distance
     for j in range(slope.shape[0]):
@@ -196,10 +204,11 @@ def escape_velocity(sigma, Vt, dt, width, climb, steepness, escape):
 
 
 @compiled_inside
-def outer_sum(Ut, factors, Vt, s, weights):
+def outer_sum(Ut, factors, Vt, weights):
     """weights = sum_i factors_i u_i v_i^T."""
+    s, nv = weights.shape
     for r in range(s):
-        for j in range(Vt.shape[1]):
+        for j in range(nv):
             total = 0.0
             for i in range(s):
                 total += factors[i] * Ut[i, r] * Vt[i, j]
@@ -207,25 +216,25 @@ def outer_sum(Ut, factors, Vt, s, weights):
 
 
 @compiled_inside
-def lost_rates(constants, s, joints, Ut, first, Vt, null, weights, work, base, M):
-    """M, the rates of u_i^T A v_k, i from `first` on and k from `null` on, one pair a row (`steepest_ascent`)."""
-    nv, row = Vt.shape[1], 0
+def lost_rates(constants, Ut, Vt, weights, first, work, M):
+    """M, the rates of u_i^T A v_k, i and k from `first` on, one pair a row (`steepest_ascent`)."""
+    (s, nv), row = weights.shape, 0
     for i in range(first, s):
-        for k in range(null, nv):
+        for k in range(first, nv):
             for r in range(s):
                 for j in range(nv):
                     weights[r, j] = Ut[i, r] * Vt[k, j]
-            vjp(constants, s, joints, weights, work, base, M[row])
+            vjp(constants, weights, work, M[row])
             row += 1
 
 
 @compiled_inside
-def steepest_ascent(constants, s, joints, Ut, sigma, Vt, weights, work, base, direction):
+def steepest_ascent(constants, Ut, sigma, Vt, weights, work, direction):
     """`singularity.steepest_ascent` into `direction`: how the lost singular values grow fastest."""
-    nv, rank = Vt.shape[1], rank_of(sigma, SINGULAR_RATIO * sigma[0])
+    (s, nv), rank = weights.shape, rank_of(sigma, SINGULAR_RATIO * sigma[0])
     k = nv - rank
     M, inside, along = np.empty(((s - rank) * k, nv)), np.empty(((s - rank) * k, k)), np.empty(k)
-    lost_rates(constants, s, joints, Ut, rank, Vt, rank, weights, work, base, M)
+    lost_rates(constants, Ut, Vt, weights, rank, work, M)
     square = 0.0
     for i in range(M.shape[0]):
         for c in range(k):

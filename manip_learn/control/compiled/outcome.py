@@ -7,7 +7,6 @@ from manip_learn.control.compiled.step_table import (
     ACCELERATION_LIMITED,
     DAMPED_STATUS,
     ESCAPE_PART,
-    FACTS,
     HAS_ESCAPE,
     LIMITING_JOINT,
     NULL_PART,
@@ -28,7 +27,8 @@ from manip_learn.control.compiled.step_table import (
     VELOCITY,
     VELOCITY_LIMITED,
 )
-from manip_learn.control.limits import ACCELERATION, POSITION
+from manip_learn.control.limits import ACCELERATION as BY_ACCELERATION
+from manip_learn.control.limits import POSITION as BY_POSITION
 from manip_learn.control.outcome import AT_GOAL, GOING_ON, KEEPING_AFTER, SCALED_BELOW, SLIDING_AFTER, STALLED_BELOW
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
@@ -47,11 +47,11 @@ def progress_of(A, parts):
 
 
 @compiled_inside
-def plain_outcome(step, A, singular, damped, outside):
+def plain_outcome(A, singular, damped, outside, parts, facts):
     """Status and numbers of a command that no limit changes, `outcome.plain_command`."""
-    progress, status, facts = 1.0, OK, step.work[FACTS]
+    progress, status = 1.0, OK
     if damped or singular:
-        progress = progress_of(A, step.parts)
+        progress = progress_of(A, parts)
         status = STALLED if progress < STALLED_BELOW else DAMPED_STATUS
     if singular:
         status = SINGULAR
@@ -61,35 +61,34 @@ def plain_outcome(step, A, singular, damped, outside):
 
 
 @compiled_inside
-def bounded_outcome(step, A, singular, damped, scale, cause, task_fits):
-    """Status of a command that limits change, `outcome.bounded_command`, by the limit that stands in its way most.
+def bounded_outcome(A, singular, damped, cause, task_fits, parts, facts):
+    """Status of a command that limits change, `outcome.bounded_command`, by the limit that is most in its way.
 
-    How far a joint is outside and the limiting joint are among the facts already.
+    The task's scale, how far a joint is outside and the limiting joint are among the facts already.
     """
-    facts, progress = step.work[FACTS], progress_of(A, step.parts)
+    scale, progress = facts[TASK_SCALE], progress_of(A, parts)
     facts[TASK_SCALE], facts[PROGRESS] = min(scale, 1.0), progress
     if facts[OUTSIDE] > 0.0:
         return OUTSIDE_LIMITS
     if singular:
         return SINGULAR
-    if progress < STALLED_BELOW and cause != ACCELERATION:
+    if progress < STALLED_BELOW and cause != BY_ACCELERATION:
         return STALLED
     if scale < SCALED_BELOW:
         if facts[LIMITING_JOINT] < 0.0:
             return DAMPED_STATUS
-        if cause == POSITION:
+        if cause == BY_POSITION:
             return POSITION_LIMITED
-        return ACCELERATION_LIMITED if cause == ACCELERATION else VELOCITY_LIMITED
+        return ACCELERATION_LIMITED if cause == BY_ACCELERATION else VELOCITY_LIMITED
     if damped:
         return DAMPED_STATUS
     return NULL_SCALED if task_fits else REROUTED
 
 
 @compiled_inside
-def split_parts(step, Vt, found, solved):
-    """Write the velocity found and its parts as commanded into those of the step; see `Command`."""
-    nv, parts, facts = Vt.shape[1], step.parts, step.work[FACTS]
-    rank = int(facts[RANK])
+def split_parts(found, Vt, solved, parts, facts):
+    """Write the velocity and its parts as commanded into `parts`; see `Command`."""
+    nv, rank = Vt.shape[1], int(facts[RANK])
     along = square = 0.0
     for j in range(nv):
         parts[VELOCITY, j], square = found[j], square + parts[NULL_PART, j] * parts[NULL_PART, j]

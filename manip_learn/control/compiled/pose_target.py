@@ -18,18 +18,19 @@ from manip_learn.robot.rotations import SMALL_ANGLE
 
 
 @compiled_inside
-def pose_velocity(constants, rows, s, p0, p1, p2, work, at, b):
+def pose_velocity(constants, first, s, place, work, at, b):
     """Write b = gain Lambda e, norm at most max_speed, and return |Lambda e|.
 
-    The s rows of scratch behind row `at`, which holds the end of the chain (`columns_of`), take Lambda M, with
-    d/dt e = -M (v, w), for the rows E = Lambda M J of the error; the next one is scratch.
+    The s rows of Lambda's table begin at row `first`. As many rows of scratch behind row `at`, which holds the end of
+    the chain (`columns_of`), take Lambda M, with d/dt e = -M (v, w), for the rows E = Lambda M J of the error; the next
+    one is scratch.
     """
     own_axes = constants[CHAIN + 1, LOCAL] != 0.0
-    e0, e1, e2 = place_error(constants, own_axes, p0, p1, p2, work[at])
+    e0, e1, e2 = place_error(constants, own_axes, place, work[at])
     r0, r1, r2 = turn_error(constants, own_axes, work[at], work[at + 1 + s])
     sign = 1.0 if own_axes else -1.0
     for i in range(s):
-        x, y, z, u, v, w = six(constants, rows + i, 0)
+        x, y, z, u, v, w = six(constants, first + i, 0)
         b[i] = x * e0 + y * e1 + z * e2 + u * r0 + v * r1 + w * r2
         u, v, w = turned_row(u, v, w, sign * r0, sign * r1, sign * r2)
         if own_axes:  # the frame turns under the displacement: less Lambda_lin [e_lin]x
@@ -55,12 +56,12 @@ def attracted(constants, s, b):
 
 
 @compiled_inside
-def place_error(constants, own_axes, p0, p1, p2, end):
+def place_error(constants, own_axes, p, end):
     """p* - p, along the axes of the base or of the frame, from which the chain is walked then."""
     k = CHAIN + 1
     t0, t1, t2 = constants[k, TARGET_POINT], constants[k, TARGET_POINT + 1], constants[k, TARGET_POINT + 2]
     if not own_axes:
-        return t0 - p0, t1 - p1, t2 - p2
+        return t0 - p[0], t1 - p[1], t2 - p[2]
     return (
         end[END_ORIGIN] + end[0] * t0 + end[1] * t1 + end[2] * t2,
         end[END_ORIGIN + 1] + end[3] * t0 + end[4] * t1 + end[5] * t2,

@@ -24,12 +24,20 @@ from manip_learn.robot.batch.kernel_cache import compiled
 
 
 @compiled
-def rollout(constants, first, dt, rk4, q, u, mu, error, code, state):
-    """From row `first` of q (T, nv) on; returns the row that Python must do, or T.
+def rollout(constants, first, dt, rk4, motion, numbers, state):
+    """From sample `first` on; returns the sample that Python must do, or T.
 
-    `state` holds the velocity before row `first`, NaN for every step where no acceleration is bounded, and `slide`.
+    Args:
+        constants: The table, see `step_table`.
+        first: Its posture is known.
+        dt: [s].
+        rk4: Whether the method is that of Runge and Kutta, otherwise Euler's.
+        motion: Joint positions and velocities, shape (2, T, nv).
+        numbers: mu, the error and the code of the status of each sample, shape (3, T).
+        state: The velocity before, NaN for every step where no acceleration is bounded, and `slide`.
     """
-    nv, steps = q.shape[1], q.shape[0]
+    q, u = motion[0], motion[1]
+    steps, nv = q.shape
     joints, s = int(constants[0, N_JOINTS]), int(constants[0, N_CONSTRAINTS])
     parts, work = np.empty((PARTS, nv)), scratch(joints, nv, s)
     point, slope = np.empty(nv), np.empty(nv)
@@ -46,7 +54,7 @@ def rollout(constants, first, dt, rk4, q, u, mu, error, code, state):
             if done == REFUSED:
                 return i
             if stage == 0:
-                code[i], mu[i], error[i] = done, work[FACTS, MU], work[FACTS, ERROR]
+                numbers[0, i], numbers[1, i], numbers[2, i] = work[FACTS, MU], work[FACTS, ERROR], done
                 for j in range(nv):
                     u[i, j] = parts[VELOCITY, j]
                     if bounded:

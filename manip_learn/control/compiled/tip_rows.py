@@ -6,14 +6,13 @@ import math
 
 import numpy as np
 
-from manip_learn.control.compiled.constrained_rows import turn_joints
+from manip_learn.control.compiled.constrained_rows import dofs_of, turn_joints
 from manip_learn.control.compiled.near_singularity import approach_rate, norm
 from manip_learn.control.compiled.step_table import (
     ACCELERATION,
     CHAIN,
     LENGTH,
     N_FRAMES,
-    N_JOINTS,
     N_WALLS,
     NV,
     SLOPE,
@@ -81,14 +80,13 @@ def _wall_row(constants, n, dt, previous, tips, first, row):
 
     The latter takes the place of the distance from the wall [m].
     """
-    nv, braking, speed, G = int(constants[0, NV]), 0.0, 0.0, tips[row]
-    dofs = CHAIN + JOINTS + int(constants[0, N_JOINTS])
+    nv, dofs, braking, speed, G = int(constants[0, NV]), dofs_of(constants), 0.0, 0.0, tips[row]
     for j in range(nv):
         rate = n[0] * tips[first, j] + n[1] * tips[first + 1, j] + n[2] * tips[first + 2, j]
         G[j] = -rate
         braking += abs(rate) * constants[dofs + j, ACCELERATION]
         speed += rate * previous[j]
-    G[nv], G[nv + 1] = -approach_rate(constants, dofs, G[nv], G[:nv], norm(G[:nv]), dt), 0.0
+    G[nv], G[nv + 1] = -approach_rate(constants, G[nv], G[:nv], norm(G[:nv]), dt), 0.0
     if not math.isnan(speed):
         G[nv] = min(G[nv], BRAKING_SHARE * dt * braking - speed)
 

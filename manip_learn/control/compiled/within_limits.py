@@ -18,15 +18,12 @@ from manip_learn.control.compiled.step_table import (
     DAMPING,
     FACTS,
     FOUND,
-    HAS_ESCAPE,
     INVERSE,
     LIMITING_JOINT,
     LIMITS,
-    N_FACTS,
-    NULL_SCALE,
     OUTSIDE,
+    PARTS,
     POSITION_LIMITED,
-    PROGRESS,
     RANK,
     SLOPE,
     SMALLEST,
@@ -45,10 +42,10 @@ from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 
 
 @compiled
-def bounded_law(constants, q, dt, previous, slide, parts, A, slope, smallest, ill_conditioned, escapes):
+def bounded_law(constants, q, dt, previous, slide, law, work):
     """Bring a law that Python has computed within the limits; its parts are replaced by those commanded.
 
-    Returns the status, the scales of the task and of the null-space part, progress, outside and the limiting joint.
+    Returns the status; the numbers of the command are in the work space afterwards.
 
     Args:
         constants: The table of a controller without a chain, see `step_table`.
@@ -56,24 +53,17 @@ def bounded_law(constants, q, dt, previous, slide, parts, A, slope, smallest, il
         dt: Time for which the command is held [s].
         previous: Velocity in the step before [rad/s or m/s], NaN where no acceleration is bounded.
         slide: See `ResolvedRateController`.
-        parts: The velocity, its parts and b, in the rows of `step_table`.
-        A: shape (s, nv), s <= nv.
-        slope: Gradient of the smallest singular value where the approach to a singularity is bounded, otherwise NaN.
-        smallest: Smallest singular value of A.
-        ill_conditioned: Whether A is to be decomposed.
-        escapes: Whether there is a velocity out of a singularity.
+        law: The velocity, its parts and b, in the rows of `step_table`; the gradient of the smallest singular value
+            where the approach to a singularity is bounded, otherwise NaN; A (s, nv), s <= nv.
+        work: One row, that of FACTS, with the smallest singular value of A, its rank, which is negative where A is to
+            be decomposed, and whether there is a velocity out of a singularity.
     """
+    parts, slope, A, facts = law[:PARTS], law[PARTS], law[PARTS + 1 :], work[FACTS]
     s, nv = A.shape
-    square, left, work, space = (
-        np.empty((nv + s, nv)),
-        np.empty((s + 1, s)),
-        np.empty((1, N_FACTS)),
-        space_of(nv, most_rows(constants)),
-    )
-    Ut, sigma, Vt, facts = left[:s], left[s], square[:nv], work[FACTS]
+    square, left, space = np.empty((nv + s, nv)), np.empty((s + 1, s)), space_of(nv, most_rows(constants))
+    Ut, sigma, Vt = left[:s], left[s], square[:nv]
     rows, step = Rows(A, Ut, sigma, Vt, square[nv:]), Step(constants, q, dt, previous, slide, parts, work)
-    facts[RANK] = s
-    if ill_conditioned:
+    if facts[RANK] < 0.0:
         decompose(A, s, Ut, sigma, Vt)
         facts[RANK] = rank_of(sigma, truncation(sigma, nv))
         if is_singular(sigma):
@@ -81,15 +71,12 @@ def bounded_law(constants, q, dt, previous, slide, parts, A, slope, smallest, il
     else:
         sigma[0] = -1.0  # unknown
         row_space(A, s, Vt)
-    facts[SMALLEST], facts[HAS_ESCAPE] = smallest, escapes
     barred = not math.isnan(slope[0])
     if barred:
         for j in range(nv):
             space[SLOPE, j] = slope[j]
-        barred = bounded_approach(constants, smallest, dt, space)
-    code = within_limits(step, rows, barred, tips_at(constants, q, dt, previous), space)
-    numbers = facts[TASK_SCALE], facts[NULL_SCALE], facts[PROGRESS], facts[OUTSIDE]
-    return code, numbers[0], numbers[1], numbers[2], numbers[3], int(facts[LIMITING_JOINT])
+        barred = bounded_approach(constants, facts[SMALLEST], dt, space)
+    return within_limits(step, rows, barred, tips_at(constants, q, dt, previous), space)
 
 
 @compiled_inside
@@ -108,12 +95,12 @@ def within_limits(step, rows, barred, tips, space):
     singular = is_singular(sigma)
     damped = int(constants[0, INVERSE]) == DAMPED and facts[SMALLEST] < constants[0, THRESHOLD]
     if constants[0, LIMITS] == 0.0:
-        return plain_outcome(step, A, singular, damped, 0.0)
-    outside = bounds_of(step, space)
+        return plain_outcome(A, singular, damped, 0.0, parts, facts)
+    outside = bounds_of(constants, step.q, step.dt, step.previous, space)
     broken, near = breaks(constants, tips, parts[VELOCITY])
     slow = not broken and not (barred and _too_fast(parts, space))
     if slow and within(parts[VELOCITY], space, nv, 0.0):
-        return plain_outcome(step, A, singular, damped, outside)
+        return plain_outcome(A, singular, damped, outside, parts, facts)
     if not singular:
         complete(rows.Vt, s)
     if sigma[0] < 0.0 and step.slide > 0.0:
@@ -131,9 +118,9 @@ def within_limits(step, rows, barred, tips, space):
             break
     fits = within(parts[TASK_PART], space, nv, 0.0)
     joint, cause = binding(parts, space)
-    facts[OUTSIDE], facts[LIMITING_JOINT] = outside, joint
-    split_parts(step, rows.Vt, space[FOUND], scale >= 0.0)
-    status = bounded_outcome(step, A, singular, damped, max(scale, 0.0), cause, fits)
+    facts[OUTSIDE], facts[LIMITING_JOINT], facts[TASK_SCALE] = outside, joint, max(scale, 0.0)
+    split_parts(space[FOUND], rows.Vt, scale >= 0.0, parts, facts)
+    status = bounded_outcome(A, singular, damped, cause, fits, parts, facts)
     if not broken or damped or status != DAMPED_STATUS:
         return status
     return POSITION_LIMITED if near else VELOCITY_LIMITED
