@@ -81,8 +81,7 @@ class CompiledController:
             )
         if find_spec("numba") is None:
             raise MissingExtraError("a compiled controller", "fast")
-        from manip_learn.control.compiled.control_step import command_of
-        from manip_learn.control.compiled.rollout import rollout
+        from manip_learn.control.compiled.control_step import command_of, rollout
         from manip_learn.robot.batch.kernel_cache import announce_compilation, entry_point
 
         self.controller = controller

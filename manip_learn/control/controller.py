@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.bounded_velocity import BoundedVelocity, bounded_velocity
 from manip_learn.control.command import Command
-from manip_learn.control.compiled.limits_table import tips_are_compiled
-from manip_learn.control.compiled_limits import CompiledLimits
+from manip_learn.control.compiled_limits import CompiledLimits, tips_are_compiled
 from manip_learn.control.limits import Limits
 from manip_learn.control.outcome import Law, bounded_command, plain_command
 from manip_learn.control.policies import (

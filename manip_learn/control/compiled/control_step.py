@@ -11,13 +11,13 @@ import math
 
 import numpy as np
 
-from manip_learn.control.compiled.barrier import barrier, may_approach
 from manip_learn.control.compiled.bounded_step import space_of
-from manip_learn.control.compiled.constrained_rows import public_rows
-from manip_learn.control.compiled.decomposition import row_space
+from manip_learn.control.compiled.constrained_rows import public_rows, row_space
 from manip_learn.control.compiled.free_step import free_step, scratch
-from manip_learn.control.compiled.singular_parts import posed_policy, singular_parts
+from manip_learn.control.compiled.limits import breaks, has_tips, most_rows, tips_at
+from manip_learn.control.compiled.near_singularity import barrier, may_approach, posed_policy, singular_parts
 from manip_learn.control.compiled.step_table import (
+    ERROR,
     FACTS,
     HAS_ESCAPE,
     ILL_CONDITIONED,
@@ -30,6 +30,7 @@ from manip_learn.control.compiled.step_table import (
     NULL_SCALE,
     NV,
     OUTSIDE,
+    PARTS,
     POSE,
     PROGRESS,
     REFUSED,
@@ -41,8 +42,7 @@ from manip_learn.control.compiled.step_table import (
     Rows,
     Step,
 )
-from manip_learn.control.compiled.tip_rows import breaks, has_tips, most_rows, tips_at
-from manip_learn.control.compiled.within_limits import within_limits
+from manip_learn.control.compiled.within_limits import next_slide, within_limits
 from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 
 
@@ -93,3 +93,51 @@ def control_step(constants, q, dt, previous, slide, parts, work):
     barred = barred and may_approach(constants, rows.A, rows.sigma, work[FACTS, SMALLEST], dt, parts[VELOCITY])
     barred = barred and barrier(constants, rows, dt, space, work)
     return within_limits(step, rows, barred, tips, space)
+
+
+@compiled
+def rollout(constants, first, dt, rk4, motion, numbers, state):
+    """From sample `first` on; returns the sample that Python must do, or T.
+
+    Args:
+        constants: The table, see `step_table`.
+        first: Its posture is known.
+        dt: [s].
+        rk4: Whether the method is that of Runge and Kutta, otherwise Euler's.
+        motion: Joint positions and velocities, shape (2, T, nv).
+        numbers: mu, the error and the code of the status of each sample, shape (3, T).
+        state: The velocity before, NaN for every step where no acceleration is bounded, and `slide`.
+    """
+    q, u = motion[0], motion[1]
+    steps, nv = q.shape
+    joints, s = int(constants[0, N_JOINTS]), int(constants[0, N_CONSTRAINTS])
+    parts, work = np.empty((PARTS, nv)), scratch(joints, nv, s)
+    point, slope = np.empty(nv), np.empty(nv)
+    bounded = not math.isnan(state[0])
+    for i in range(first, steps):
+        for j in range(nv):
+            point[j], slope[j] = q[i, j], 0.0
+        for stage in range(4 if rk4 and i + 1 < steps else 1):
+            if stage > 0:
+                length = dt if stage == 3 else 0.5 * dt
+                for j in range(nv):
+                    point[j] = q[i, j] + length * parts[VELOCITY, j]
+            done = control_step(constants, point, dt, state, state[nv], parts, work)
+            if done == REFUSED:
+                return i
+            if stage == 0:
+                numbers[0, i], numbers[1, i], numbers[2, i] = work[FACTS, MU], work[FACTS, ERROR], done
+                for j in range(nv):
+                    u[i, j] = parts[VELOCITY, j]
+                    if bounded:
+                        state[j] = u[i, j]
+                if bounded:
+                    state[nv] = next_slide(state[nv], done, work[FACTS, PROGRESS], dt)
+            weight = 2.0 if stage == 1 or stage == 2 else 1.0
+            for j in range(nv):
+                slope[j] += weight * parts[VELOCITY, j]
+        if i + 1 < steps:
+            factor = dt / 6.0 if rk4 else dt
+            for j in range(nv):
+                q[i + 1, j] = q[i, j] + factor * slope[j]
+    return steps

@@ -1,4 +1,4 @@
-"""Null-space policies as loops over plain numbers; see `policies`."""
+"""Null-space policies as loops over plain numbers, away from singularities and near them; see `policies`."""
 
 from __future__ import annotations
 
@@ -7,9 +7,16 @@ import math
 import numpy as np
 
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
-from manip_learn.control.compiled.constrained_rows import chain_vjp, dofs_of, joints_at, places, vjp
-from manip_learn.control.compiled.decomposition import leading
-from manip_learn.control.compiled.near_singularity import lost_rates, norm, outer_sum, steepest_ascent
+from manip_learn.control.compiled.constrained_rows import (
+    chain_vjp,
+    dofs_of,
+    joints_at,
+    leading,
+    norm,
+    places,
+    rank_of,
+    vjp,
+)
 from manip_learn.control.compiled.step_table import (
     LOG_ASCENT,
     LONGEST,
@@ -111,3 +118,63 @@ def ascent_near_singularity(constants, rows, dt, work, climb):
     for j in range(nv):
         pi[j] = scale * climb[j]
     return True
+
+
+@compiled_inside
+def outer_sum(Ut, factors, Vt, weights):
+    """weights = sum_i factors_i u_i v_i^T."""
+    s, nv = weights.shape
+    for r in range(s):
+        for j in range(nv):
+            total = 0.0
+            for i in range(s):
+                total += factors[i] * Ut[i, r] * Vt[i, j]
+            weights[r, j] = total
+
+
+@compiled_inside
+def steepest_ascent(constants, Ut, sigma, Vt, weights, work, direction):
+    """`singularity.steepest_ascent` into `direction`: how the lost singular values grow fastest."""
+    (s, nv), rank = weights.shape, rank_of(sigma, SINGULAR_RATIO * sigma[0])
+    k = nv - rank
+    M, inside, along = np.empty(((s - rank) * k, nv)), np.empty(((s - rank) * k, k)), np.empty(k)
+    lost_rates(constants, Ut, Vt, weights, rank, work, M)
+    square = 0.0
+    for i in range(M.shape[0]):
+        for c in range(k):
+            total = 0.0
+            for j in range(nv):
+                total += M[i, j] * Vt[rank + c, j]
+            inside[i, c] = total
+        for j in range(nv):
+            square += M[i, j] * M[i, j]
+            direction[j] = 0.0
+    if square == 0.0:
+        return
+    # the largest rate of all is at most the root of `square`, and seldom less than half of it
+    if leading(inside, along) > 1e-6 * math.sqrt(square):
+        for c in range(k):
+            for j in range(nv):
+                direction[j] += along[c] * Vt[rank + c, j]
+    else:
+        leading(M, direction)
+    largest = 0
+    for j in range(nv):
+        if abs(direction[j]) > abs(direction[largest]):
+            largest = j
+    if direction[largest] < 0.0:
+        for j in range(nv):
+            direction[j] = -direction[j]
+
+
+@compiled_inside
+def lost_rates(constants, Ut, Vt, weights, first, work, M):
+    """M, the rates of u_i^T A v_k, i and k from `first` on, one pair a row (`steepest_ascent`)."""
+    (s, nv), row = weights.shape, 0
+    for i in range(first, s):
+        for k in range(first, nv):
+            for r in range(s):
+                for j in range(nv):
+                    weights[r, j] = Ut[i, r] * Vt[k, j]
+            vjp(constants, weights, work, M[row])
+            row += 1

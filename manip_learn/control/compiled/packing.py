@@ -9,7 +9,7 @@ from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.pose_error import goal_rotation
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity, compiled_form
 from manip_learn.control.compiled import step_table as table
-from manip_learn.control.compiled.limits_table import packed_limits, tips_are_compiled, with_tips
+from manip_learn.control.compiled_limits import packed_limits, tips_are_compiled, with_tips
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.resolved_rate_law import ESCAPE_WIDTH
@@ -94,7 +94,7 @@ def _is_packed(features: FrameJacobian, n_constraints: int, target: np.ndarray) 
 def _pack_target(
     features: FrameJacobian, selection: np.ndarray, target: np.ndarray, header: np.ndarray, chain: np.ndarray
 ) -> None:
-    """Place and rotation of the target as `pose_target` takes them, in the frame in which the chain is walked.
+    """Place and rotation of the target as `free_step` takes them, in the frame in which the chain is walked.
 
     What a target of numbers leaves open is taken as 0: no row of Lambda sees it.
     """

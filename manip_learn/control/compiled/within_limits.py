@@ -1,4 +1,4 @@
-"""The law brought within the limits, as loops over plain numbers: `ResolvedRateController` behind its law."""
+"""The law brought within the limits, and what came of it (`outcome`), as loops over plain numbers."""
 
 from __future__ import annotations
 
@@ -6,27 +6,37 @@ import math
 
 import numpy as np
 
-from manip_learn.control.compiled.barrier import bounded_approach, is_singular
 from manip_learn.control.compiled.bounded_step import bounded_step, space_of
-from manip_learn.control.compiled.decomposition import complete, decompose, row_space
-from manip_learn.control.compiled.joint_limits import binding, bounds_of, within
-from manip_learn.control.compiled.near_singularity import rank_of, truncation
-from manip_learn.control.compiled.outcome import bounded_outcome, plain_outcome, split_parts
+from manip_learn.control.compiled.constrained_rows import complete, decompose, norm, rank_of, row_space, truncation
+from manip_learn.control.compiled.limits import binding, bounds_of, breaks, most_rows, tips_at, with_broken, within
+from manip_learn.control.compiled.near_singularity import bounded_approach, is_singular
 from manip_learn.control.compiled.step_table import (
+    ACCELERATION_LIMITED,
     DAMPED,
     DAMPED_STATUS,
     DAMPING,
+    ESCAPE_PART,
     FACTS,
     FOUND,
+    HAS_ESCAPE,
     INVERSE,
     LIMITING_JOINT,
     LIMITS,
+    NULL_PART,
+    NULL_SCALE,
+    NULL_SCALED,
+    OK,
     OUTSIDE,
+    OUTSIDE_LIMITS,
     PARTS,
     POSITION_LIMITED,
+    PROGRESS,
     RANK,
+    REROUTED,
+    SINGULAR,
     SLOPE,
     SMALLEST,
+    STALLED,
     TASK_PART,
     TASK_SCALE,
     TASK_VELOCITY,
@@ -36,7 +46,9 @@ from manip_learn.control.compiled.step_table import (
     Rows,
     Step,
 )
-from manip_learn.control.compiled.tip_rows import breaks, most_rows, tips_at, with_broken
+from manip_learn.control.limits import ACCELERATION as BY_ACCELERATION
+from manip_learn.control.limits import POSITION as BY_POSITION
+from manip_learn.control.outcome import AT_GOAL, GOING_ON, KEEPING_AFTER, SCALED_BELOW, SLIDING_AFTER, STALLED_BELOW
 from manip_learn.control.tip_limits import MOST_ROWS
 from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 
@@ -106,7 +118,7 @@ def within_limits(step, rows, barred, tips, space):
     if sigma[0] < 0.0 and step.slide > 0.0:
         decompose(A, s, rows.Ut, sigma, rows.Vt)
     # an explicit step of dt follows sliding that is damped that much
-    blur = max(constants[1, DAMPING], math.sqrt(2.0 * step.dt * _length(parts[TASK_VELOCITY], s)))
+    blur = max(constants[1, DAMPING], math.sqrt(2.0 * step.dt * norm(parts[TASK_VELOCITY, :s])))
     barriers, u, scale = 1 if barred else 0, parts[VELOCITY], -1.0
     for turn in range(MOST_ROWS if tips.shape[0] > 0 else 1):  # `TipLimits.bounded`
         more = with_broken(constants, tips, u, space, barriers)
@@ -127,17 +139,99 @@ def within_limits(step, rows, barred, tips, space):
 
 
 @compiled_inside
-def _length(b, s):
-    square = 0.0
-    for i in range(s):
-        square += b[i] * b[i]
-    return math.sqrt(square)
-
-
-@compiled_inside
 def _too_fast(parts, space):
     """Whether the velocity approaches a singularity faster than the barrier allows."""
     rate, nv = 0.0, parts.shape[1]
     for j in range(nv):
         rate += space[SLOPE, j] * parts[VELOCITY, j]
     return rate < space[SLOPE, nv]
+
+
+@compiled_inside
+def progress_of(A, parts):
+    """Velocity along b over the velocity asked for, b^T A u / |b|^2; 1 where nothing is asked for."""
+    square = along = 0.0
+    for i in range(A.shape[0]):
+        b, reached = parts[TASK_VELOCITY, i], 0.0
+        for j in range(A.shape[1]):
+            reached += A[i, j] * parts[VELOCITY, j]
+        square += b * b
+        along += b * reached
+    return along / square if square > AT_GOAL * AT_GOAL else 1.0
+
+
+@compiled_inside
+def plain_outcome(A, singular, damped, outside, parts, facts):
+    """Status and numbers of a command that no limit changes, `outcome.plain_command`."""
+    progress, status = 1.0, OK
+    if damped or singular:
+        progress = progress_of(A, parts)
+        status = STALLED if progress < STALLED_BELOW else DAMPED_STATUS
+    if singular:
+        status = SINGULAR
+    facts[TASK_SCALE] = facts[NULL_SCALE] = 1.0
+    facts[PROGRESS], facts[OUTSIDE], facts[LIMITING_JOINT] = progress, outside, -1.0
+    return OUTSIDE_LIMITS if outside > 0.0 else status
+
+
+@compiled_inside
+def bounded_outcome(A, singular, damped, cause, task_fits, parts, facts):
+    """Status of a command that limits change, `outcome.bounded_command`, by the limit that is most in its way.
+
+    The task's scale, how far a joint is outside and the limiting joint are among the facts already.
+    """
+    scale, progress = facts[TASK_SCALE], progress_of(A, parts)
+    facts[TASK_SCALE], facts[PROGRESS] = min(scale, 1.0), progress
+    if facts[OUTSIDE] > 0.0:
+        return OUTSIDE_LIMITS
+    if singular:
+        return SINGULAR
+    if progress < STALLED_BELOW and cause != BY_ACCELERATION:
+        return STALLED
+    if scale < SCALED_BELOW:
+        if facts[LIMITING_JOINT] < 0.0:
+            return DAMPED_STATUS
+        if cause == BY_POSITION:
+            return POSITION_LIMITED
+        return ACCELERATION_LIMITED if cause == BY_ACCELERATION else VELOCITY_LIMITED
+    if damped:
+        return DAMPED_STATUS
+    return NULL_SCALED if task_fits else REROUTED
+
+
+@compiled_inside
+def split_parts(found, Vt, solved, parts, facts):
+    """Write the velocity and its parts as commanded into `parts`; see `Command`."""
+    nv, rank = Vt.shape[1], int(facts[RANK])
+    along = square = 0.0
+    for j in range(nv):
+        parts[VELOCITY, j], square = found[j], square + parts[NULL_PART, j] * parts[NULL_PART, j]
+        parts[TASK_PART, j] = 0.0
+    for i in range(rank, nv if solved else rank):
+        part = 0.0
+        for j in range(nv):
+            part += Vt[i, j] * found[j]
+        for j in range(nv):
+            parts[TASK_PART, j] += part * Vt[i, j]
+    for j in range(nv):  # the null-space part of the velocity, still in the place of the task's
+        null = parts[TASK_PART, j]
+        along += parts[NULL_PART, j] * null
+        parts[NULL_PART, j], parts[TASK_PART, j] = null, found[j] - null
+    facts[NULL_SCALE] = min(1.0, max(0.0, along / square)) if square > 0.0 else 1.0
+    if facts[HAS_ESCAPE] == 0.0:
+        return
+    size, reached = norm(parts[ESCAPE_PART]), 0.0
+    for j in range(nv):
+        reached += found[j] * parts[ESCAPE_PART, j]
+    factor = min(1.0, max(0.0, reached / max(size * size, 1e-300)))
+    for j in range(nv):
+        parts[ESCAPE_PART, j] *= factor
+        parts[TASK_PART, j] -= parts[ESCAPE_PART, j]
+
+
+@compiled_inside
+def next_slide(slide, status, progress, dt):
+    """`slide` after a command that was held for dt, `outcome.next_slide`."""
+    if status == STALLED:
+        return min(1.0, slide + dt / SLIDING_AFTER)
+    return max(0.0, slide - dt / KEEPING_AFTER) if progress > GOING_ON else slide
