@@ -60,7 +60,7 @@ class CompiledLimits:
         self._constants = with_tips(np.concatenate([header, np.zeros((JOINTS, table.WIDTH)), dofs]), limits)
         self._unknown = np.full(nv, np.nan)
         self._nv = nv
-        law, work = np.zeros((table.PARTS + 2, nv)), np.ones((1, table.N_FACTS))
+        law, work = np.ones((table.PARTS + 2, nv)), np.ones((1, table.N_FACTS))
         arguments = (self._constants, np.zeros(nv), 0.01, self._unknown, 0.0, law, work)
         self._bounded = entry_point(bounded_law, *arguments)
 

@@ -6,12 +6,11 @@ import math
 
 import numpy as np
 
-from manip_learn.control.bounded_velocity import DEVIATION_WEIGHT, LARGEST_RATIO, ROUNDING, TASK_WEIGHT
-from manip_learn.control.compiled.constrained_rows import NEGLIGIBLE, decompose, norm
+from manip_learn.control.bounded_velocity import DEVIATION_WEIGHT, LARGEST_RATIO, NEGLIGIBLE, ROUNDING, TASK_WEIGHT
+from manip_learn.control.compiled.constrained_rows import decompose, dofs_of, norm
 from manip_learn.control.compiled.limits import within
 from manip_learn.control.compiled.step_table import (
     ANSWER,
-    CHAIN,
     ESCAPE_PART,
     FACTS,
     FOUND,
@@ -19,7 +18,6 @@ from manip_learn.control.compiled.step_table import (
     HIGH,
     LIMIT,
     LOW,
-    N_JOINTS,
     NULL_PART,
     RANK,
     SLID,
@@ -30,7 +28,6 @@ from manip_learn.control.compiled.step_table import (
     WISH,
 )
 from manip_learn.control.polytope_projection import DEPENDENT, REORTHOGONAL, TOLERANCE
-from manip_learn.robot.batch.compiled_kinematics import JOINTS
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 # rows of the scratch of `project`, each as long as x, before those of the triangle and of the basis
@@ -64,7 +61,7 @@ def bounded_step(step, rows, space, barriers, damping):
         damping: See `bounded_velocity`.
     """
     constants, parts, facts, nv = step.constants, step.parts, step.work[FACTS], rows.A.shape[1]
-    found, too_fast, dofs = space[FOUND], 1.0, CHAIN + JOINTS + int(constants[0, N_JOINTS])
+    found, too_fast, dofs = space[FOUND], 1.0, dofs_of(constants)
     for j in range(nv):
         too_fast = max(too_fast, abs(parts[TASK_PART, j]) / constants[dofs + j, LIMIT])
     for attempt in range(2 if barriers > 0 else 1):

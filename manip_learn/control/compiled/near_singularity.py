@@ -77,11 +77,10 @@ def singular_parts(step, rows, slope):
     The gradient of the smallest singular value goes into `slope` where it is needed.
     """
     constants, parts, facts, sigma, Vt = step.constants, step.parts, step.work[FACTS], rows.sigma, rows.Vt
-    (s, nv), Ut, weights = rows.A.shape, rows.Ut, rows.weights
-    posed, along, climb, row = constants[0, TASK] == POSE, np.empty(s), np.empty(nv), np.empty(nv)
-    pi = step.work[PI, :nv]
+    (s, nv), Ut, weights, width = rows.A.shape, rows.Ut, rows.weights, constants[1, ESCAPE_WIDTH]
+    along, climb, row, pi = np.empty(s), np.empty(nv), np.empty(nv), step.work[PI, :nv]
     decompose(rows.A, s, Ut, sigma, Vt)
-    singular = sigma[s - 1] <= SINGULAR_RATIO * sigma[0]
+    singular, posed = sigma[s - 1] <= SINGULAR_RATIO * sigma[0], constants[0, TASK] == POSE
     facts[RANK] = rank_of(sigma, truncation(sigma, nv))
     if singular:
         if int(constants[0, INVERSE]) == EXACT:
@@ -103,8 +102,7 @@ def singular_parts(step, rows, slope):
     if pressed <= constants[1, DAMPING]:
         pressed = 0.0
     escapes = not posed and constants[1, ESCAPES] != 0.0
-    near = not singular and escapes and sigma[s - 1] < constants[1, ESCAPE_WIDTH]
-    if pressed > 0.0 or near:
+    if pressed > 0.0 or (not singular and escapes and sigma[s - 1] < width):
         outer_product(Ut[s - 1], Vt[s - 1], weights)
         vjp(constants, weights, step.work, slope)
     if pressed > 0.0:
@@ -112,7 +110,7 @@ def singular_parts(step, rows, slope):
         task_part(constants, sigma, along, damping, Vt, parts[TASK_PART])
     _null_part(Vt, int(facts[RANK]), pi, parts[NULL_PART])
     if escapes:  # `singularity.with_seed`
-        speed, seed = norm(parts[NULL_PART]), seed_speed(sigma[s - 1], constants[1, ESCAPE_WIDTH])
+        speed, seed = norm(parts[NULL_PART]), seed_speed(sigma[s - 1], width)
         if NOTHING * norm(pi) < speed < seed:
             for j in range(nv):
                 parts[NULL_PART, j] *= seed / speed
@@ -123,7 +121,6 @@ def singular_parts(step, rows, slope):
         if singular:  # the policy has taken the steepest ascent already
             _leave(constants, step.q, sigma, pi, parts)
         else:
-            width = constants[1, ESCAPE_WIDTH]
             escape_velocity(sigma, Vt, step.dt, width, climb, norm(slope), parts[ESCAPE_PART])
         for j in range(nv):
             parts[VELOCITY, j] = parts[TASK_PART, j] + parts[NULL_PART, j] + parts[ESCAPE_PART, j]
