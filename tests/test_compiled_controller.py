@@ -19,8 +19,8 @@ from manip_learn.constraint.manipulability_batch import row_inverses
 from manip_learn.constraint.small_matrices import row_inverse
 from manip_learn.control import compiled_controller
 from manip_learn.control.command import Method
-from manip_learn.control.compiled import joint_limits, packing, step_table
-from manip_learn.control.compiled import row_inverse as compiled_row_inverse
+from manip_learn.control.compiled import constrained_rows, packing
+from manip_learn.control.compiled import limits as compiled_limits
 from manip_learn.control.compiled_controller import CompiledController, why_not
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.limits import Limits
@@ -28,7 +28,6 @@ from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, N
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import Hold, PointAttractor, Track
 from manip_learn.errors import ConfigurationError, ConstraintError, MissingExtraError
-from manip_learn.robot.batch.compiled_kinematics import JOINTS
 from manip_learn.robot.robot import Robot
 
 
@@ -204,7 +203,7 @@ def test_row_inverses_are_the_same(numba: bool, rng: np.random.Generator) -> Non
         A = rng.normal(size=(s, int(rng.integers(s + 1, 9))))
         expected = row_inverse(A)
         X, G, L = np.zeros(A.shape), np.zeros((s, s)), np.zeros((s, s))
-        volume, smallest = compiled_row_inverse.row_inverse(A, X, G, L)
+        volume, smallest = constrained_rows.row_inverse(A, X, G, L)
         assert (expected is None) == (volume == 0.0)
         if expected is None:
             continue
@@ -241,13 +240,13 @@ def test_unsupported_controllers_are_refused(robot_of: RobotOf, monkeypatch: pyt
     features = FrameJacobian(arm, "right_hand")
     constraint = Constraint(np.eye(3), features)
     other = Constraint(np.eye(3)[:2], features)
-    local = FrameJacobian(arm, "right_hand", "x z", "local")
+    local, turning = FrameJacobian(arm, "right_hand", "x z", "local"), FrameJacobian(arm, "right_hand", "pose")
     refused = {
         "CentreOfMass": ResolvedRateController(Constraint(np.eye(3), CentreOfMass(arm))),
         "revolute": ResolvedRateController(Constraint(np.eye(3), FrameJacobian(robot, "tip"))),
         "another robot": ResolvedRateController(constraint, robot=robot_of("planar3")),
         "Own": ResolvedRateController(constraint, Own([0.5, 0.1, 0.2])),
-        "Track": ResolvedRateController(constraint, Track(lambda t: [0.5, 0.1, 0.2])),
+        "Track": ResolvedRateController(Constraint(np.eye(6), turning), Track(lambda t: np.eye(4))),
         "x z (local)": ResolvedRateController(Constraint(np.eye(2), local), PointAttractor([0.5, 0.1])),
         "another constraint": ResolvedRateController(constraint, null_policy=ManipulabilityAscent(other)),
         "rest posture": ResolvedRateController(constraint, null_policy=JointAttractor(np.zeros(3))),
@@ -301,7 +300,7 @@ def test_velocities_near_limits_are_admitted_alike(numba: bool, robot_of: RobotO
     controller = ResolvedRateController(constraint, null_policy=ZeroPolicy(robot.nv))
     limits, table = controller.limits, packing.packed(controller)
     assert limits is not None
-    dofs, dt, told = step_table.CHAIN + JOINTS + int(table[0, step_table.N_JOINTS]), 0.01, set()
+    dt, told = 0.01, set()
     middle = 0.5 * (robot.position_lower + robot.position_upper)
     for j in range(robot.nv):
         for edge, outward in ((robot.position_upper[j], 1.0), (robot.position_lower[j], -1.0)):
@@ -311,6 +310,6 @@ def test_velocities_near_limits_are_admitted_alike(numba: bool, robot_of: RobotO
                     q[j], u[j] = edge - outward * distance, outward * speed
                     for before in (u, u + 1.01 * limits.acceleration * dt):
                         expected = limits.admit(q, dt, u, before)
-                        assert joint_limits.admitted(table, dofs, robot.nv, q, dt, u, before) == expected
+                        assert compiled_limits.admitted(table, q, dt, u, before) == expected
                         told.add((expected, speed > 0.0))
     assert len(told) == 4

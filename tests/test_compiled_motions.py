@@ -1,4 +1,4 @@
-"""A free direction that compiled steps drive: the commands, loops and rollouts of the law in Python."""
+"""Free directions and moving targets in compiled steps: the commands, loops and rollouts of the law in Python."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from test_batch_rollout import same
 import manip_learn as ml
 from manip_learn.control.command import Method
 from manip_learn.control.compiled_controller import why_not
-from manip_learn.errors import ConfigurationError, ConstraintError
+from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 
 DT = 0.0023  # [s] whose multiples do not reach a velocity limit by the acceleration limit exactly
 # after braking for one call both bounds are the same number, and rounding says which is named
@@ -39,6 +39,78 @@ def law_of(robot: ml.Robot, kind: str, name: str, climb: bool = True) -> ml.Reso
     task = ml.FreeDirection(ml.Constraint(selection, features), distance, 0.4, direction=direction)
     policy = ml.ManipulabilityAscent(task.constraint) if climb else None
     return ml.ResolvedRateController(task.learnt, task, policy)
+
+
+def follower_of(robot: ml.Robot, name: str, kind: str, speed: float = 0.5) -> ml.ResolvedRateController:
+    """A controller whose target goes round a circle of 0.1 m, at the speed [m/s]."""
+    features, middle = ml.FrameJacobian(robot, tip_of(name), "xyz"), np.array([0.5, 0.1, 0.4])
+
+    def target(t: float) -> np.ndarray:
+        angle = 10.0 * speed * t
+        place = middle + 0.1 * np.array([np.cos(angle), np.sin(angle), 0.0])
+        if kind != "pose":
+            return place
+        return np.block([[np.eye(3), place[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
+
+    def rate(t: float) -> np.ndarray:
+        angle = 10.0 * speed * t
+        return speed * np.array([-np.sin(angle), np.cos(angle), 0.0])
+
+    constraint = ml.Constraint(np.array([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0]]), features)
+    task = ml.Track(target, rate if kind == "rate" else None, gain=2.0)
+    return ml.ResolvedRateController(constraint, task, ml.ManipulabilityAscent(constraint))
+
+
+@both_ways
+@pytest.mark.parametrize("kind", ["place", "pose", "rate"])
+@pytest.mark.usefixtures("kernels")
+def test_moving_targets_are_followed_alike(
+    kind: str, numba: bool, robot_of: RobotOf, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A place, a pose or a rate: every part of the command near and far, with b of the period asked for."""
+    robot, told = robot_of("sawyer"), set()
+    law = follower_of(robot, "sawyer", kind)
+    compiled = ml.CompiledController(follower_of(robot, "sawyer", kind))
+    for _ in range(12):
+        q = random_posture(rng, robot)
+        previous = rng.uniform(-0.5, 0.5, robot.nv) if rng.random() < 0.5 else None
+        arguments = (
+            float(rng.uniform(0.0, 3.0)),
+            float(rng.choice([0.001, 0.02])),
+            previous,
+            float(rng.random() < 0.5),
+        )
+        expected, beside = law(q, *arguments), law(q * (1.0 + 4e-16), *arguments)
+        with monkeypatch.context() as patch:
+            patch.setattr(ml.ResolvedRateController, "__call__", lambda *a: pytest.fail("handed back"))
+            got = compiled(q, *arguments)
+        agree(got, expected, beside, at_limits=1e-9)
+        assert compiled.task_error(q, arguments[0]) == law.task_error(q, arguments[0])
+        told.add(str(expected.status))
+    assert len(told) >= 2
+
+
+@needs_numba
+def test_a_moving_target_leads_a_loop(robot_of: RobotOf) -> None:
+    """The loop and a rollout of the compiled law stay with those in Python, near the target; a bad target is told."""
+    robot = robot_of("sawyer")
+    q0 = np.array([0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0])
+    loops = [ml.ServoLoop(follower_of(robot, "sawyer", "place", 0.1), DT, compiled=c) for c in (None, False)]
+    assert isinstance(loops[0].controller, ml.CompiledController) and not loops[0].controller.rolls_out
+    for loop in loops:
+        loop.reset(q0)
+    q, error = q0, np.inf
+    for k in range(2000):
+        got, expected = (loop.update(q, k * DT) for loop in loops)
+        np.testing.assert_allclose(got.velocity, expected.velocity, rtol=0, atol=1e-9)
+        q, error = loops[1].position, loops[1].task_error(q, k * DT)
+    assert error < 1e-3
+    rollouts = [ml.simulate(robot, loop.controller, q0, 1.0, 0.01) for loop in loops]
+    same(rollouts[:1], rollouts[1:])
+    constraint = loops[1].controller.constraint
+    wrong = ml.CompiledController(ml.ResolvedRateController(constraint, ml.Track(lambda _t: [0.1, 0.2, np.nan])))
+    with pytest.raises(TargetError):
+        wrong(q0)
 
 
 @both_ways
@@ -141,5 +213,7 @@ def test_what_turns_the_hand_is_not_compiled(robot_of: RobotOf) -> None:
     constraint = ml.Constraint(np.eye(6)[1:], features)
     task = ml.FreeDirection(constraint, 0.1, 0.1)
     assert not task.along_rows and "FreeDirection" in (why_not(ml.ResolvedRateController(constraint, task)) or "")
+    for task in (ml.Track(lambda _t: np.eye(4)), ml.Track(lambda _t: np.zeros(6))):
+        assert "Track" in (why_not(ml.ResolvedRateController(constraint, task)) or "")
     for kind in HELD:
         assert why_not(law_of(robot, kind, "sawyer")) is None, kind

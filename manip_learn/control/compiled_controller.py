@@ -46,14 +46,14 @@ class CompiledController:
     """The commands of a `ResolvedRateController`, computed by compiled code.
 
     For rows of a frame's Jacobian and for doors, tethers, screws and all that `MechanismRows` and `PlaceRows` hold, a
-    chain of revolute, continuous and prismatic joints, the tasks `Hold` and `FreeDirection` (along positions and
-    mechanisms; its b is computed in Python, once a call) and, for rows of a frame's Jacobian, `PointAttractor`
-    (positions, poses and whole rotations, along the axes of the base or of the frame), and a `ManipulabilityAscent` of
-    the same constraint, a `JointAttractor` or no policy; in every state, at limits and at singularities too. (For all
-    others there is the original's solver `"compiled"`.) The original controller computes the command only where the
-    posture or the velocity is not finite, where a direction is lost that the inverse `"exact"` cannot invert, and
-    where several are lost at once under a policy without a bound. The numbers are the same everywhere (to 1e-12 of the
-    largest, to 1e-9 at limits).
+    chain of revolute, continuous and prismatic joints, the tasks `Hold`, `FreeDirection` (along positions and
+    mechanisms) and `Track` (of positions in the base), whose b is computed in Python, once a call, and, for rows of a
+    frame's Jacobian, `PointAttractor` (positions, poses and whole rotations, along the axes of the base or of the
+    frame), and a `ManipulabilityAscent` of the same constraint, a `JointAttractor` or no policy; in every state, at
+    limits and at singularities too. (For all others there is the original's solver `"compiled"`.) The original
+    controller computes the command only where the posture or the velocity is not finite, where a direction is lost that
+    the inverse `"exact"` cannot invert, and where several are lost at once under a policy without a bound. The numbers
+    are the same everywhere (to 1e-12 of the largest, to 1e-9 at limits).
 
     The first one on a machine takes about a minute, which it says through the logger `manip_learn`; the machine
     code is kept on disk.
@@ -79,8 +79,7 @@ class CompiledController:
             )
         if find_spec("numba") is None:
             raise MissingExtraError("a compiled controller", "fast")
-        from manip_learn.control.compiled.control_step import command_of
-        from manip_learn.control.compiled.rollout import rollout
+        from manip_learn.control.compiled.control_step import command_of, rollout
         from manip_learn.robot.batch.kernel_cache import announce_compilation, entry_point
 
         self.controller = controller
@@ -165,8 +164,8 @@ class CompiledController:
         if not self.rolls_out:
             raise ConstraintError(f"the velocity of {self.controller.task!r} is computed in Python: use simulate")
         T, nv = steps + 1, self.nv
-        q, u, mu, error = np.empty((T, nv)), np.empty((T, nv)), np.empty(T), np.empty(T)
-        code = np.zeros(T, dtype=np.int64)
+        motion, numbers = np.empty((2, T, nv)), np.empty((3, T))
+        (q, u), (mu, error, code) = motion, numbers
         bounded = method == "euler" and self.controller.limits is not None
         state = np.zeros(nv + 1)  # the velocity before, and the slide
         if not bounded:
@@ -174,7 +173,7 @@ class CompiledController:
         q[0] = start
         row, before = 0, state[:nv]
         while row < T:
-            row = self._rollout(self._constants, row, dt, method == "rk4", q, u, mu, error, code, state)
+            row = self._rollout(self._constants, row, dt, method == "rk4", motion, numbers, state)
             if row < T:
                 command = self.controller(q[row], row * dt, dt, before if bounded else None, float(state[nv]))
                 u[row], mu[row], code[row] = command.velocity, command.manipulability, STATUSES.index(command.status)
@@ -184,7 +183,7 @@ class CompiledController:
                 if row + 1 < T:
                     q[row + 1] = next_posture(None, self.controller, q[row], row * dt, dt, method, command.velocity)
                 row += 1
-        return CompiledRollout(q, u, mu, error, tuple(_WORDS[code].tolist()))
+        return CompiledRollout(q, u, mu, error, tuple(_WORDS[code.astype(np.intp)].tolist()))
 
     def __reduce__(self) -> tuple[object, ...]:
         return CompiledController, (self.controller,)  # machine code stays in its process

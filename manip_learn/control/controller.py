@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.bounded_velocity import BoundedVelocity, Solver, bounded_velocity, projection_by
 from manip_learn.control.command import Command, Status
-from manip_learn.control.compiled.limits_table import tips_are_compiled
-from manip_learn.control.compiled_limits import CompiledLimits
+from manip_learn.control.compiled_limits import CompiledLimits, tips_are_compiled
 from manip_learn.control.limits import Limits
 from manip_learn.control.policies import (
     NullSpacePolicy,

@@ -15,9 +15,9 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.control.command import Controller
 from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.policies import ManipulabilityAscent
+from manip_learn.control.policies import ManipulabilityAscent, WeightedPolicies
 from manip_learn.control.servo_loop import ServoLoop
-from manip_learn.control.tasks import PointAttractor, Track
+from manip_learn.control.tasks import PointAttractor
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
@@ -67,8 +67,8 @@ def controllers_to_warm_up(robot: Robot) -> tuple[ResolvedRateController, Resolv
     constraint = Constraint(np.eye(2)[:1], features)
     target = features.coordinates(robot.neutral())
     climb = ManipulabilityAscent(constraint)
-    moving = Track(lambda _t: target)  # a function of time is not compiled
+    sums = WeightedPolicies([climb], [1.0])  # which are not compiled
     return (
         ResolvedRateController(constraint, PointAttractor(target), climb),
-        ResolvedRateController(constraint, moving, climb),
+        ResolvedRateController(constraint, PointAttractor(target), sums),
     )

@@ -1,11 +1,14 @@
-"""The constrained rows of a controller and their derivative, as loops over plain numbers."""
+"""The constrained rows, their inverse, their derivative and their decomposition, as loops over plain numbers."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from manip_learn.constraint.compiled_rows import joint_weights, rows_vjp
-from manip_learn.control.compiled.step_table import CHAIN, FORM
+from manip_learn.constraint.small_matrices import LEAST_SINGULAR_RATIO
+from manip_learn.control.compiled.step_table import CHAIN, FORM, MATRICES, N_JOINTS
 from manip_learn.robot.batch.compiled_kinematics import (
     JOINTS,
     LARGEST_ANGLE,
@@ -19,6 +22,15 @@ from manip_learn.robot.batch.compiled_kinematics import (
 )
 from manip_learn.robot.batch.compiled_vjp import GRADIENT, SLIDE
 from manip_learn.robot.batch.kernel_cache import compiled_inside
+
+SWEEPS = 30  # of Jacobi rotations; six are usual
+# cosine between two rows from which on they count as orthogonal: the rounding of their product
+ORTHOGONAL = 2e-15
+SQUARINGS = 40  # of a Gram matrix; eight are usual
+RANK_ONE = 4e-16  # share of the square of a Gram matrix that is not of rank one any more
+
+EIGEN_SWEEPS = 8  # of Jacobi rotations of a square matrix: converged to the last bit for six rows
+NEGLIGIBLE = 1e-32  # square of a cosine between two rows that no longer changes the eigenvalues
 
 
 @compiled_inside
@@ -36,9 +48,9 @@ def turn_joints(constants, chain, joints, q, work, base):
 
 
 @compiled_inside
-def mix_at(s, joints, base):
+def mix_at(s, joints):
     """Row of the work space where the weights of (v, w) begin, see `compiled_rows`: behind a pose's error."""
-    return base + joints + s + 2
+    return joints_at(s) + joints + s + 2
 
 
 @compiled_inside
@@ -48,18 +60,32 @@ def form_of(constants):
 
 
 @compiled_inside
-def chain_vjp(constants, s, joints, weights, work, base):
+def dofs_of(constants):
+    """Row where the degrees of freedom begin."""
+    return CHAIN + JOINTS + int(constants[0, N_JOINTS])
+
+
+@compiled_inside
+def joints_at(s):
+    """Row of the work space where the joints of the chain begin."""
+    return MATRICES + 3 * s
+
+
+@compiled_inside
+def chain_vjp(constants, weights, work):
     """sum_ij weights_ij dA_ij / dq_k for weights in columns of the chain, into the joints' entries GRADIENT."""
-    form, at = form_of(constants), mix_at(s, joints, base)
+    s, joints = weights.shape
+    form, at, base = form_of(constants), mix_at(s, joints), joints_at(s)
     for j in range(joints):
         joint_weights(s, form, weights, j, work, base + j, at)
     rows_vjp(s, form, joints, constants[CHAIN + 1, LOCAL] != 0.0, work, base, at)
 
 
 @compiled_inside
-def vjp(constants, s, joints, weights, work, base, gradient):
+def vjp(constants, weights, work, gradient):
     """sum_ij weights_ij dA_ij / dq_k into `gradient`, weights (s, nv) and gradient (nv,) in public columns."""
-    form, at = form_of(constants), mix_at(s, joints, base)
+    s, joints = weights.shape[0], int(constants[0, N_JOINTS])
+    form, at, base = form_of(constants), mix_at(s, joints), joints_at(s)
     for k in range(gradient.shape[0]):
         gradient[k] = 0.0
     for j in range(joints):
@@ -79,11 +105,324 @@ def places(constants, j):
 
 
 @compiled_inside
-def public_rows(constants, s, joints, chain_rows, first, A):
-    """A (s, nv) in public columns, from rows of columns of the chain that begin at row `first`."""
-    for i in range(s):
+def public_rows(constants, work, A):
+    """A (s, nv) in public columns, from those of the chain in the work space."""
+    for i in range(A.shape[0]):
         for j in range(A.shape[1]):
             A[i, j] = 0.0
-        for j in range(joints):
+        for j in range(int(constants[0, N_JOINTS])):
             column, place = places(constants, j)
-            A[i, column] = chain_rows[first + i, place]
+            A[i, column] = work[MATRICES + i, place]
+
+
+@compiled_inside
+def chain_rows(weights, first, s, joints, work):
+    """Weights, from row `first` on, times the Jacobian in columns of the chain, into the rows of `work` for A."""
+    base = joints_at(s)
+    for i in range(s):
+        for j in range(joints):
+            # the joint that moves column j, as many as there are from the base
+            total = 0.0
+            for k in range(6):
+                total += weights[first + i, k] * work[base + j, k]
+            work[MATRICES + i, j] = total
+
+
+@compiled_inside
+def smallest_and_largest(G, L):
+    """Smallest and largest eigenvalue of a symmetric matrix G (s, s), with Cholesky's factor L; G is destroyed."""
+    s = G.shape[0]
+    if s == 1:
+        return G[0, 0], G[0, 0]
+    if s == 2:
+        largest = 0.5 * (G[0, 0] + G[1, 1]) + math.hypot(0.5 * (G[0, 0] - G[1, 1]), G[0, 1])
+        volume = L[0, 0] * L[1, 1]
+        return volume * volume / largest, largest
+    for _ in range(EIGEN_SWEEPS):
+        turned = False
+        for i in range(s - 1):
+            for j in range(i + 1, s):
+                if G[i, j] * G[i, j] > NEGLIGIBLE * G[i, i] * G[j, j]:
+                    turned = True
+                    theta = 0.5 * (G[j, j] - G[i, i]) / G[i, j]
+                    t = math.copysign(1.0, theta) / (abs(theta) + math.sqrt(theta * theta + 1.0))
+                    c = 1.0 / math.sqrt(t * t + 1.0)
+                    d = t * c
+                    for k in range(s):
+                        G[k, i], G[k, j] = c * G[k, i] - d * G[k, j], d * G[k, i] + c * G[k, j]
+                    for k in range(s):
+                        G[i, k], G[j, k] = c * G[i, k] - d * G[j, k], d * G[i, k] + c * G[j, k]
+        if not turned:
+            break
+    smallest = largest = G[0, 0]
+    for i in range(1, s):
+        smallest, largest = min(smallest, G[i, i]), max(largest, G[i, i])
+    return smallest, largest
+
+
+@compiled_inside
+def row_inverse(A, X, G, L):
+    """X = A^{+T} (s, n); returns the volume and the smallest singular value, or zeros if A is ill-conditioned."""
+    s, n = A.shape
+    for i in range(s):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(n):
+                total += A[i, k] * A[j, k]
+            G[i, j] = G[j, i] = total
+    volume = 1.0
+    for i in range(s):
+        for j in range(i + 1):
+            total = G[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            if i > j:
+                L[i, j] = total / L[j, j]
+            elif total > 0.0:
+                L[i, i] = math.sqrt(total)
+                volume *= L[i, i]
+            else:
+                return 0.0, 0.0
+    smallest, largest = smallest_and_largest(G, L)
+    if not smallest > LEAST_SINGULAR_RATIO * LEAST_SINGULAR_RATIO * largest:
+        return 0.0, 0.0
+    for i in range(s):
+        for k in range(n):
+            X[i, k] = A[i, k]
+        for j in range(i):
+            for k in range(n):
+                X[i, k] -= L[i, j] * X[j, k]
+        factor = 1.0 / L[i, i]
+        for k in range(n):
+            X[i, k] *= factor
+    for i in range(s - 1, -1, -1):
+        for j in range(i + 1, s):
+            for k in range(n):
+                X[i, k] -= L[j, i] * X[j, k]
+        factor = 1.0 / L[i, i]
+        for k in range(n):
+            X[i, k] *= factor
+    return volume, math.sqrt(smallest)
+
+
+@compiled_inside
+def decompose(A, rows, Ut, sigma, Vt):
+    """A = sum_i sigma_i u_i v_i^T, u_i and v_i in the rows of Ut and the first `rows` rows of Vt, largest first.
+
+    One-sided Jacobi rotations (Hestenes, "Inversion of matrices by biorthogonalization and related results", 1958):
+    accurate for tiny singular values too. Where one is exactly 0, its row of Vt is zero.
+
+    Args:
+        A: shape (rows, columns).
+        rows: Number of rows.
+        Ut: shape (rows, rows).
+        sigma: shape (rows,).
+        Vt: shape (rows or more, columns).
+    """
+    for i in range(rows):
+        for k in range(A.shape[1]):
+            Vt[i, k] = A[i, k]
+        for k in range(Ut.shape[1]):
+            Ut[i, k] = 1.0 if i == k else 0.0
+    for _ in range(SWEEPS):
+        turned = False
+        for i in range(rows - 1):
+            for j in range(i + 1, rows):
+                turned = _orthogonalise(Vt, Ut, i, j) or turned
+        if not turned:
+            break
+    for i in range(rows):
+        square = 0.0
+        for k in range(A.shape[1]):
+            square += Vt[i, k] * Vt[i, k]
+        sigma[i] = math.sqrt(square)
+    _sort(rows, Ut, sigma, Vt)
+    for i in range(rows):
+        factor = 1.0 / sigma[i] if sigma[i] > 0.0 else 0.0
+        for k in range(A.shape[1]):
+            Vt[i, k] *= factor
+
+
+@compiled_inside
+def _orthogonalise(Vt, Ut, i, j):
+    """Turn two rows until they are orthogonal; False if they are."""
+    a = b = c = 0.0
+    for k in range(Vt.shape[1]):
+        x, y = Vt[i, k], Vt[j, k]
+        a += x * x
+        b += y * y
+        c += x * y
+    if abs(c) <= ORTHOGONAL * math.sqrt(a) * math.sqrt(b):
+        return False
+    zeta = 0.5 * (b - a) / c
+    t = math.copysign(1.0, zeta) / (abs(zeta) + math.hypot(1.0, zeta))
+    cosine = 1.0 / math.sqrt(1.0 + t * t)
+    sine = cosine * t
+    for k in range(Vt.shape[1]):
+        x, y = Vt[i, k], Vt[j, k]
+        Vt[i, k], Vt[j, k] = cosine * x - sine * y, sine * x + cosine * y
+    for k in range(Ut.shape[1]):
+        x, y = Ut[i, k], Ut[j, k]
+        Ut[i, k], Ut[j, k] = cosine * x - sine * y, sine * x + cosine * y
+    return True
+
+
+@compiled_inside
+def _sort(rows, Ut, sigma, Vt):
+    for i in range(rows - 1):
+        best = i
+        for j in range(i + 1, rows):
+            if sigma[j] > sigma[best]:
+                best = j
+        if best != i:
+            sigma[i], sigma[best] = sigma[best], sigma[i]
+            for k in range(Vt.shape[1]):
+                Vt[i, k], Vt[best, k] = Vt[best, k], Vt[i, k]
+            for k in range(rows):
+                Ut[i, k], Ut[best, k] = Ut[best, k], Ut[i, k]
+
+
+@compiled_inside
+def complete(Vt, known):
+    """Fill the rows of a square Vt from `known` on, so that all of them are orthonormal, by Householder reflections."""
+    n = Vt.shape[0]
+    mirrors = Vt[:known].copy()
+    for i in range(known):
+        x, square = mirrors[i], 0.0
+        for k in range(i, n):
+            square += x[k] * x[k]
+        length = math.sqrt(square)
+        # x - alpha e_i with the sign that does not cancel, to the length of the root of 2
+        factor = 1.0 / math.sqrt(length * (length + abs(x[i])))
+        x[i] += math.copysign(length, x[i])
+        for k in range(i, n):
+            x[k] *= factor
+        for j in range(i + 1, known):
+            _reflect(x, mirrors[j], i)
+    for j in range(known, n):
+        for k in range(n):
+            Vt[j, k] = 1.0 if k == j else 0.0
+        for i in range(known - 1, -1, -1):
+            _reflect(mirrors[i], Vt[j], i)
+
+
+@compiled_inside
+def _reflect(mirror, y, first):
+    """y - m (m^T y), m of the length root of 2, zero before its entry `first`."""
+    along = 0.0
+    for k in range(first, y.shape[0]):
+        along += mirror[k] * y[k]
+    for k in range(first, y.shape[0]):
+        y[k] -= along * mirror[k]
+
+
+@compiled_inside
+def row_space(A, rows, Vt):
+    """Orthonormal rows that span those of a well-conditioned A, into the first rows of Vt."""
+    for i in range(rows):
+        for k in range(A.shape[1]):
+            Vt[i, k] = A[i, k]
+        _orthonormal_row(Vt, i)
+
+
+@compiled_inside
+def _orthonormal_row(Vt, i):
+    """Row i less its parts along the rows before it (twice is enough), with length 1."""
+    for _ in range(2):
+        for c in range(i):
+            along = 0.0
+            for k in range(Vt.shape[1]):
+                along += Vt[c, k] * Vt[i, k]
+            for k in range(Vt.shape[1]):
+                Vt[i, k] -= along * Vt[c, k]
+    square = 0.0
+    for k in range(Vt.shape[1]):
+        square += Vt[i, k] * Vt[i, k]
+    factor = 1.0 / math.sqrt(square)
+    for k in range(Vt.shape[1]):
+        Vt[i, k] *= factor
+
+
+@compiled_inside
+def leading(M, direction):
+    """Largest singular value of M (rows, columns); its right singular vector goes into `direction`, one sign of it.
+
+    Of two opposite vectors the one whose largest entry is positive. M^T M is squared until it is of rank one, so that
+    its columns are multiples of the vector.
+    """
+    n = M.shape[1]
+    G, H = np.empty((n, n)), np.empty((n, n))
+    _gram(M, G)
+    for _ in range(SQUARINGS):
+        trace, best = 0.0, 0
+        for i in range(n):
+            trace += G[i, i]
+            best = i if G[i, i] > G[best, best] else best
+        if not trace > 0.0:
+            direction[:] = 0.0
+            return 0.0
+        square, factor = 0.0, 1.0 / trace
+        for i in range(n):
+            for j in range(n):
+                G[i, j] *= factor
+                square += G[i, j] * G[i, j]
+        if square > 1.0 - RANK_ONE:
+            break
+        _gram(G, H)
+        G, H = H, G
+    return _image(M, G[best], direction)
+
+
+@compiled_inside
+def _gram(M, G):
+    """G = M^T M."""
+    n = M.shape[1]
+    G[:] = 0.0
+    for r in range(M.shape[0]):
+        for i in range(n):
+            for j in range(n):
+                G[i, j] += M[r, i] * M[r, j]
+
+
+@compiled_inside
+def _image(M, vector, direction):
+    """|M x| for x = vector / |vector|, which goes into `direction` with its largest entry positive."""
+    n, square, largest = M.shape[1], 0.0, 0
+    for k in range(n):
+        square += vector[k] * vector[k]
+        largest = k if abs(vector[k]) > abs(vector[largest]) else largest
+    factor = math.copysign(1.0 / math.sqrt(square), vector[largest])
+    for k in range(n):
+        direction[k] = factor * vector[k]
+    square = 0.0
+    for r in range(M.shape[0]):
+        along = 0.0
+        for k in range(n):
+            along += M[r, k] * direction[k]
+        square += along * along
+    return math.sqrt(square)
+
+
+@compiled_inside
+def norm(x):
+    """Euclidean norm."""
+    square = 0.0
+    for k in range(x.shape[0]):
+        square += x[k] * x[k]
+    return math.sqrt(square)
+
+
+@compiled_inside
+def rank_of(sigma, least):
+    """Number of singular values above `least`."""
+    rank = 0
+    for i in range(sigma.shape[0]):
+        rank += 1 if sigma[i] > least else 0
+    return rank
+
+
+@compiled_inside
+def truncation(sigma, size):
+    """Matlab's tolerance, `linalg.matlab_tolerance`, for the larger side of a matrix."""
+    _, exponent = math.frexp(sigma[0])
+    return size * math.ldexp(1.0, exponent - 53)

@@ -1,4 +1,4 @@
-"""The control step where A is well-conditioned and no limit changes the law, as in most steps."""
+"""The control step where A is well-conditioned and no limit changes the law, as in most steps, and its targets."""
 
 from __future__ import annotations
 
@@ -7,19 +7,29 @@ import math
 import numpy as np
 
 from manip_learn.constraint.compiled_rows import mix_rows
-from manip_learn.control.compiled.constrained_rows import chain_vjp, form_of, mix_at, places, turn_joints
-from manip_learn.control.compiled.joint_limits import admitted
+from manip_learn.control.compiled.constrained_rows import (
+    chain_rows,
+    chain_vjp,
+    dofs_of,
+    form_of,
+    joints_at,
+    mix_at,
+    places,
+    row_inverse,
+    turn_joints,
+)
+from manip_learn.control.compiled.limits import admitted
 from manip_learn.control.compiled.near_singularity import smallest_weights
 from manip_learn.control.compiled.null_policy import policy_velocity
-from manip_learn.control.compiled.pose_target import attracted, pose_velocity
-from manip_learn.control.compiled.row_inverse import row_inverse
 from manip_learn.control.compiled.step_table import (
     ACCELERATION,
     CHAIN,
     DAMPED,
     ERROR,
     FACTS,
+    GAIN,
     GIVEN,
+    GOAL,
     HAS_ESCAPE,
     ILL_CONDITIONED,
     ILL_POSED,
@@ -29,6 +39,7 @@ from manip_learn.control.compiled.step_table import (
     LIMITING_JOINT,
     LIMITS,
     MATRICES,
+    MAX_SPEED,
     MU,
     N_CONSTRAINTS,
     N_JOINTS,
@@ -41,6 +52,7 @@ from manip_learn.control.compiled.step_table import (
     POINT,
     POSE,
     PROGRESS,
+    RANK,
     REFUSED,
     SMALLEST,
     TARGET_POINT,
@@ -52,29 +64,30 @@ from manip_learn.control.compiled.step_table import (
     VELOCITY,
 )
 from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE
-from manip_learn.robot.batch.compiled_kinematics import JOINTS, columns_of
-from manip_learn.robot.batch.compiled_vjp import GRADIENT, SLIDE
+from manip_learn.robot.batch.compiled_kinematics import END_ORIGIN, LOCAL, columns_of
+from manip_learn.robot.batch.compiled_vjp import GRADIENT, SLIDE, six
 from manip_learn.robot.batch.kernel_cache import compiled_inside
+from manip_learn.robot.rotations import SMALL_ANGLE
 
 
 @compiled_inside
 def free_step(constants, q, dt, previous, parts, work):
-    """Write the law into `parts`; return OK, REFUSED, or LIMITED, ILL_CONDITIONED or ILL_POSED: there is more to do."""
+    """Write the law into the parts; return OK, REFUSED, or LIMITED, ILL_CONDITIONED or ILL_POSED: more to be done."""
+    facts = work[FACTS]
     joints, nv, s = int(constants[0, N_JOINTS]), int(constants[0, NV]), int(constants[0, N_CONSTRAINTS])
     for j in range(nv):
         if not math.isfinite(q[j]):
             return REFUSED
-    dofs = CHAIN + JOINTS + joints
-    rows, base, facts, posed = dofs + nv, MATRICES + 3 * s, work[FACTS], constants[0, TASK] == POSE
+    dofs, base, posed = dofs_of(constants), joints_at(s), constants[0, TASK] == POSE
     turn_joints(constants, CHAIN, joints, q, work, base)
-    p0, p1, p2 = columns_of(constants, CHAIN, joints, work, base, SLIDE, 1, work, base)
-    mix = mix_at(s, joints, base)
-    mix_rows(constants, rows, s, form_of(constants), p0, p1, p2, work, mix)
-    chain_rows(work, mix, s, joints, work, base)
+    place = columns_of(constants, CHAIN, joints, work, base, SLIDE, 1, work, base)
+    mix = mix_at(s, joints)
+    mix_rows(constants, dofs + nv, s, form_of(constants), place[0], place[1], place[2], work, mix)
+    chain_rows(work, mix, s, joints, work)
     if posed:
-        facts[ERROR] = pose_velocity(constants, rows, s, p0, p1, p2, work, base + joints, parts[TASK_VELOCITY])
+        facts[ERROR] = pose_velocity(constants, dofs + nv, s, place, work, base + joints, parts[TASK_VELOCITY])
     else:
-        facts[ERROR] = task_velocity(constants, rows, s, p0, p1, p2, parts[TASK_VELOCITY])
+        facts[ERROR] = task_velocity(constants, dofs + nv, s, place, parts[TASK_VELOCITY])
     # parts of rows: LLVM would vectorise loops over whole ones, which are too short for that
     A, X = work[MATRICES : MATRICES + s, :joints], work[MATRICES + s : MATRICES + 2 * s, :joints]
     squares = work[MATRICES + 2 * s : MATRICES + 3 * s]
@@ -82,17 +95,17 @@ def free_step(constants, q, dt, previous, parts, work):
     volume, smallest = row_inverse(A, X, G, L)
     facts[MU], facts[SMALLEST], facts[HAS_ESCAPE] = volume, smallest, 0.0
     facts[TASK_SCALE] = facts[NULL_SCALE] = facts[PROGRESS] = 1.0
-    facts[OUTSIDE], facts[LIMITING_JOINT] = 0.0, -1.0
+    facts[OUTSIDE], facts[LIMITING_JOINT], facts[RANK] = 0.0, -1.0, s
     damps = int(constants[0, INVERSE]) == DAMPED
     if volume == 0.0 or (damps and not posed and smallest < constants[0, THRESHOLD]):
         return ILL_CONDITIONED
-    policy_velocity(constants, dofs, nv, joints, s, q, dt, volume, X, work, base)
+    policy_velocity(constants, q, dt, volume, X, work)
     if posed:  # the policy is that of A; those of the error take its place
-        chain_rows(work, base + joints + 1, s, joints, work, base)
+        chain_rows(work, base + joints + 1, s, joints, work)
         volume, facts[SMALLEST] = row_inverse(A, X, G, L)
         if volume == 0.0 or (damps and facts[SMALLEST] < constants[0, THRESHOLD]):
             return ILL_POSED
-    size = regular_parts(constants, joints, nv, s, A, X, L, work[PI], parts)
+    size = regular_parts(constants, A, X, L, work[PI], parts)
     square, weakest = 0.0, math.inf
     for j in range(nv):
         square += parts[VELOCITY, j] * parts[VELOCITY, j]
@@ -105,9 +118,9 @@ def free_step(constants, q, dt, previous, parts, work):
         # |grad sigma| is about as large as A itself: slow enough to stop at a singularity
         rate = min(APPROACH_RATE, 0.5 / dt) * smallest
         if square * size >= min(2.0 * BRAKING_SHARE * weakest * math.sqrt(size) * smallest, rate * rate):
-            if s > 2 or _approaches(constants, s, joints, A, X, smallest, weakest, rate, parts, work, base):
+            if s > 2 or _approaches(constants, A, X, weakest, rate, parts, work):
                 return LIMITED
-    return OK if admitted(constants, dofs, nv, q, dt, parts[VELOCITY], previous) else LIMITED
+    return OK if admitted(constants, q, dt, parts[VELOCITY], previous) else LIMITED
 
 
 @compiled_inside
@@ -115,23 +128,11 @@ def scratch(joints, nv, s):
     """The work space of a step: numbers, A, its inverse, two squares, the joints, the chain's end, a pose's error, and
     the weights of (v, w).
     """
-    return np.empty((mix_at(s, joints, MATRICES + 3 * s) + s + 1, max(LEAST_WIDTH, nv, 2 * s)))
+    return np.empty((mix_at(s, joints) + s + 1, max(LEAST_WIDTH, nv, 2 * s)))
 
 
 @compiled_inside
-def chain_rows(weights, rows, s, joints, work, base):
-    """Weights times the Jacobian in columns of the chain, into the rows of `work` from MATRICES on."""
-    for i in range(s):
-        for j in range(joints):
-            # the joint that moves column j, as many as there are from the base
-            total = 0.0
-            for k in range(6):
-                total += weights[rows + i, k] * work[base + j, k]
-            work[MATRICES + i, j] = total
-
-
-@compiled_inside
-def task_velocity(constants, rows, s, p0, p1, p2, b):
+def task_velocity(constants, first, s, p, b):
     """Write the task velocity b = gain Lambda (r* - r(q)), norm at most max_speed; return the error, 0 of a given b."""
     if constants[0, TASK] == GIVEN:
         return 0.0
@@ -140,22 +141,23 @@ def task_velocity(constants, rows, s, p0, p1, p2, b):
             b[i] = 0.0
         return 0.0
     at = CHAIN + 1
-    d0, d1 = constants[at, TARGET_POINT] - p0, constants[at, TARGET_POINT + 1] - p1
-    d2 = constants[at, TARGET_POINT + 2] - p2
+    d0, d1 = constants[at, TARGET_POINT] - p[0], constants[at, TARGET_POINT + 1] - p[1]
+    d2 = constants[at, TARGET_POINT + 2] - p[2]
     for i in range(s):
-        b[i] = constants[rows + i, 0] * d0 + constants[rows + i, 1] * d1 + constants[rows + i, 2] * d2
+        b[i] = constants[first + i, 0] * d0 + constants[first + i, 1] * d1 + constants[first + i, 2] * d2
     return attracted(constants, s, b)
 
 
 @compiled_inside
-def _approaches(constants, s, joints, A, X, smallest, weakest, rate, parts, work, base):
+def _approaches(constants, A, X, weakest, rate, parts, work):
     """Whether a singularity is approached faster than the weakest joint could brake before it, for one or two rows.
 
     `singularity.approach_bound` allows no less. X is scratch.
     """
+    (s, joints), smallest = A.shape, work[FACTS, SMALLEST]
     smallest_weights(A, smallest, X)
-    chain_vjp(constants, s, joints, X, work, base)
-    approach = square = 0.0
+    chain_vjp(constants, X, work)
+    base, approach, square = joints_at(s), 0.0, 0.0
     for j in range(joints):
         column, place = places(constants, j)
         slope = work[base + place, GRADIENT]
@@ -166,8 +168,9 @@ def _approaches(constants, s, joints, A, X, smallest, weakest, rate, parts, work
 
 
 @compiled_inside
-def regular_parts(constants, joints, nv, s, A, X, scratch, pi, parts):
+def regular_parts(constants, A, X, scratch, pi, parts):
     """A^+ b and N pi from X = A^{+T}, and their sum; returns the sum of the squares of A."""
+    s, joints = A.shape
     along, size = scratch[0], 0.0
     for i in range(s):
         along[i] = 0.0
@@ -176,7 +179,7 @@ def regular_parts(constants, joints, nv, s, A, X, scratch, pi, parts):
         for i in range(s):
             along[i] += A[i, place] * pi[column]
             size += A[i, place] * A[i, place]
-    for j in range(nv):
+    for j in range(parts.shape[1]):
         parts[TASK_PART, j], parts[NULL_PART, j], parts[VELOCITY, j] = 0.0, pi[j], pi[j]
     for j in range(joints):
         column, place = places(constants, j)
@@ -186,3 +189,112 @@ def regular_parts(constants, joints, nv, s, A, X, scratch, pi, parts):
             null -= along[i] * X[i, place]
         parts[TASK_PART, column], parts[NULL_PART, column], parts[VELOCITY, column] = task, null, task + null
     return size
+
+
+@compiled_inside
+def pose_velocity(constants, first, s, place, work, at, b):
+    """Write b = gain Lambda e, norm at most max_speed, and return |Lambda e|.
+
+    The s rows of Lambda's table begin at row `first`. As many rows of scratch behind row `at`, which holds the end of
+    the chain (`columns_of`), take Lambda M, with d/dt e = -M (v, w), for the rows E = Lambda M J of the error; the next
+    one is scratch.
+    """
+    own_axes = constants[CHAIN + 1, LOCAL] != 0.0
+    e0, e1, e2 = place_error(constants, own_axes, place, work[at])
+    r0, r1, r2 = turn_error(constants, own_axes, work[at], work[at + 1 + s])
+    sign = 1.0 if own_axes else -1.0
+    for i in range(s):
+        x, y, z, u, v, w = six(constants, first + i, 0)
+        b[i] = x * e0 + y * e1 + z * e2 + u * r0 + v * r1 + w * r2
+        u, v, w = turned_row(u, v, w, sign * r0, sign * r1, sign * r2)
+        if own_axes:  # the frame turns under the displacement: less Lambda_lin [e_lin]x
+            u, v, w = u + e1 * z - e2 * y, v + e2 * x - e0 * z, w + e0 * y - e1 * x
+        row = work[at + 1 + i]
+        row[0], row[1], row[2], row[3], row[4], row[5] = x, y, z, u, v, w
+    return attracted(constants, s, b)
+
+
+@compiled_inside
+def attracted(constants, s, b):
+    """Scale a displacement to the task's velocity, norm at most max_speed; return its own norm."""
+    error = 0.0
+    for i in range(s):
+        error += b[i] * b[i]
+    error = math.sqrt(error)
+    gain, fastest = constants[0, GAIN], constants[0, MAX_SPEED]
+    if gain * error > fastest:
+        gain *= fastest / (gain * error)
+    for i in range(s):
+        b[i] *= gain
+    return error
+
+
+@compiled_inside
+def place_error(constants, own_axes, p, end):
+    """p* - p, along the axes of the base or of the frame, from which the chain is walked then."""
+    k = CHAIN + 1
+    t0, t1, t2 = constants[k, TARGET_POINT], constants[k, TARGET_POINT + 1], constants[k, TARGET_POINT + 2]
+    if not own_axes:
+        return t0 - p[0], t1 - p[1], t2 - p[2]
+    return (
+        end[END_ORIGIN] + end[0] * t0 + end[1] * t1 + end[2] * t2,
+        end[END_ORIGIN + 1] + end[3] * t0 + end[4] * t1 + end[5] * t2,
+        end[END_ORIGIN + 2] + end[6] * t0 + end[7] * t1 + end[8] * t2,
+    )
+
+
+@compiled_inside
+def turn_error(constants, own_axes, end, product):
+    """log(R* R^T) = log(G X^T), or log(R^T R*) = log(X G), from the rotation X at the end of the chain."""
+    goal = constants[1]
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for k in range(3):
+                if own_axes:
+                    total += end[3 * i + k] * goal[GOAL + 3 * k + j]
+                else:
+                    total += goal[GOAL + 3 * i + k] * end[3 * j + k]
+            product[3 * i + j] = total
+    return rotation_vector(product)
+
+
+@compiled_inside
+def rotation_vector(R):
+    """`rotations.rotation_vector` of a matrix whose rows follow each other."""
+    a, b, c, d, e, f, g, h, i = R[0], R[1], R[2], R[3], R[4], R[5], R[6], R[7], R[8]
+    # the quaternion by its largest part, so that nothing is divided by something small
+    trace, p, q, r = a + e + i, a - e - i, e - a - i, i - a - e
+    if trace >= p and trace >= q and trace >= r:
+        w, x, y, z = 1.0 + trace, h - f, c - g, d - b
+    elif p >= q and p >= r:
+        w, x, y, z = h - f, 1.0 + p, b + d, c + g
+    elif q >= r:
+        w, x, y, z = c - g, b + d, 1.0 + q, f + h
+    else:
+        w, x, y, z = d - b, c + g, f + h, 1.0 + r
+    length = math.sqrt(x * x + y * y + z * z)
+    if length == 0.0:
+        return 0.0, 0.0, 0.0
+    scale = 2.0 * math.atan2(length, abs(w)) / length
+    if w < 0.0:
+        scale = -scale
+    return scale * x, scale * y, scale * z
+
+
+@compiled_inside
+def turned_row(a, b, c, x, y, z):
+    """The row (a, b, c) times the inverse of the left Jacobian of (x, y, z), `rotations.left_jacobian_inverse`."""
+    square = x * x + y * y + z * z
+    angle = math.sqrt(square)
+    if angle < SMALL_ANGLE:
+        second = 1.0 / 12.0 + square / 720.0 * (1.0 + square / 42.0 * (1.0 + square / 40.0))
+    else:
+        half = 0.5 * angle
+        second = (1.0 - half * math.cos(half) / math.sin(half)) / square
+    rest, along = 1.0 - second * square, second * (a * x + b * y + c * z)
+    return (
+        rest * a + along * x - 0.5 * (b * z - c * y),
+        rest * b + along * y - 0.5 * (c * x - a * z),
+        rest * c + along * z - 0.5 * (a * y - b * x),
+    )

@@ -1,4 +1,7 @@
-"""The law and the way out near a singularity, as loops over plain numbers; see `singularity` and `controller`."""
+"""The law near a singularity, the way out of it and the bound on its approach, as loops over plain numbers.
+
+See `singularity` and `ResolvedRateLaw`.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,51 @@ import math
 import numpy as np
 
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
-from manip_learn.control.compiled.constrained_rows import vjp
-from manip_learn.control.compiled.decomposition import leading
-from manip_learn.control.compiled.step_table import ACCELERATION, DAMPED, EXACT, INVERSE, THRESHOLD
+from manip_learn.control.compiled.constrained_rows import (
+    chain_rows,
+    complete,
+    decompose,
+    dofs_of,
+    joints_at,
+    norm,
+    public_rows,
+    rank_of,
+    truncation,
+    vjp,
+)
+from manip_learn.control.compiled.limits import approach_rate, turn_to_freer_sense
+from manip_learn.control.compiled.null_policy import ascent_near_singularity, rest_velocity
+from manip_learn.control.compiled.step_table import (
+    ACCELERATION,
+    ASCENT,
+    DAMPED,
+    DAMPING,
+    ESCAPE_PART,
+    ESCAPE_WIDTH,
+    ESCAPES,
+    EXACT,
+    FACTS,
+    HAS_ESCAPE,
+    INVERSE,
+    LIMITS,
+    LOG_ASCENT,
+    LONGEST,
+    MU,
+    N_JOINTS,
+    NULL_PART,
+    NV,
+    PI,
+    POLICY,
+    POSE,
+    RANK,
+    SLOPE,
+    SMALLEST,
+    TASK,
+    TASK_PART,
+    TASK_VELOCITY,
+    THRESHOLD,
+    VELOCITY,
+)
 from manip_learn.control.singularity import (
     APPROACH_RATE,
     BRAKING_SHARE,
@@ -17,6 +62,7 @@ from manip_learn.control.singularity import (
     ESCAPE_SPEED,
     FULLY_PRESSING,
     GROWTH,
+    NOTHING,
     SEED_SHARE,
     SEED_SPEED,
     STABLE_SLOPE,
@@ -25,24 +71,140 @@ from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 
 @compiled_inside
-def truncation(sigma, size):
-    """Matlab's tolerance, `linalg.matlab_tolerance`, for the larger side of a matrix."""
-    _, exponent = math.frexp(sigma[0])
-    return size * math.ldexp(1.0, exponent - 53)
+def singular_parts(step, rows, slope):
+    """Write the law near a singularity, `ResolvedRateLaw._near_singularity`, and the rank; False: Python's.
+
+    The gradient of the smallest singular value goes into `slope` where it is needed.
+    """
+    constants, parts, facts, sigma, Vt = step.constants, step.parts, step.work[FACTS], rows.sigma, rows.Vt
+    (s, nv), Ut, weights, width = rows.A.shape, rows.Ut, rows.weights, constants[1, ESCAPE_WIDTH]
+    along, climb, row, pi = np.empty(s), np.empty(nv), np.empty(nv), step.work[PI, :nv]
+    decompose(rows.A, s, Ut, sigma, Vt)
+    singular, posed = sigma[s - 1] <= SINGULAR_RATIO * sigma[0], constants[0, TASK] == POSE
+    facts[RANK] = rank_of(sigma, truncation(sigma, nv))
+    if singular:
+        if int(constants[0, INVERSE]) == EXACT:
+            return False
+        complete(Vt, rank_of(sigma, 0.0))
+    facts[SMALLEST] = sigma[s - 1]
+    for i in range(s):
+        along[i] = 0.0
+        for k in range(s):
+            along[i] += Ut[i, k] * parts[TASK_VELOCITY, k]
+    if not posed:  # mu and the policy are those of A, and known
+        facts[MU] = _volume(sigma)
+        if not _policy(constants, step.q, step.dt, rows, step.work, climb):
+            return False
+    task_part(constants, sigma, along, constants[1, DAMPING], Vt, parts[TASK_PART])
+    pressed = 0.0
+    if int(constants[0, INVERSE]) == DAMPED and constants[0, LIMITS] != 0.0 and not singular:
+        pressed = stable_damping(constants, rows, along, step.dt, row, step.work)
+    if pressed <= constants[1, DAMPING]:
+        pressed = 0.0
+    escapes = not posed and constants[1, ESCAPES] != 0.0
+    if pressed > 0.0 or (not singular and escapes and sigma[s - 1] < width):
+        outer_product(Ut[s - 1], Vt[s - 1], weights)
+        vjp(constants, weights, step.work, slope)
+    if pressed > 0.0:
+        damping = pressed_damping(constants[1, DAMPING], pressed, slope, norm(slope), parts[TASK_PART])
+        task_part(constants, sigma, along, damping, Vt, parts[TASK_PART])
+    _null_part(Vt, int(facts[RANK]), pi, parts[NULL_PART])
+    if escapes:  # `singularity.with_seed`
+        speed, seed = norm(parts[NULL_PART]), seed_speed(sigma[s - 1], width)
+        if NOTHING * norm(pi) < speed < seed:
+            for j in range(nv):
+                parts[NULL_PART, j] *= seed / speed
+    for j in range(nv):
+        parts[VELOCITY, j] = parts[TASK_PART, j] + parts[NULL_PART, j]
+    if escapes:
+        facts[HAS_ESCAPE] = 1.0
+        if singular:  # the policy has taken the steepest ascent already
+            _leave(constants, step.q, sigma, pi, parts)
+        else:
+            escape_velocity(sigma, Vt, step.dt, width, climb, norm(slope), parts[ESCAPE_PART])
+        for j in range(nv):
+            parts[VELOCITY, j] = parts[TASK_PART, j] + parts[NULL_PART, j] + parts[ESCAPE_PART, j]
+    return _finite(parts)
 
 
 @compiled_inside
-def rank_of(sigma, least):
-    """Number of singular values above `least`."""
-    rank = 0
+def _leave(constants, q, sigma, pi, parts):
+    """Write the velocity out of a singularity, along pi; N pi turns with it where a joint limit is in the way."""
+    nv, escape, along = q.shape[0], parts[ESCAPE_PART], 0.0
+    seed = seed_speed(sigma[sigma.shape[0] - 1], constants[1, ESCAPE_WIDTH]) / min(constants[0, LONGEST], SEED_SPEED)
+    for j in range(nv):
+        escape[j] = seed * pi[j]
+    if constants[0, LIMITS] != 0.0:
+        # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
+        turn_to_freer_sense(constants, q, escape)
+    for j in range(nv):
+        along += escape[j] * pi[j]
+    for j in range(nv if along < 0.0 else 0):
+        parts[NULL_PART, j] = -parts[NULL_PART, j]
+
+
+@compiled_inside
+def posed_policy(constants, q, dt, rows, work):
+    """The policy of an ill-conditioned A beside a pose's error, `ResolvedRateLaw._of_error_rows`, then the error's rows
+    in the place of A; False: Python's.
+    """
+    s, nv = rows.A.shape
+    joints, sigma = int(constants[0, N_JOINTS]), rows.sigma
+    decompose(rows.A, s, rows.Ut, sigma, rows.Vt)
+    if sigma[s - 1] <= SINGULAR_RATIO * sigma[0]:
+        complete(rows.Vt, rank_of(sigma, 0.0))
+    work[FACTS, MU] = _volume(sigma)
+    if not _policy(constants, q, dt, rows, work, np.empty(nv)):
+        return False
+    chain_rows(work, joints_at(s) + joints + 1, s, joints, work)
+    public_rows(constants, work, rows.A)
+    return True
+
+
+@compiled_inside
+def _policy(constants, q, dt, rows, work, climb):
+    """The null-space policy's velocity, and grad log mu of an ascent into `climb`; False: Python's."""
+    policy = int(constants[0, POLICY])
+    if policy == ASCENT or policy == LOG_ASCENT:
+        return ascent_near_singularity(constants, rows, dt, work, climb)
+    rest_velocity(constants, q, work[PI])
+    return True
+
+
+@compiled_inside
+def _volume(sigma):
+    """Product of the singular values."""
+    volume = 1.0
     for i in range(sigma.shape[0]):
-        rank += 1 if sigma[i] > least else 0
-    return rank
+        volume *= sigma[i]
+    return volume
+
+
+@compiled_inside
+def _null_part(Vt, rank, pi, null):
+    """N pi, pi less its parts along the rows of A."""
+    nv = Vt.shape[1]
+    for j in range(nv):
+        null[j] = pi[j]
+    for i in range(rank):
+        along = 0.0
+        for j in range(nv):
+            along += Vt[i, j] * null[j]
+        for j in range(nv):
+            null[j] -= along * Vt[i, j]
+
+
+@compiled_inside
+def _finite(parts):
+    total = 0.0
+    for j in range(parts.shape[1]):
+        total += parts[VELOCITY, j]
+    return math.isfinite(total)
 
 
 @compiled_inside
 def task_part(constants, sigma, along, damping, Vt, task):
-    """V diag(g) U^T b, where g is 1 / sigma in the controller's sense (`linalg.inverse_singular_values`)."""
+    """A^+ b = V diag(g) U^T b, where g is 1 / sigma in the controller's sense (`linalg.inverse_singular_values`)."""
     inverse, threshold = int(constants[0, INVERSE]), constants[0, THRESHOLD]
     least = math.ldexp(1.0, -1022) if inverse == EXACT else truncation(sigma, Vt.shape[1])
     for j in range(Vt.shape[1]):
@@ -91,20 +253,12 @@ def smallest_weights(A, smallest, weights):
 
 
 @compiled_inside
-def norm(x):
-    """Euclidean norm."""
-    square = 0.0
-    for k in range(x.shape[0]):
-        square += x[k] * x[k]
-    return math.sqrt(square)
-
-
-@compiled_inside
-def stable_damping(constants, s, joints, Ut, sigma, along, dt, weights, row, work, base):
-    """`singularity.stable_damping`; `weights` (s, nv) and `row` (nv,) are scratch."""
-    nv, pressing, square = row.shape[0], False, 0.0
+def stable_damping(constants, rows, along, dt, row, work):
+    """`singularity.stable_damping`; `row` (nv,) is scratch."""
+    Ut, sigma, weights = rows.Ut, rows.sigma, rows.weights
+    (s, nv), threshold, pressing, square = weights.shape, constants[0, THRESHOLD], False, 0.0
     for i in range(s):
-        pressing = pressing or (sigma[i] < constants[0, THRESHOLD] and along[i] != 0.0)
+        pressing = pressing or (sigma[i] < threshold and along[i] != 0.0)
     if not pressing:
         return 0.0
     for j in range(nv):
@@ -112,9 +266,9 @@ def stable_damping(constants, s, joints, Ut, sigma, along, dt, weights, row, wor
             for k in range(nv):
                 weights[r, k] = 0.0
             for i in range(s):
-                if sigma[i] < constants[0, THRESHOLD]:
+                if sigma[i] < threshold:
                     weights[r, j] += along[i] * Ut[i, r]
-        vjp(constants, s, joints, weights, work, base, row)
+        vjp(constants, weights, work, row)
         for k in range(nv):
             square += row[k] * row[k]
     return math.sqrt(dt * math.sqrt(square) / (2.0 * STABLE_SLOPE))
@@ -132,23 +286,12 @@ def pressed_damping(damping, stable, slope, length, task):
 
 
 @compiled_inside
-def approach_bound(constants, dofs, smallest, slope, length, dt):
-    """`singularity.approach_bound`, `length` the norm of the slope."""
+def approach_bound(constants, smallest, slope, dt):
+    """`singularity.approach_bound`."""
+    length = norm(slope)
     if length == 0.0:
         return math.inf
-    return length * CROSSING_SPEED + approach_rate(constants, dofs, smallest, slope, length, dt)
-
-
-@compiled_inside
-def approach_rate(constants, dofs, distance, slope, length, dt):
-    """`singularity.approach_rate`, `length` the norm of the slope."""
-    rate, usable = min(APPROACH_RATE, 0.5 / dt), math.inf
-    if length == 0.0:
-        return rate * distance
-    for j in range(slope.shape[0]):
-        usable = min(usable, constants[dofs + j, ACCELERATION] / max(abs(slope[j]), 1e-12 * length))
-    deceleration = BRAKING_SHARE * length * length * usable
-    return min(rate * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
+    return length * CROSSING_SPEED + approach_rate(constants, smallest, slope, length, dt)
 
 
 @compiled_inside
@@ -196,59 +339,50 @@ def escape_velocity(sigma, Vt, dt, width, climb, steepness, escape):
 
 
 @compiled_inside
-def outer_sum(Ut, factors, Vt, s, weights):
-    """weights = sum_i factors_i u_i v_i^T."""
-    for r in range(s):
-        for j in range(Vt.shape[1]):
-            total = 0.0
-            for i in range(s):
-                total += factors[i] * Ut[i, r] * Vt[i, j]
-            weights[r, j] = total
+def is_singular(sigma):
+    """Whether a direction is lost; False where sigma[0] is negative: A is well-conditioned, and not decomposed yet."""
+    return 0.0 <= sigma[0] and sigma[sigma.shape[0] - 1] <= SINGULAR_RATIO * sigma[0]
 
 
 @compiled_inside
-def lost_rates(constants, s, joints, Ut, first, Vt, null, weights, work, base, M):
-    """M, the rates of u_i^T A v_k, i from `first` on and k from `null` on, one pair a row (`steepest_ascent`)."""
-    nv, row = Vt.shape[1], 0
-    for i in range(first, s):
-        for k in range(null, nv):
-            for r in range(s):
-                for j in range(nv):
-                    weights[r, j] = Ut[i, r] * Vt[k, j]
-            vjp(constants, s, joints, weights, work, base, M[row])
-            row += 1
+def may_approach(constants, A, sigma, smallest, dt, u):
+    """Whether the velocity u may be too fast for a singularity of A, so that a closer look is due, by `barrier`."""
+    if int(constants[0, INVERSE]) != DAMPED or is_singular(sigma):
+        return False
+    size, square, weakest, dofs = 0.0, 0.0, math.inf, dofs_of(constants)
+    for j in range(A.shape[1]):
+        square += u[j] * u[j]
+        weakest = min(weakest, constants[dofs + j, ACCELERATION])
+        for i in range(A.shape[0]):
+            size += A[i, j] * A[i, j]
+    # |grad sigma| is about as large as A itself
+    rate = min(APPROACH_RATE, 0.5 / dt) * smallest
+    return square * size >= min(2.0 * BRAKING_SHARE * weakest * math.sqrt(size) * smallest, rate * rate)
 
 
 @compiled_inside
-def steepest_ascent(constants, s, joints, Ut, sigma, Vt, weights, work, base, direction):
-    """`singularity.steepest_ascent` into `direction`: how the lost singular values grow fastest."""
-    nv, rank = Vt.shape[1], rank_of(sigma, SINGULAR_RATIO * sigma[0])
-    k = nv - rank
-    M, inside, along = np.empty(((s - rank) * k, nv)), np.empty(((s - rank) * k, k)), np.empty(k)
-    lost_rates(constants, s, joints, Ut, rank, Vt, rank, weights, work, base, M)
-    square = 0.0
-    for i in range(M.shape[0]):
-        for c in range(k):
-            total = 0.0
-            for j in range(nv):
-                total += M[i, j] * Vt[rank + c, j]
-            inside[i, c] = total
-        for j in range(nv):
-            square += M[i, j] * M[i, j]
-            direction[j] = 0.0
-    if square == 0.0:
-        return
-    # the largest rate of all is at most the root of `square`, and seldom less than half of it
-    if leading(inside, along) > 1e-6 * math.sqrt(square):
-        for c in range(k):
-            for j in range(nv):
-                direction[j] += along[c] * Vt[rank + c, j]
-    else:
-        leading(M, direction)
-    largest = 0
-    for j in range(nv):
-        if abs(direction[j]) > abs(direction[largest]):
-            largest = j
-    if direction[largest] < 0.0:
-        for j in range(nv):
-            direction[j] = -direction[j]
+def barrier(constants, rows, dt, space, work):
+    """`ResolvedRateLaw.approach`: whether the approach is to be bounded; gradient and bound go into the space.
+
+    The gradient that is there already, in row SLOPE, is not computed again; its first entry is NaN where it is unknown.
+    """
+    s, nv = rows.A.shape
+    gradient, smallest = space[SLOPE, :nv], work[FACTS, SMALLEST]
+    if math.isnan(gradient[0]):
+        if rows.sigma[0] < 0.0 and s <= 2:
+            smallest_weights(rows.A, smallest, rows.weights)
+        else:
+            if rows.sigma[0] < 0.0:
+                decompose(rows.A, s, rows.Ut, rows.sigma, rows.Vt)
+            outer_product(rows.Ut[s - 1], rows.Vt[s - 1], rows.weights)
+        vjp(constants, rows.weights, work, gradient)
+    return bounded_approach(constants, smallest, dt, space)
+
+
+@compiled_inside
+def bounded_approach(constants, smallest, dt, space):
+    """Write the bound for the gradient in row SLOPE of the space, `approach_bound`; False if there is none."""
+    nv = int(constants[0, NV])
+    bound = approach_bound(constants, smallest, space[SLOPE, :nv], dt)
+    space[SLOPE, nv] = -bound
+    return bound < math.inf

@@ -9,11 +9,11 @@ from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.pose_error import goal_rotation
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity, compiled_form
 from manip_learn.control.compiled import step_table as table
-from manip_learn.control.compiled.limits_table import packed_limits, tips_are_compiled, with_tips
+from manip_learn.control.compiled_limits import packed_limits, tips_are_compiled, with_tips
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.resolved_rate_law import ESCAPE_WIDTH
-from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor
+from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Track
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.rotations import rotation_matrix
 
@@ -45,6 +45,8 @@ def why_not(controller: ResolvedRateController) -> str | None:
         known = _is_packed(features, constraint.n_constraints, task.target)
     if type(task) is FreeDirection:
         known = task.along_rows
+    if type(task) is Track:  # elsewhere the rows of the error are others than those held
+        known = isinstance(features, FrameJacobian) and features.only_linear
     if not known:
         reference = getattr(features, "reference", type(features).__name__)
         return f"the task is {task!r} with rows {' '.join(features.row_names)} ({reference})"
@@ -73,7 +75,7 @@ def packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
         header[0, table.GAIN] = task.gain
         header[0, table.MAX_SPEED] = np.inf if task.max_speed is None else task.max_speed
         _pack_target(features, constraint.selection, task.target, header, chain)
-    elif isinstance(task, FreeDirection):
+    elif isinstance(task, FreeDirection | Track):
         header[0, table.TASK] = table.GIVEN
     _pack_policy(controller, header, dofs)
     return with_tips(np.concatenate([header, chain, dofs, rows]), controller.limits)
@@ -92,7 +94,7 @@ def _is_packed(features: FrameJacobian, n_constraints: int, target: np.ndarray) 
 def _pack_target(
     features: FrameJacobian, selection: np.ndarray, target: np.ndarray, header: np.ndarray, chain: np.ndarray
 ) -> None:
-    """Place and rotation of the target as `pose_target` takes them, in the frame in which the chain is walked.
+    """Place and rotation of the target as `free_step` takes them, in the frame in which the chain is walked.
 
     What a target of numbers leaves open is taken as 0: no row of Lambda sees it.
     """
