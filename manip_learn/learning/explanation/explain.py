@@ -269,7 +269,9 @@ def _fitted(
     """Each fitted to the samples that it explains, in turns with its scale; the best of its turns."""
     best = _scaled(views, starts, baseline, switch)
     going = list(range(len(best)))
-    for _ in range(TURNS if best else 0):
+    for _ in range(TURNS):
+        if not going:
+            break
         now = [best[i] for i in going]
         values = np.empty((len(baseline), len(now)))
         for (view, s, scale), numbers in _grouped((h.view, h.n_rows, h.scale) for h in now):
@@ -280,8 +282,6 @@ def _fitted(
         better = {i: h for i, h in again if h.gains.sum() > best[i].gains.sum()}
         best = [better.get(i, h) for i, h in enumerate(best)]
         going = list(better)
-        if not going:
-            break
     return best
 
 
