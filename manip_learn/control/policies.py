@@ -283,7 +283,10 @@ class ManipulabilityAscent(SampledPolicy):
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
-        A, vjp = self.constraint.value_and_vjp(q)
+        return self.from_rows(*self.constraint.value_and_vjp(q), dt)
+
+    def from_rows(self, A: Float[np.ndarray, "s nv"], vjp: Vjp, dt: float) -> Float[np.ndarray, " nv"]:
+        """The same for rows A at a posture and their derivative."""
         inverse = row_inverse(A)
         if inverse is not None:
             return self.from_inverse(*inverse, vjp, dt)
@@ -374,11 +377,7 @@ class PenalisedManipulabilityAscent(SampledPolicy):
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
-        A, vjp = penalised_value_and_vjp(self.constraint, q)
-        inverse = row_inverse(A)
-        if inverse is not None:
-            return self._ascent.from_inverse(*inverse, vjp, dt)
-        return self._ascent.from_decomposition(A.shape, svd(A), vjp, dt)
+        return self._ascent.from_rows(*penalised_value_and_vjp(self.constraint, q), dt)
 
     def __repr__(self) -> str:
         return f"PenalisedManipulabilityAscent(gain={self.gain:g})"

@@ -167,9 +167,9 @@ def _elsewhere(
 ) -> tuple[str, ...]:
     """A warning if rows in the other reference, which was not asked for, explain all recordings better."""
     tried = {f.reference for f in feature_maps if isinstance(f, FrameJacobian)}
-    firm = [h.scale.share <= FIRM_SHARE for h in explanation.hypotheses]
-    held = [bool(np.all(explanation.states == k + 1)) for k in range(len(firm))]
-    if len(tried) != 1 or any(f and h for f, h in zip(firm, held, strict=True)):
+    states = explanation.states
+    firm = (h.scale.share <= FIRM_SHARE and np.all(states == k) for k, h in enumerate(explanation.hypotheses, start=1))
+    if len(tried) != 1 or any(firm):
         return ()
     other: Reference = "local" if "world" in tried else "world"
     maps = [
