@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from manip_learn.control.following import following_error_limit
     from manip_learn.control.limits import Limits
     from manip_learn.control.paths.optimise_path import optimise_path
+    from manip_learn.control.planning.grasp import GraspCone
+    from manip_learn.control.planning.plan import Plan, plan
     from manip_learn.control.policies import (
         JointAttractor,
         JointLimitAvoidance,
@@ -54,7 +56,7 @@ if TYPE_CHECKING:
     from manip_learn.control.simulation import simulate
     from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, Track, motion
     from manip_learn.control.warm_up import warm_up
-    from manip_learn.errors import ManipLearnError
+    from manip_learn.errors import ManipLearnError, NoPlanError
     from manip_learn.learning import ConstraintLearner
     from manip_learn.learning.audit import audit_episodes
     from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_mechanism
@@ -96,6 +98,7 @@ _HOMES = {
     "FeatureMap": "constraint.features",
     "FrameJacobian": "constraint.features",
     "FreeDirection": "control.tasks",
+    "GraspCone": "control.planning.grasp",
     "Hold": "control.tasks",
     "JointAttractor": "control.policies",
     "LiveViewer": "playback",
@@ -111,7 +114,9 @@ _HOMES = {
     "find_mechanism": "learning.mechanisms.find_mechanism",
     "Limits": "control.limits",
     "ManipulabilityAscent": "control.policies",
+    "NoPlanError": "errors",
     "NullSpacePolicy": "control.policies",
+    "Plan": "control.planning.plan",
     "PointAttractor": "control.tasks",
     "RelativeFrameJacobian": "constraint.features",
     "ResolvedRateController": "control.controller",
@@ -134,6 +139,7 @@ _HOMES = {
     "manipulability_gradient": "constraint.manipulability",
     "motion": "control.tasks",
     "optimise_path": "control.paths.optimise_path",
+    "plan": "control.planning.plan",
     "replay": "playback",
     "resample": "recordings.preprocessing",
     "simulate": "control.simulation",
@@ -153,6 +159,7 @@ __all__ = [
     "FeatureMap",
     "FrameJacobian",
     "FreeDirection",
+    "GraspCone",
     "Hold",
     "JointAttractor",
     "JointLimitAvoidance",
@@ -163,8 +170,10 @@ __all__ = [
     "Mechanism",
     "MechanismFit",
     "MechanismRows",
+    "NoPlanError",
     "NullSpacePolicy",
     "PenalisedManipulabilityAscent",
+    "Plan",
     "PointAttractor",
     "RecordingSource",
     "RelativeFrameJacobian",
@@ -200,6 +209,7 @@ __all__ = [
     "optimise_path",
     "penalised_manipulability",
     "penalised_manipulability_gradient",
+    "plan",
     "replay",
     "resample",
     "run",

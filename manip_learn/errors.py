@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import SupportsInt, final
+from typing import Any, SupportsInt, final
 
 # what Python, NumPy and zipfile raise for files that are broken, cut short, or of another kind
 DAMAGE: tuple[type[Exception], ...] = (
@@ -307,6 +307,24 @@ class TargetError(ManipLearnError):
     """A task target or a joint target has the wrong size or is not finite."""
 
     code = "target"
+
+
+@final
+class NoPlanError(ManipLearnError):
+    """A way cannot be done from any posture that was tried.
+
+    Attributes:
+        largest: How much of the way can be done [m or rad]; 0 where the hand cannot even take hold.
+        posture: Joint positions from which that much is done; None where there are none.
+        stopped_by: What stops the arm there, in words.
+        helps: What would let the whole way be done, in sentences; empty where nothing that was tried does.
+    """
+
+    code = "no-plan"
+
+    def __init__(self, message: str, *, largest: float, posture: Any, stopped_by: str, helps: Iterable[str] = ()):
+        super().__init__(message)
+        self.largest, self.posture, self.stopped_by, self.helps = largest, posture, stopped_by, tuple(helps)
 
 
 class ExperimentError(ManipLearnError):

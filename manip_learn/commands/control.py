@@ -16,6 +16,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.limits import check_inside
 from manip_learn.control.policies import ASCENT_GAIN, JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
@@ -280,16 +281,5 @@ def _start(robot: Robot, constraint: Constraint, start: list[float] | None, move
         q0, whence = robot.checked_posture(shown[0]), "the first posture in which the task was shown"
     else:
         q0, whence = robot.neutral(), "the robot's neutral posture"
-    _check_start(robot, q0)
+    check_inside(robot, robot.positions(q0))
     return q0, whence
-
-
-def _check_start(robot: Robot, q0: np.ndarray) -> None:
-    positions = robot.positions(q0)
-    outside = (positions < robot.position_lower - 1e-9) | (positions > robot.position_upper + 1e-9)
-    if np.any(outside):
-        i = int(np.argmax(outside))
-        raise TargetError(
-            f"the start puts joint {robot.joint_names[i]!r} at {positions[i]:.4g}, outside its limits "
-            f"{robot.position_lower[i]:.4g} .. {robot.position_upper[i]:.4g} (are these degrees?)"
-        )

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE
 from manip_learn.control.tip_limits import TipLimits, walls_of
-from manip_learn.errors import ConfigurationError
+from manip_learn.errors import ConfigurationError, TargetError
 from manip_learn.robot.robot import Robot
 
 # share of the velocity limit at which a joint that starts outside its position limits returns
@@ -74,6 +74,21 @@ DEFAULT_ACCELERATION = 10.0
 ROOM_TO_LEAVE = 0.1
 # [rad or m] a joint is outside when it is more than this beyond a position limit
 OUTSIDE = 1e-9
+
+
+def check_inside(robot: Robot, positions: Float[np.ndarray, " nv"]) -> None:
+    """Refuse a start outside the position limits.
+
+    Raises:
+        TargetError: Names the first joint that is.
+    """
+    outside = (positions < robot.position_lower - OUTSIDE) | (positions > robot.position_upper + OUTSIDE)
+    if np.any(outside):
+        i = int(np.argmax(outside))
+        raise TargetError(
+            f"the start puts joint {robot.joint_names[i]!r} at {positions[i]:.4g}, outside its limits "
+            f"{robot.position_lower[i]:.4g} .. {robot.position_upper[i]:.4g} (are these degrees?)"
+        )
 
 
 POSITION, VELOCITY, ACCELERATION = range(3)

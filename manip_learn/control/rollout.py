@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
 
@@ -23,6 +23,9 @@ from manip_learn.recordings.writers.write_motion import write_motion
 from manip_learn.robot import html_card
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
+
+
+_CURVES = ("time", "q", "u", "manipulability", "task_error", "status", "following_error")
 
 
 @final
@@ -46,6 +49,7 @@ class Rollout:
             learnt from (`Constraint.from_dict` builds it); None if that is not known or cannot be written.
         following_error: shape (T,), largest distance between commanded and measured joint positions, as a `ServoLoop`'s
             commands give it [rad or m]; None if it is not known.
+        phases: Name, start and end [s] of the parts that follow each other, e.g. of a plan; empty where it is one.
 
     Example:
         >>> import manip_learn as ml
@@ -71,6 +75,7 @@ class Rollout:
     target: Float[np.ndarray, "..."] | None = None
     constraint: Mapping[str, Any] | None = None
     following_error: Float[np.ndarray, " T"] | None = None
+    phases: tuple[tuple[str, float, float], ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("time", "q", "u", "manipulability", "task_error", "target", "following_error"):
@@ -117,6 +122,26 @@ class Rollout:
         """The motion as a demonstration, so that it can be learnt from again."""
         return Trajectory(self.time, self.q, self.u, self.joint_names, name)
 
+    def until(self, end: float) -> Rollout:
+        """The samples up to a time [s]."""
+        n = int(np.searchsorted(self.time, end + 1e-9))
+        kept = {name: getattr(self, name)[:n] for name in _CURVES if getattr(self, name) is not None}
+        return replace(self, **kept)
+
+    def followed_by(self, other: Rollout, names: tuple[str, str]) -> Rollout:
+        """This motion and another one that begins where it ends, as one.
+
+        Args:
+            other: What follows, of the same robot.
+            names: What the two parts are called, e.g. in a replay.
+        """
+        shift = float(self.time[-1])
+        joined = {name: np.concatenate([getattr(self, name)[:-1], getattr(other, name)]) for name in _CURVES[1:5]}
+        time = np.concatenate([self.time[:-1], other.time + shift])
+        phases = ((names[0], 0.0, shift), (names[1], shift, float(time[-1])))
+        status = (*self.status[:-1], *other.status)
+        return replace(other, **joined, time=time, status=status, phases=phases, following_error=None)
+
     def violation(self, constraint: Constraint) -> Float[np.ndarray, " T"]:
         """|A(q) u| along the motion: how far it breaks a constraint with b = 0, in the rows' units per second."""
         return np.array([np.linalg.norm(constraint(q) @ u) for q, u in zip(self.q, self.u, strict=True)])
@@ -144,6 +169,7 @@ class Rollout:
             target=None if self.target is None else self.target.tolist(),
             constraint=self.constraint,
             follows=self.following_error is not None,
+            phases=[list(part) for part in self.phases],
         )
         words = tuple(str(word) for word in self.status)
         curves = self.manipulability, self.task_error
@@ -201,6 +227,7 @@ class Rollout:
             "target": None if header.target is None else np.array(header.target),
             "constraint": header.constraint,
             "following_error": motion.following_error,
+            "phases": tuple((name, float(start), float(end)) for name, start, end in header.phases or ()),
         }
         described = status, header.joint_names, motion.task_error, header.frame, header.robot
         return Rollout(*numbers, *described, **guided), notes

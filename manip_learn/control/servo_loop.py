@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import STATUSES, Command, Controller, Status
-from manip_learn.control.compiled_controller import CompiledController
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.following import STIFFNESS, FollowingError
 from manip_learn.control.limits import Bounds, bound_changes
@@ -21,8 +20,10 @@ from manip_learn.control.servo_settings import (
     aimed_at,
     constraint_of,
     exchanged,
+    forget,
     frame_of,
     is_number,
+    keeps_limits,
     limits_of,
     robot_of,
     task_of,
@@ -138,7 +139,7 @@ class ServoLoop:
         self.limits = limits_of(controller, self.robot, acceleration_limit, jerk_limit)
         self.controller = with_limits(controller, self.limits, compiled)
         self.acceleration_limit, self.jerk_limit = self.limits.acceleration, self.limits.jerk
-        self._keeps_limits = isinstance(self.controller, ResolvedRateController | CompiledController)
+        self._keeps_limits = keeps_limits(self.controller)
         frame = frame_of(controller)
         self._following = FollowingError(self.robot, following_error_limit, float(latency), self.dt, stiffness, frame)
         if not (correction_time is None or (is_number(correction_time) and 0.0 < correction_time < math.inf)):
@@ -189,9 +190,7 @@ class ServoLoop:
         self._stopping = False
         self._slide = 0.0
         self._last: Command | None = None
-        task = task_of(self.controller)
-        if task is not None:
-            task.reset()
+        forget(self.controller)
 
     def stop(self) -> None:
         """Brake and stand until `start` is called."""

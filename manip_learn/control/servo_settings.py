@@ -14,6 +14,7 @@ from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.control.command import Controller
 from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
 from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.law_sequence import LawSequence
 from manip_learn.control.limits import Limits
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.errors import ConfigurationError
@@ -33,8 +34,9 @@ def robot_of(controller: Controller, robot: Robot | None) -> Robot:
 
 
 def law_of(controller: Controller) -> ResolvedRateController | None:
-    """The law of a controller of the library, compiled or not; None for a controller of another kind."""
+    """The law of a controller of the library, compiled or not, that in force; None for a controller of another kind."""
     law = controller.controller if isinstance(controller, CompiledController) else controller
+    law = law.current if isinstance(law, LawSequence) else law
     return law if isinstance(law, ResolvedRateController) else None
 
 
@@ -51,7 +53,7 @@ def with_limits(controller: Controller, limits: Limits, compiled: bool | None = 
     """A controller of the loop's own, with its limits, compiled where that is asked for (`compiled_if_possible`)."""
     if isinstance(controller, CompiledController):
         return CompiledController(controller.controller.with_limits(limits))
-    own = controller.with_limits(limits) if isinstance(controller, ResolvedRateController) else controller
+    own = controller.with_limits(limits) if isinstance(controller, ResolvedRateController | LawSequence) else controller
     return compiled_if_possible(own, compiled)
 
 
@@ -61,9 +63,22 @@ def task_of(controller: Controller) -> Task | None:
     return None if law is None else law.task
 
 
+def keeps_limits(controller: Controller) -> bool:
+    """Whether a controller's commands are within the limits that it was given."""
+    return isinstance(controller, ResolvedRateController | CompiledController | LawSequence)
+
+
+def forget(controller: Controller) -> None:
+    """Make a controller forget what its tasks remember of the past."""
+    if isinstance(controller, LawSequence):
+        controller.reset()
+    elif (task := task_of(controller)) is not None:
+        task.reset()
+
+
 def constraint_of(controller: Controller) -> Constraint | None:
     """The constraint of a controller of the library, with the rows that its task drives; None for another kind."""
-    law = law_of(controller)
+    law = controller.way if isinstance(controller, LawSequence) else law_of(controller)
     return None if law is None else law.constraint
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
@@ -132,7 +132,7 @@ def simulate_way(
             break
         length = min(2.0 * length, LONGEST * nominal)
     if end is not None and duration is None:
-        cut = _until(rollout, end)
+        cut = rollout.until(end)
         rollout, places = cut, places[: len(places) - (len(rollout) - len(cut))]
     return rollout, _way_done(task, rollout, places, robot)
 
@@ -198,10 +198,3 @@ def _reason(task: FreeDirection, rollout: Rollout, robot: Robot) -> str:
     if {Status.SINGULAR, Status.DAMPED, Status.STALLED}.intersection(last):
         return f"{short}a singularity, or the end of the arm's reach"
     return f"{short}the time: still moving after {rollout.time[-1]:.4g} s"
-
-
-def _until(rollout: Rollout, end: float) -> Rollout:
-    """The samples up to a time [s]."""
-    n = int(np.searchsorted(rollout.time, end + 1e-9))
-    names = ("time", "q", "u", "manipulability", "status", "task_error")
-    return replace(rollout, **{name: getattr(rollout, name)[:n] for name in names})

@@ -39,6 +39,7 @@ class FileHeader:
         target: Where a rollout's task was to arrive, as nested lists, or None.
         constraint: What guided a rollout, as `Constraint.to_dict` writes it, or None.
         follows: Whether a rollout has the following error.
+        phases: Name, start and end [s] of the parts of a rollout, or None.
         schema: Version of the file format; 1 has no robot.
     """
 
@@ -50,6 +51,7 @@ class FileHeader:
     target: list | None = None
     constraint: Mapping[str, Any] | None = None
     follows: bool = False
+    phases: list | None = None
     schema: int = SCHEMA
 
     def to_json(self) -> str:
@@ -63,6 +65,7 @@ class FileHeader:
             "robot": None if self.robot is None else self.robot.to_dict(),
         }
         later = {"target": self.target, "constraint": self.constraint, "following_error": self.follows or None}
+        later["phases"] = self.phases or None
         return json.dumps(
             content | {name: value for name, value in later.items() if value is not None}, allow_nan=False
         )
@@ -94,8 +97,21 @@ class FileHeader:
             _target(content.get("target")),
             _object("constraint", content.get("constraint")),
             bool(content.get("following_error")),
+            _phases(content.get("phases")),
         )
 
+
+def _phases(value: object) -> list | None:
+    """Name, start and end of each part."""
+
+    def fits(part: object) -> bool:
+        if not (isinstance(part, list) and len(part) == 3 and isinstance(part[0], str)):
+            return False
+        return all(isinstance(t, int | float) and not isinstance(t, bool) and np.isfinite(t) for t in part[1:])
+
+    if value is not None and not (isinstance(value, list) and all(map(fits, value))):
+        raise ValueError(f"the phases must be a name, a start and an end each, they are {value!r:.60}")
+    return value
 
 def _target(value: object) -> list | None:
     array = None if value is None else np.array(value, dtype=np.float64)

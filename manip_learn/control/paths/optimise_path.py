@@ -75,20 +75,21 @@ def optimise_path(
         FeatureError: Joints whose positions do not add up (planar and floating bases).
     """
     _check(constraint, knots, duration, dt)
+    rows = task.rows(constraint)
     controller_of = law or (lambda policy: ResolvedRateController(constraint, task, policy, dt=dt))
     posture = _posture(constraint, q0)
     start = _positions(constraint, posture)
     rng = rng or np.random.default_rng(0)
     random = _random_postures(constraint, start, rng)
-    floor = FLOOR_RATIO * max(float(np.median(manipulability_batch(constraint, random).mu)), np.finfo(np.float64).tiny)
+    floor = FLOOR_RATIO * max(float(np.median(manipulability_batch(rows, random).mu)), np.finfo(np.float64).tiny)
 
     def run(policy: NullSpacePolicy) -> _Candidate:
         rollout = simulate(constraint.robot, controller_of(policy), posture, duration, dt)
-        return _Candidate(rollout, _score(constraint, rollout, floor))
+        return _Candidate(rollout, _score(rows, rollout, floor))
 
-    greedy = run(ManipulabilityAscent(constraint, gain))
+    greedy = run(ManipulabilityAscent(rows, gain))
     bounds = _bounds(constraint, start.shape[0], acceleration_limit)
-    problem = PathProblem(constraint, task, start, duration / knots, knots, bounds, floor)
+    problem = PathProblem(rows, task, start, duration / knots, knots, bounds, floor)
     pull = 4.0 / duration
     tried = [run(JointAttractor(goal, pull, constraint.robot)) for goal in random[:guesses]]
     best_guess = max([c for c in tried if _serves(c, greedy)], key=lambda c: c.score, default=None)

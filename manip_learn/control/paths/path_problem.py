@@ -266,7 +266,7 @@ class PathProblem:
 
 @final
 class PathPolicy(NullSpacePolicy):
-    """pi = dq*/dt + gain (q*(t) - q), with q*(t) a cubic spline through knots; at rest in q* behind the last one.
+    """pi = dq*/dt + gain (q*(t) - q), with q*(t) a cubic spline through knots; at rest before the first one and behind the last.
 
     Args:
         time: Times of the knots, rising [s].
@@ -291,11 +291,11 @@ class PathPolicy(NullSpacePolicy):
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
-        end = float(self.time[-1])
-        goal = self._spline(min(t, end))
+        first, end = float(self.time[0]), float(self.time[-1])
+        goal = self._spline(min(max(t, first), end))
         posture = np.asarray(q, dtype=np.float64)
         error = goal - posture if self._robot is None else self._robot.difference(posture, goal)
-        return self.gain * error + (self._rate(t) if t < end else 0.0)
+        return self.gain * error + (self._rate(t) if first <= t < end else 0.0)
 
     def __repr__(self) -> str:
         return f"PathPolicy({len(self.time)} knots over {self.time[-1] - self.time[0]:g} s, gain={self.gain:g})"

@@ -135,6 +135,12 @@ class ShownPlaces:
         lever = 1.0 if motion.unit == "m" else max(mechanism.radius or 0.0, GRIP)
         return ShownPlaces(motion, postures, lever, constraint.n_constraints)
 
+    @property
+    def span(self) -> float:
+        """How far apart along the motion the farthest two of the postures are [m or rad]."""
+        along = [self.motion.progress(self.motion.origin(self.postures[0]), p, 0.0) for p in self.postures]
+        return float(max(along) - min(along))
+
     def nearest(self, here: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
         """The origin from which the way begins: that of the hand where it is on the mechanism, else the nearest one.
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -12,6 +14,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.control.policies import ASCENT_GAIN, ManipulabilityAscent
 from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint, ShownPlaces, Unit, apart, between
 from manip_learn.control.tasks.mechanism_motion import MechanismMotion, place_about
 from manip_learn.control.tasks.point_attractor import Task
@@ -159,6 +162,48 @@ class FreeDirection(Task):
         far = self.hold(q)
         to_hold = 0.0 if far <= TAKEN else MotionProfile(far, APPROACH_SPEED, self._profile.ramp).duration + SETTLING
         return self.pause + self._profile.duration + to_hold
+
+    def table(
+        self, start: ArrayLike, period: float, fewest: int, most: int
+    ) -> tuple[Float[np.ndarray, " L"], Float[np.ndarray, " L"], list[np.ndarray]]:
+        """The way as it is meant to go, from where the hand takes hold: times [s], distances [m or rad] and goals.
+
+        Args:
+            start: Posture before the motion.
+            period: Between two entries [s], where `fewest` and `most` leave it.
+            fewest: Number of entries at least.
+            most: And at most.
+        """
+        origin = self._motion.origin(start) if self._given is None else self._given
+        if self._shown is not None:
+            origin = self._shown.nearest(origin, self.wanted)
+        number = min(max(math.ceil(self._profile.duration / period) + 1, fewest), most)
+        time = np.linspace(0.0, self._profile.duration, number)
+        distance = np.array([self._profile.at(t)[0] for t in time.tolist()])
+        return time, distance, [self._motion.goal(origin, s) for s in distance.tolist()]
+
+    def ascent(self, gain: float = ASCENT_GAIN) -> ManipulabilityAscent:
+        """The policy that climbs the manipulability of the rows held and driven: of those that the motion needs.
+
+        The rows that are held do not say how well the hand can move along the way: the manipulability of these alone
+        may rise while the driven direction is being lost.
+
+        Args:
+            gain: As for `ManipulabilityAscent`.
+        """
+        return ManipulabilityAscent(self.constraint, gain)
+
+    def with_distance(self, distance: float) -> FreeDirection:
+        """The same motion by another distance [m or rad], from a start of its own."""
+        other = copy.copy(self)
+        other._profile = replace(self._profile, distance=_number("distance", distance, positive=False))
+        other.reset()
+        return other
+
+    @property
+    def longest_shown(self) -> float | None:
+        """How far apart along the motion the places are at which the task was shown [m or rad]; None if not known."""
+        return None if self._shown is None else self._shown.span
 
     def progress(self, q: ArrayLike) -> float:
         """How far the way has come at posture q [m or rad]; 0 before it began, unless `start` was given."""

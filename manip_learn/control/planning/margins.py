@@ -1,0 +1,132 @@
+"""How much of its own limits a way leaves: of the joints' ranges, of their speeds, of what the weakest direction needs.
+
+    margin = min over the way of  min( 1 - |b| / sigma_min(A U),                         the weakest direction
+                                       min_i 2 min(q_i - low_i, high_i - q_i) / (high_i - low_i),   the range
+                                       1 - max_i |u_i| / U_i )                                      the speed
+
+A holds the rows held and driven, metres and radians alike as in mu; U is the diagonal of the velocity limits, so that
+sigma_min(A U) is how fast the hand can go in its weakest direction with joint speeds of norm 1 in units of their
+limits, and |b| the largest velocity that the way asks of it. Each term is 1 where nothing is used, and 0 at the limit.
+The first becomes negative near singularities where the way happens to need little of the weakest direction.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.control.limits import Limits
+from manip_learn.control.planning.stations import Postures, Stations
+from manip_learn.control.tasks.driven_motion import Unit
+
+
+@final
+class NodeMargins(NamedTuple):
+    """Of postures at stations.
+
+    Attributes:
+        weakest: shape (n,), left of the speed that the weakest direction could have.
+        room: shape (n,), left of the range of the joint that is nearest to a limit, as a share of half of it.
+        log_mu: shape (n,), log of the manipulability of the rows held and driven.
+    """
+
+    weakest: Float[np.ndarray, " n"]
+    room: Float[np.ndarray, " n"]
+    log_mu: Float[np.ndarray, " n"]
+
+    @property
+    def least(self) -> Float[np.ndarray, " n"]:
+        """The smaller of the two margins."""
+        return np.minimum(self.weakest, self.room)
+
+
+@final
+class Margins(NamedTuple):
+    """What is least along a way, and where.
+
+    Attributes:
+        margin: The least of the three.
+        singular_value: Least singular value of the rows held and driven [m or 1].
+        weakest: Least share of the speed that is left in the weakest direction.
+        weakest_at: Where on the way [m or rad].
+        room: Least share of half a joint's range that is left.
+        room_joint: Name of that joint.
+        room_at: Where on the way [m or rad].
+        speed: Least share of a joint's velocity limit that is left.
+        speed_joint: Name of that joint.
+        mean_manipulability: Of the rows held and driven.
+    """
+
+    margin: float
+    singular_value: float
+    weakest: float
+    weakest_at: float
+    room: float
+    room_joint: str
+    room_at: float
+    speed: float
+    speed_joint: str
+    mean_manipulability: float
+
+    def limited_by(self, unit: Unit) -> str:
+        """What is least, in words."""
+
+        def where(place: float) -> str:
+            return f"{abs(place):.2f} m" if unit == "m" else f"{np.degrees(abs(place)):.0f} degrees"
+
+        if self.margin == self.room:
+            return f"joint {self.room_joint!r} has {self.room:.0%} of half its range left, {where(self.room_at)} along"
+        if self.margin == self.speed:
+            return f"joint {self.speed_joint!r} has {self.speed:.0%} of its speed left"
+        return (
+            f"the weakest direction has {self.weakest:.0%} of its speed left, {where(self.weakest_at)} along "
+            f"(least singular value {self.singular_value:.2g})"
+        )
+
+
+def node_margins(stations: Stations, q: Postures, station: np.ndarray) -> NodeMargins:
+    """Margins of postures, each at its station."""
+    A = stations.matrices(q, station)
+    weighted = A * stations.limits.velocity
+    squares = np.linalg.eigvalsh(weighted @ weighted.transpose(0, 2, 1))[:, 0]
+    sigma = np.sqrt(np.maximum(squares, np.finfo(np.float64).tiny))
+    log_mu = 0.5 * np.linalg.slogdet(A @ A.transpose(0, 2, 1))[1]
+    return NodeMargins(1.0 - stations.need / sigma, np.min(rooms(stations.limits, q), axis=1), np.maximum(log_mu, -50.0))
+
+
+def rooms(limits: Limits, q: Postures) -> Postures:
+    """Left of each joint's range, as a share of half of it; 1 where there is no limit."""
+    low, high = limits.robot.position_lower, limits.robot.position_upper
+    with np.errstate(invalid="ignore"):
+        left = 2.0 * np.minimum(q - low, high - q) / (high - low)
+    return np.where(np.isfinite(high - low), left, 1.0)
+
+
+def speeds_left(limits: Limits, step: Float[np.ndarray, "... nv"], time: Float[np.ndarray, "..."]) -> np.ndarray:
+    """Left of the joints' speeds where they go so far in such a time, the least over the joints."""
+    return 1.0 - np.max(np.abs(step) / limits.velocity, axis=-1) / time
+
+
+def margins_of(stations: Stations, q: Postures) -> Margins:
+    """Of a whole way: one posture a station."""
+    k, names = np.arange(len(q)), stations.limits.robot.joint_names
+    nodes, left = node_margins(stations, q, k), rooms(stations.limits, q)
+    shares = np.abs(np.diff(q, axis=0)) / np.diff(stations.time[: len(q)])[:, None] / stations.limits.velocity
+    fastest = shares.max(axis=0, initial=0.0)
+    weak, (tight, joint) = int(np.argmin(nodes.weakest)), np.unravel_index(np.argmin(left), left.shape)
+    values = float(nodes.weakest[weak]), float(left[tight, joint]), float(1.0 - fastest.max())
+    A = stations.matrices(q, k)
+    return Margins(
+        margin=min(values),
+        singular_value=float(np.min(np.linalg.svd(A, compute_uv=False)[:, -1])),
+        weakest=values[0],
+        weakest_at=float(stations.distance[weak]),
+        room=values[1],
+        room_joint=names[int(joint)],
+        room_at=float(stations.distance[int(tight)]),
+        speed=values[2],
+        speed_joint=names[int(np.argmax(fastest))],
+        mean_manipulability=float(np.mean(np.exp(nodes.log_mu))),
+    )

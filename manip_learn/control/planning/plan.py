@@ -1,0 +1,479 @@
+"""From any start: the posture in which to take hold, how to get there, and the way, so that all of it can be done."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.manipulability_batch import manipulability_batch
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.law_sequence import ARRIVED, LawSequence
+from manip_learn.control.limits import Limits, check_inside
+from manip_learn.control.paths.path_problem import PathPolicy
+from manip_learn.control.planning.approach import Clearance, clear_path, self_collision
+from manip_learn.control.planning.grasp import GraspCone
+from manip_learn.control.planning.margins import Margins, margins_of
+from manip_learn.control.planning.search import TIE, Ladder, ladder_of, relaxed
+from manip_learn.control.planning.stations import FEWEST, MOST, PERIOD, Postures, Stations
+from manip_learn.control.policies import NullSpacePolicy
+from manip_learn.control.rollout import Rollout
+from manip_learn.control.simulation import simulate
+from manip_learn.control.tasks.joint_motion import JointMotion, every_joint
+from manip_learn.control.tasks.motion import FreeDirection
+from manip_learn.control.way import AT_LIMIT, WayDone, simulate_way
+from manip_learn.errors import ConfigurationError, FeatureError, NoPlanError, TargetError, advice
+from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.robot import html_card
+from manip_learn.robot.collision import SelfCollision
+from manip_learn.robot.robot import Robot
+
+CANDIDATES = 384  # seeds: with 2,000 the best margin of a drawer rises by less than a hundredth (docs/figures_plan.md)
+FOLLOWING = 5.0  # [1/s] pull back to the planned postures, half as hard as the task's own feedback
+APPROACH_SHARE = 0.25  # of the velocity limits, on the way to the posture of hold: beside people, as ISO 10218-1
+APART = 0.3  # [rad or m] of the joint that differs most: nearer postures are one and the same choice
+TRIED = 8  # choices that are simulated, best margin first
+OTHERS = 4  # choices of which a plan says why they are worse
+PLACES, SENSES = 3, 8  # of the base: distances, and directions in the plane
+LEAST_SHARE = 0.01  # of the whole way: less is no part of it
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """A posture in which the hand could take hold, and what becomes of the way from there.
+
+    Attributes:
+        posture: Joint positions [rad or m].
+        margin: The least margin of its best way, as of `Plan`.
+        why: What limits it, or what stands in its way, in words.
+    """
+
+    posture: Float[np.ndarray, " nv"]
+    margin: float
+    why: str
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan:
+    """A posture in which to take hold, the approach to it, and the way with its null-space motion.
+
+    Attributes:
+        robot: The robot.
+        hold: Joint positions in which the hand takes hold [rad or m].
+        approach: From the start to that posture, as simulated.
+        way: The motion itself, as simulated, from the time when the hand has taken hold.
+        margin: Least share of its own limits that the way leaves: of the joints' ranges and speeds and of the speed
+            that the weakest direction could have (see `docs/control.md`); negative only where that direction is
+            slower than the way, which then happens not to need it.
+        margins: The same in parts, with where and which joint.
+        outcome: What became of the way: how far, how straight, how fast.
+        others: Other postures in which the hand could take hold, and why they were not chosen, best first.
+        controller: Runs the plan, in `simulate` and in a `ServoLoop`, from the start.
+        candidates: Number of postures at the first station that were compared.
+        notes: What was not looked at, in sentences.
+    """
+
+    robot: Robot
+    hold: Float[np.ndarray, " nv"]
+    approach: Rollout
+    way: Rollout
+    margin: float
+    margins: Margins
+    outcome: WayDone
+    others: tuple[Choice, ...]
+    controller: LawSequence
+    candidates: int
+    notes: tuple[str, ...] = ()
+
+    @property
+    def rollout(self) -> Rollout:
+        """Approach and way, one after the other."""
+        return self.approach.followed_by(self.way, ("approach", "way"))
+
+    def save(self, path: Any) -> Any:
+        """Write approach and way as one file; formats and errors as for `Rollout.save`."""
+        return self.rollout.save(path)
+
+    @property
+    def sentence(self) -> str:
+        """What is planned, in words."""
+        unit, size = ("m", 1.0) if self.outcome.unit == "m" else ("degrees", float(np.degrees(1.0)))
+        far = float(np.max(np.abs(self.approach.q[-1] - self.approach.q[0]), initial=0.0))
+        moved = "take hold as it stands" if far < ARRIVED else f"take hold after {self.approach.time[-1]:.1f} s"
+        return (
+            f"{moved}, then {abs(size * self.outcome.done):.3g} {unit} in {self.outcome.seconds:.3g} s; "
+            f"margin {self.margin:.0%}: {self.margins.limited_by(self.outcome.unit)}"
+        )
+
+    def __repr__(self) -> str:
+        return f"Plan({self.sentence})"
+
+    def _repr_html_(self) -> str:
+        facts: list[tuple[str, str | None]] = [
+            ("plan", self.sentence),
+            ("compared", f"{self.candidates} postures"),
+            *(("instead", f"margin {other.margin:.0%}: {other.why}") for other in self.others),
+        ]
+        return html_card.card("Plan", html_card.facts(facts))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON answer: lengths in m, angles in rad, of the way in degrees."""
+        return {
+            "margin": self.margin,
+            "limited_by": self.margins.limited_by(self.outcome.unit),
+            "least_singular_value": self.margins.singular_value,
+            "hold": self.hold.tolist(),
+            "approach_seconds": float(self.approach.time[-1]),
+            "candidates": self.candidates,
+            "others": [{"posture": o.posture.tolist(), "margin": o.margin, "why": o.why} for o in self.others],
+            "notes": list(self.notes),
+        }
+
+
+def plan(
+    constraint: Constraint,
+    motion: FreeDirection,
+    start: ArrayLike,
+    seed: int = 0,
+    *,
+    grasp: GraspCone | None = None,
+    candidates: int = CANDIDATES,
+    limits: Limits | None = None,
+    collision: SelfCollision | bool = True,
+    base_within: float = 0.0,
+    beyond_shown: bool = False,
+    dt: float = 0.01,
+    progress: Progress | None = None,
+) -> Plan:
+    """The posture in which to take hold so that the whole way can be done, and the motion from the start through it.
+
+    Whether a drawer opens is decided before the pull begins: by the posture in which the handle is taken. The hand's
+    place is that of the motion (see `motion`); the posture is chosen among hundreds by the least margin over the whole
+    way, in units of its own limits (`manip_learn.control.planning.margins` has the formula); of margins within a
+    hundredth of each other the larger manipulability of the rows held and driven decides. The best is simulated, and
+    taken if the whole way is done within 2 mm of what holds the hand; else the next one. Surroundings are not known:
+    the approach is clear of the arm's own links only.
+
+    Args:
+        constraint: What holds the hand.
+        motion: The way along it, as `motion` makes it.
+        start: Posture before the motion.
+        seed: Of the random postures: the same seed gives the same plan.
+        grasp: Orientations in which the hand may take hold; None keeps that at the start where the motion holds the
+            orientation, and takes any where it does not.
+        candidates: Number of postures from which the search begins.
+        limits: Of the joints; the robot's own by default.
+        collision: The pairs of links that must not touch; True for those of the robot's shapes, False for none.
+        base_within: Where there is no plan, base placements up to this distance are tried [m].
+        beyond_shown: Ways longer than what was shown are planned too.
+        dt: Step of the simulation [s].
+        progress: As for `simulate`.
+
+    Raises:
+        NoPlanError: The way cannot be done from any posture that was tried; says how much of it can, what stops it,
+            and what would help.
+        TargetError: A start outside the limits or in collision, a way longer than what was shown, a grasp that does
+            not fit.
+        ConfigurationError: A start of another size, a joint without velocity limit, a number that is none.
+        FeatureError: Rows that are not those of a frame, or a robot with a floating or planar base.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("sawyer")
+        >>> drawer = ml.Constraint([[0, 1, 0], [0, 0, 1]], ml.FrameJacobian(robot, "right_gripper_tip"))
+        >>> plan = ml.plan(drawer, ml.motion(drawer, along=-0.2), [0.0, -1.0, 0.0, 1.7, 0.0, 0.8, 0.0], seed=0)
+        >>> bool(plan.outcome.is_done), plan.way.q.shape[1]
+        (True, 7)
+    """
+    said = progress or (lambda _title, _share: None)
+    problem = _Problem(constraint, motion, start, seed, grasp, limits, collision, dt)
+    problem.check(beyond_shown)
+    said("comparing postures", 0.1)
+    ladder = problem.ladder(candidates)
+    found = problem.best(ladder, said)
+    if found is None:
+        said("looking for what would help", 0.6)
+        raise problem.refusal(ladder, candidates, base_within)
+    said("planned", 1.0)
+    return found
+
+
+@final
+class _Problem:
+    """One call of `plan`."""
+
+    def __init__(
+        self,
+        constraint: Constraint,
+        motion: FreeDirection,
+        start: ArrayLike,
+        seed: int,
+        grasp: GraspCone | None,
+        limits: Limits | None,
+        collision: SelfCollision | bool,
+        dt: float,
+    ):
+        if not isinstance(motion, FreeDirection):
+            raise ConfigurationError(f"plan(constraint, motion, start): the motion is {motion!r}, not what motion() makes")
+        self.rows = motion.rows(constraint)
+        robot = constraint.robot
+        if robot is None:
+            raise FeatureError("a way is planned for a robot: the features have none")
+        self.robot, self.constraint, self.motion = robot, constraint, motion.with_distance(motion.wanted)
+        self.start = robot.checked_posture(start)
+        self.limits, self.dt, self.grasp = limits or Limits(robot), dt, grasp
+        self.rng = np.random.default_rng(seed)
+        _check_joints(robot, self.limits)
+        self.positions = robot.positions(self.start)
+        shapes = self_collision(robot) if collision is True else collision or None
+        self.notes = ("the robot has no shapes: self-collision was not looked at",) if shapes is None else ()
+        self.clear = Clearance(shapes, robot, [self.positions])
+        self.stations = Stations.of(self.motion, self.start, self.limits)
+
+    def check(self, beyond_shown: bool) -> None:
+        """Refuse a start, a way or a grasp that cannot be."""
+        check_inside(self.robot, self.positions)
+        touching = self.clear.touching(self.positions)
+        if touching is not None:
+            raise TargetError(f"at the start the links {touching[0]!r} and {touching[1]!r} touch: start elsewhere")
+        shown, wanted = self.motion.longest_shown, abs(self.motion.wanted)
+        if shown is not None and wanted > shown and not beyond_shown:
+            far, most = (f"{wanted:.3g} m", f"{shown:.3g} m")
+            if self.motion.unit == "rad":
+                far, most = f"{np.degrees(wanted):.3g} degrees", f"{np.degrees(shown):.3g} degrees"
+            raise TargetError(
+                f"the way of {far} is longer than what was shown ({most}): ask for no more"
+                + advice(", or plan {}", "with beyond_shown=True", "it with --beyond-shown")
+            )
+        own = getattr(self.rows.features, "reference", "world") == "local"
+        if self.grasp is not None and own and self.stations.holds_orientation:
+            raise TargetError("what was learnt is fixed to the hand's own axes: its grasp cannot be chosen")
+
+    def ladder(self, candidates: int, stations: Stations | None = None, grasp: GraspCone | None = None) -> Ladder:
+        """Postures along the way, and how they go over into each other."""
+        stations, grasp = stations or self.stations, grasp or self.grasp
+        grasps, fits = stations.grasp[None], None
+        if grasp is not None and stations.holds_orientation:
+            grasps = grasp.orientations(stations.grasp, self.rng)
+        elif grasp is not None:
+            toward = grasp.toward(stations.grasp)
+
+            def fits(poses: np.ndarray, k: np.ndarray) -> np.ndarray:
+                return grasp.holds(poses[:, :3, :3], stations.turns[k] @ toward)
+
+        return ladder_of(stations, self.rows, self.positions, candidates, self.rng, grasps, fits)
+
+    def best(self, ladder: Ladder, said: Progress) -> Plan | None:
+        """The plan with the largest margin that comes true in simulation; None if none does."""
+        choices = self._choices(ladder)
+        for number, (march, margin) in enumerate(choices[:TRIED]):
+            said("simulating the best of them", 0.3 + 0.08 * number)
+            path = self._way(ladder, march, margin)
+            if path is None or (approach := self._approach(path[0])) is None:
+                continue
+            law = self._law(path)
+            way, outcome = simulate_way(self.robot, law, approach.q[-1], self.dt)
+            if outcome.is_done and not outcome.strays:
+                margins = margins_of(self.stations, path)
+                others = self._others(ladder, choices, march)
+                return self._plan(path[0], approach, way, margins, outcome, others, law, len(choices))
+        return self._as_it_stands(len(choices))
+
+    def _choices(self, ladder: Ladder) -> list[tuple[int, float]]:
+        """Numbers and margins of the marches from which the whole way is possible, best first, each apart."""
+        margins = ladder.margins_from_the_end(len(self.stations) - 1)[:, 0]
+        out: list[tuple[int, float]] = []
+        for march in np.argsort(-margins, kind="stable").tolist():
+            if not np.isfinite(margins[march]):
+                break
+            q = ladder.q[march, 0]
+            if all(np.max(np.abs(ladder.q[m, 0] - q)) > APART for m, _ in out):
+                out.append((march, float(margins[march])))
+        return out
+
+    def _way(self, ladder: Ladder, march: int, margin: float) -> Postures | None:
+        """The postures of the best way from one choice, relaxed; None where links touch on it."""
+        path = ladder.postures(ladder.path(march, len(self.stations) - 1, margin - TIE))
+        better = relaxed(self.stations, path, ladder.grasp[march])
+        return next((way for way in (better, path) if self._is_clear(way)), None)
+
+    def _is_clear(self, way: Postures) -> bool:
+        return all(self.clear(q) for q in way) and all(map(self.clear.of_line, way[:-1], way[1:]))
+
+    def _approach(self, hold: Float[np.ndarray, " nv"]) -> Rollout | None:
+        """The motion from the start to the posture of hold; None where links are in the way."""
+        goal = self._nearest_turn(hold)
+        path = clear_path(self.positions, goal, self.limits, self.clear, self.rng)
+        if path is None:
+            return None
+        task = JointMotion(self.robot, path, APPROACH_SHARE * self.limits.velocity)
+        self._approach_law = ResolvedRateController(every_joint(self.robot), task, limits=self.limits, dt=self.dt)
+        rollout = simulate(self.robot, self._approach_law, self.start, task.duration + 1.0, self.dt)
+        arrived = np.flatnonzero((rollout.task_error < ARRIVED) & (rollout.time >= task.duration))
+        if not len(arrived):
+            return None
+        rollout = rollout.until(float(rollout.time[arrived[0]]))
+        return replace(rollout, manipulability=manipulability_batch(self.rows, rollout.q).mu)
+
+    def _nearest_turn(self, q: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
+        """The same posture with joints that have no limits less than half a turn from the start."""
+        wound = ~np.isfinite(self.robot.position_upper - self.robot.position_lower)
+        return np.where(wound, q - 2.0 * np.pi * np.round((q - self.positions) / (2.0 * np.pi)), q)
+
+    def _law(self, path: Postures) -> ResolvedRateController:
+        task = self.motion.with_distance(self.motion.wanted)
+        time = self.stations.time[: len(path)] + task.pause
+        policy = PathPolicy(time, path + (self._nearest_turn(path[0]) - path[0]), FOLLOWING, self.robot)
+        return self._controller(task, policy)
+
+    def _controller(self, task: FreeDirection, policy: NullSpacePolicy) -> ResolvedRateController:
+        return ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
+
+    def _others(self, ladder: Ladder, choices: list[tuple[int, float]], chosen: int) -> tuple[Choice, ...]:
+        """Why other choices are worse, the start itself among them."""
+        last = len(self.stations) - 1
+        out = []
+        for march, margin in [c for c in choices if c[0] != chosen][:OTHERS]:
+            path = ladder.postures(ladder.path(march, last, margin - TIE))
+            out.append(Choice(path[0], margin, margins_of(self.stations, path).limited_by(self.motion.unit)))
+        return tuple(out)
+
+    def _as_it_stands(self, compared: int) -> Plan | None:
+        """The way from the start with the ascent of mu, or with spare joints at rest, where that comes true."""
+        if self.motion.hold(self.start) > 0.0:
+            return None
+        for policy in (self.motion.ascent(), None):
+            law = self._controller(self.motion.with_distance(self.motion.wanted), policy)  # type: ignore[arg-type]
+            way, outcome = simulate_way(self.robot, law, self.start, self.dt)
+            approach = self._approach(self.positions)
+            if not outcome.is_done or outcome.strays or outcome.begins is None or approach is None:
+                continue
+            time = outcome.begins + self.stations.time * (outcome.seconds or 0.0) / self.stations.time[-1]
+            joints = np.array([self.robot.positions(q) for q in way.q])
+            path = np.array([np.interp(time, way.time, column) for column in joints.T]).T
+            margins = margins_of(self.stations, path)
+            return self._plan(self.positions, approach, way, margins, outcome, (), law, compared)
+        return None
+
+    def _plan(self, hold, approach, way, margins, outcome, others, law, compared) -> Plan:
+        sequence = LawSequence(self._approach_law, law)
+        sequence.reset()
+        numbers = margins.margin, margins, outcome, others, sequence, compared, self.notes
+        return Plan(self.robot, hold, approach, way, *numbers)
+
+    # ---- where there is no plan -----------------------------------------------------------------------------------
+
+    def refusal(self, ladder: Ladder, candidates: int, base_within: float) -> NoPlanError:
+        """How much of the way can be done, what stops it, and what would help."""
+        unit, size = ("m", 1.0) if self.motion.unit == "m" else ("degrees", float(np.degrees(1.0)))
+        helps = self._helps(candidates, base_within)
+        more = "".join(f"; {sentence}" for sentence in helps)
+        last = ladder.reached()
+        if last < 0:
+            return NoPlanError(
+                f"no posture takes hold: the handle is out of the arm's reach, {self._missed(candidates)}{more}",
+                largest=0.0,
+                posture=None,
+                stopped_by="the end of the arm's reach",
+                helps=helps,
+            )
+        margins = ladder.margins_from_the_end(last)[:, 0]
+        march = int(np.argmax(margins))
+        path = ladder.postures(ladder.path(march, last, margins[march] - TIE))
+        largest, stopped_by = self._largest(path)
+        return NoPlanError(
+            f"no plan for {abs(size * self.motion.wanted):.3g} {unit}: {abs(size * largest):.3g} {unit} at most, "
+            f"stopped by {stopped_by}{more}",
+            largest=abs(largest),
+            posture=path[0] if largest else None,
+            stopped_by=stopped_by,
+            helps=helps,
+        )
+
+    def _largest(self, path: Postures) -> tuple[float, str]:
+        """How much of the way comes true from the beginning of a path, and what stops it."""
+        stopped_by = self._stopped_by(path)
+        for share in (1.0, 0.95, 0.9, 0.75, 0.5, 0.25):
+            distance = share * float(self.stations.distance[len(path) - 1])
+            if abs(distance) < LEAST_SHARE * abs(self.motion.wanted):
+                break
+            task = self.motion.with_distance(distance)
+            time, there, _ = task.table(self.start, PERIOD, FEWEST, MOST)
+            done = np.abs(self.stations.distance[: len(path)])
+            knots = np.array([np.interp(np.abs(there), done, column) for column in path.T]).T
+            policy = PathPolicy(task.pause + time, knots, FOLLOWING, self.robot)
+            outcome = simulate_way(self.robot, self._controller(task, policy), self.robot.configuration(path[0]))[1]
+            if outcome.is_done and not outcome.strays:
+                return distance, stopped_by
+            stopped_by = outcome.stopped_by or f"{1e3 * outcome.deviation:.1f} mm off what holds the hand"
+        return 0.0, stopped_by
+
+    def _stopped_by(self, path: Postures) -> str:
+        """What keeps the last posture of a path from going on, in words."""
+        q, k = path[-1], np.array([len(path) - 1])
+        if len(path) == len(self.stations):
+            return "links that touch, or limits of the loop in simulation"
+        for i, name in enumerate(self.robot.joint_names):
+            for side, limit in (("lower", self.robot.position_lower[i]), ("upper", self.robot.position_upper[i])):
+                if abs(q[i] - limit) < AT_LIMIT:
+                    return f"joint {name!r} at its {side} limit of {limit:.4g}"
+        A = self.stations.matrices(q[None], k)[0]
+        left, sigma, _ = np.linalg.svd(A, full_matrices=False)
+        x, y, z, rx, ry, rz = left[:, -1] @ self.stations.rows[k[0]]
+        moves = np.hypot(np.hypot(x, y), z) >= np.hypot(np.hypot(rx, ry), rz)
+        what, d = ("move along", (x, y, z)) if moves else ("turn about", (rx, ry, rz))
+        words = ", ".join(f"{c:.2f}" for c in np.array(d) / np.linalg.norm(d))
+        return f"a singularity: the hand can hardly {what} ({words}) there (singular value {sigma[-1]:.2g})"
+
+    def _missed(self, candidates: int) -> str:
+        """How near the hand comes to where it should take hold, in words."""
+        low, high = self.stations.span
+        q = self.rng.uniform(low, high, (min(candidates, 64), self.robot.nv))
+        zero = np.zeros(len(q), dtype=int)
+        q, _ = self.stations.onto(q, zero, np.repeat(self.stations.grasp[None], len(q), axis=0), 60)
+        gap = np.linalg.norm(self.stations.hand.pose(q)[:, :3, 3] - self.stations.places[0], axis=1)
+        return f"the hand comes within {np.min(gap):.2g} m of it"
+
+    def _helps(self, candidates: int, base_within: float) -> tuple[str, ...]:
+        """Other grasps and other places of the base from which the whole way could be done."""
+        last, out = len(self.stations) - 1, []
+
+        def does(stations: Stations, grasp: GraspCone | None = None) -> int | None:
+            ladder = self.ladder(candidates // 2, stations, grasp)
+            margins = ladder.margins_from_the_end(last)[:, 0]
+            return int(np.argmax(margins)) if np.any(np.isfinite(margins)) else None
+
+        if self.stations.holds_orientation:
+            if does(self.stations.free_to_turn()) is not None:
+                out.append("a hand that may turn on the way could do it")
+            if self.grasp is None and does(self.stations, GraspCone(turns=None)) is not None:
+                out.append("a hand that takes hold turned about its z axis could do it (grasp=GraspCone(turns=None))")
+        for radius in base_within * np.arange(1, PLACES + 1) / PLACES if base_within > 0.0 else ():
+            for angle in 2.0 * np.pi * np.arange(SENSES) / SENSES:
+                shift = radius * np.array([np.cos(angle), np.sin(angle), 0.0])
+                if does(self.stations.seen_from(shift)) is not None:
+                    out.append(f"the base moved by ({shift[0]:.2f}, {shift[1]:.2f}) m could do it")
+                    return tuple(out)
+        return tuple(out)
+
+
+def _check_joints(robot: Robot, limits: Limits) -> None:
+    """Refuse robots whose margins are not defined."""
+    unsuited = [b for b in robot.blocks if b.kind in ("floating", "planar", "other")]
+    if unsuited:
+        raise FeatureError(
+            f"joint {unsuited[0].name!r} is {unsuited[0].kind}: a way is planned for revolute, continuous and "
+            "prismatic joints; load the robot with a fixed base"
+        )
+    endless = np.flatnonzero(~np.isfinite(limits.velocity))
+    if len(endless):
+        raise ConfigurationError(
+            f"joint {robot.joint_names[endless[0]]!r} has no velocity limit, in units of which margins are counted: "
+            "state it in the robot's description, or pass limits=Limits(robot, velocity=...)"
+        )

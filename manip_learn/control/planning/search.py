@@ -1,0 +1,320 @@
+"""The search for a way: postures at its stations, joined into the path whose least margin is largest.
+
+1. Seeds: inverse kinematics from random postures, and steps along the self-motion from the start, at three stations.
+2. Marches: each seed is carried along the way in both directions. Some let the spare joints rest, some pull them to the
+   middle of their ranges, some up the manipulability.
+3. Ladder: the postures of all marches are the nodes of a graph, a layer a station; joints can go from a node to one of
+   the next layer within their speeds. The path whose least margin is largest is found layer by layer; of those that
+   come within `TIE` of it, the one with the largest mean log mu.
+4. Band: that path is relaxed as a whole, up the slope of its least margins and towards straight joint motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.manipulability_batch import manipulability_batch
+from manip_learn.control.planning.margins import node_margins, rooms, speeds_left
+from manip_learn.control.planning.stations import Postures, Stations
+
+SEED_STEPS, MARCH_STEPS = 40, 4  # of Newton's method: from anywhere, and from a station to the next
+SELF_MOTION = 0.25  # [rad or m] of the largest joint's step along the self-motion: a circle of it has 25 such steps
+SHARE = 0.125  # of the seeds: those along the self-motion of the start
+PULL = 0.3  # share of the joints' speeds that spare joints may use while the way is marched along
+ASCENT = 3.0  # [1/s] gain of the pull up the manipulability, as that of `ManipulabilityAscent`
+TIE = 0.01  # margins nearer to each other than a hundredth of the limits are alike: the manipulability decides
+SLOWEST = 3.0  # times the velocity limit that a step may ask for: the way is then done in three times its time
+ROUGH = 1.0  # log mu that a node may lose for a step at full speed, when ties are decided: straight joint motion
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """Postures of P marches at L stations, and the best paths to each of them.
+
+    Attributes:
+        stations: The way.
+        q: shape (P, L, nv), postures; not finite where a march did not come so far.
+        grasp: shape (P, 3, 3), orientation of the hand at the start of each march's way.
+        family: shape (P,), marches of the same number may go over into each other.
+        allowed: shape (P, L), nodes that may be used.
+        least: shape (P, L), margin of each node.
+        log_mu: shape (P, L), log of the manipulability of each node.
+    """
+
+    stations: Stations
+    q: Float[np.ndarray, "P L nv"]
+    grasp: Float[np.ndarray, "P 3 3"]
+    family: Int[np.ndarray, " P"]
+    allowed: Bool[np.ndarray, "P L"]
+    least: Float[np.ndarray, "P L"]
+    log_mu: Float[np.ndarray, "P L"]
+
+    def margins_from_the_end(self, last: int) -> Float[np.ndarray, "P L"]:
+        """The largest least margin with which each node goes on to a station; minus infinity where none does."""
+        out = np.full(self.least.shape, -np.inf)
+        out[:, last] = np.where(self.allowed[:, last], self.least[:, last], -np.inf)
+        for k in range(last - 1, -1, -1):
+            i, j, edge = self._edges(k, np.isfinite(out[:, k + 1]))
+            if len(i) and len(j):
+                on = np.minimum(edge, out[j, k + 1])
+                out[i, k] = np.minimum(self.least[i, k], on.max(axis=1))
+        return out
+
+    def reached(self) -> int:
+        """The last station to which a path leads from the first; -1 where no posture takes hold."""
+        on = self.allowed[:, 0]
+        for k in range(len(self.stations) - 1):
+            if not on.any():
+                return k - 1
+            i, j, edge = self._edges(k, self.allowed[:, k + 1])
+            ahead = np.zeros_like(on)
+            ahead[j] = np.isfinite(edge[on[i]]).any(axis=0)
+            on = ahead
+        return len(self.stations) - 1 if on.any() else len(self.stations) - 2
+
+    def path(self, first: int, last: int, floor: float) -> Int[np.ndarray, " k"]:
+        """The marches that a path goes through, station by station: of those above a floor that of the largest mu.
+
+        Args:
+            first: Number of its march.
+            last: Station at which it ends.
+            floor: A margin that one path at least has.
+        """
+        best: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        ahead = np.where(self.allowed[:, last] & (self.least[:, last] >= floor), self.log_mu[:, last], -np.inf)
+        for k in range(last - 1, -1, -1):
+            i, j, edge = self._edges(k, np.isfinite(ahead))
+            gain = np.where(edge >= floor, ahead[j] - ROUGH * (1.0 - edge) ** 2, -np.inf)
+            choice = gain.argmax(axis=1)
+            best.append((i, j, choice))
+            here = np.full(len(self.q), -np.inf)
+            fits = self.least[i, k] >= floor
+            here[i] = np.where(fits, self.log_mu[i, k] + gain[np.arange(len(i)), choice], -np.inf)
+            ahead = here
+        marches = [first]
+        for i, j, choice in reversed(best):
+            marches.append(int(j[choice[np.flatnonzero(i == marches[-1])[0]]]))
+        return np.array(marches)
+
+    def postures(self, marches: Int[np.ndarray, " k"]) -> Postures:
+        """The postures of a path, joints without limits unwound."""
+        path = self.q[marches, np.arange(len(marches))]
+        return np.vstack([path[:1], path[0] + np.cumsum(self._difference(path[:-1], path[1:]), axis=0)])
+
+    def _edges(self, k: int, goes_on: Bool[np.ndarray, " P"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Nodes of layer k, those of the next that go on, and what a step leaves of the joints' speeds."""
+        i, j = np.flatnonzero(self.allowed[:, k]), np.flatnonzero(goes_on)
+        time = self.stations.time[k + 1] - self.stations.time[k]
+        step = self._difference(self.q[i, k][:, None], self.q[j, k + 1][None])
+        left = speeds_left(self.stations.limits, step, time)
+        far = (left < 1.0 - SLOWEST) | (self.family[i][:, None] != self.family[j][None])
+        return i, j, np.where(far, -np.inf, left)
+
+    def _difference(self, a: Float[np.ndarray, "... nv"], b: Float[np.ndarray, "... nv"]) -> np.ndarray:
+        """From a to b; of joints without limits by less than half a turn."""
+        step = b - a
+        wound = self._wound
+        if wound.any():
+            step[..., wound] -= 2.0 * np.pi * np.round(step[..., wound] / (2.0 * np.pi))
+        return step
+
+    @property
+    def _wound(self) -> Bool[np.ndarray, " nv"]:
+        robot = self.stations.limits.robot
+        return ~np.isfinite(robot.position_upper - robot.position_lower) & robot_turns(robot)
+
+
+def robot_turns(robot) -> Bool[np.ndarray, " nv"]:
+    """Which joints turn."""
+    return np.array([block.kind != "prismatic" for block in robot.blocks for _ in block.coordinate_names])
+
+
+def ladder_of(
+    stations: Stations,
+    rows: Constraint,
+    start: Float[np.ndarray, " nv"],
+    number: int,
+    rng: np.random.Generator,
+    grasps: Float[np.ndarray, "g 3 3"],
+    fits=None,
+) -> Ladder:
+    """Seeds, and their marches along the whole way.
+
+    Args:
+        stations: The way.
+        rows: The rows held and driven, whose manipulability some marches climb.
+        start: Joint positions before the motion.
+        number: Of seeds.
+        rng: Random numbers.
+        grasps: Orientations in which the hand may take hold, where the rows hold orientations; tried in turn.
+        fits: (poses (n, 4, 4), stations (n,)) -> whether the hand may be so; None for everything.
+    """
+    q, station, family = _seeds(stations, start, number, rng, len(grasps))
+    q, there = stations.onto(q, station, grasps[family], SEED_STEPS)
+    q, station, family = _distinct(q[there], station[there], family[there])
+    P, L, nv = len(q), len(stations), q.shape[1]
+    table, kind = np.full((P, L, nv), np.nan), np.arange(P) % 3
+    for k in np.unique(station):
+        here = np.flatnonzero(station == k)
+        table[here, k] = q[here]
+        for sense in (1, -1):
+            _march(stations, rows, table, here, grasps[family], kind, int(k), sense)
+    alive = np.isfinite(table[:, :, 0])
+    p, k = np.nonzero(alive)
+    nodes = node_margins(stations, table[p, k], k)
+    least, log_mu = np.full((P, L), -np.inf), np.full((P, L), -np.inf)
+    least[p, k], log_mu[p, k] = nodes.least, nodes.log_mu
+    allowed = alive.copy()
+    if fits is not None and len(p):
+        allowed[p, k] = fits(stations.hand.pose(table[p, k]), k)
+    return Ladder(stations, table, grasps[family], family, allowed, least, log_mu)
+
+
+def _seeds(
+    stations: Stations, start: np.ndarray, number: int, rng: np.random.Generator, n_grasps: int
+) -> tuple[Postures, Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """The start, postures along its self-motion, and random ones; the station and the grasp of each."""
+    low, high = stations.span
+    random = rng.uniform(low, high, (number, len(start)))
+    station = np.array([0, len(stations) // 2, len(stations) - 1])[np.arange(number) % 3]
+    walked = max(1, round(SHARE * number))
+    random[:walked] = start + np.cumsum(_along_self_motion(stations, start, walked, rng), axis=0)
+    random[0], station[:walked] = start, 0
+    family = np.arange(number) // 3 % n_grasps
+    family[:walked] = 0
+    return random, station, family
+
+
+def _along_self_motion(stations: Stations, start: np.ndarray, number: int, rng: np.random.Generator) -> Postures:
+    """Steps in directions that leave the hand where it is, half of them one way and half of them back the other."""
+    A = stations.matrices(start[None], np.zeros(1, dtype=int))[0]
+    direction = rng.normal(size=len(start))
+    direction -= np.linalg.pinv(A) @ (A @ direction)
+    size = np.max(np.abs(direction))
+    step = SELF_MOTION * direction / size if size > 1e-9 else np.zeros_like(start)
+    steps = np.repeat(step[None], number, axis=0)
+    half = number // 2
+    steps[half:] *= -1.0
+    steps[half : half + 1] *= half  # back to the start first
+    return steps
+
+
+def _distinct(q: Postures, station: np.ndarray, family: np.ndarray) -> tuple[Postures, np.ndarray, np.ndarray]:
+    """Without those that inverse kinematics found twice, to a thousandth of a radian or a metre."""
+    keys = np.column_stack([np.round(q, 3), station, family])
+    _, first = np.unique(keys, axis=0, return_index=True)
+    first.sort()
+    return q[first], station[first], family[first]
+
+
+def _march(
+    stations: Stations,
+    rows: Constraint,
+    table: Float[np.ndarray, "P L nv"],
+    some: Int[np.ndarray, " n"],
+    grasp: Float[np.ndarray, "P 3 3"],
+    kind: Int[np.ndarray, " P"],
+    k: int,
+    sense: int,
+) -> None:
+    """Carry some marches from station k to the end of the way in one sense, as far as each of them comes."""
+    while 0 <= k + sense < len(stations) and len(some):
+        q = table[some, k]
+        time = abs(stations.time[k + sense] - stations.time[k])
+        pull = _pulls(stations, rows, q, kind[some]) * time
+        k += sense
+        there_q, there = stations.onto(q, np.full(len(some), k), grasp[some], MARCH_STEPS, pull)
+        there &= speeds_left(stations.limits, there_q - q, time) >= 1.0 - SLOWEST
+        some = some[there]
+        table[some, k] = there_q[there]
+
+
+def _pulls(stations: Stations, rows: Constraint, q: Postures, kind: Int[np.ndarray, " n"]) -> Postures:
+    """Where the spare joints are drawn to: nowhere, to the middle of their ranges, or up mu [rad/s or m/s]."""
+    out, most = np.zeros_like(q), PULL * stations.limits.velocity
+    low, high = stations.limits.robot.position_lower, stations.limits.robot.position_upper
+    middle, climbs = kind == 1, kind == 2
+    if middle.any():
+        with np.errstate(invalid="ignore"):
+            off = np.where(np.isfinite(high - low), (2.0 * q[middle] - low - high) / (high - low), 0.0)
+        out[middle] = -most * off**3
+    if climbs.any():
+        slope = ASCENT * manipulability_batch(rows, q[climbs]).log_gradient
+        out[climbs] = slope * np.minimum(1.0, np.min(most / np.maximum(np.abs(slope), 1e-12), axis=1))[:, None]
+    return out
+
+
+SHARPNESS = 60.0  # of the soft minimum: margins a sixtieth apart count e-fold
+BAND_STEPS = 80  # at most; the first ones gain most
+SMOOTH = 0.25  # share of a knot's way to the middle of its neighbours, a step
+FIRST_RISE = 0.05  # [rad or m] of the joint that moves most in the first step up the slope
+LEAST_RISE = 1e-3  # and where the relaxation ends
+
+
+def relaxed(stations: Stations, q: Postures, grasp: Float[np.ndarray, "3 3"]) -> Postures:
+    """A path with a larger least margin and a straighter motion of the joints, from one that is on the way.
+
+    Args:
+        stations: The way, or its beginning.
+        q: One posture a station.
+        grasp: Orientation of the hand at the start.
+    """
+    k = np.arange(len(q))
+    grasps = np.repeat(grasp[None], len(q), axis=0)
+    value, rise = _soft_margin(stations, q)[0], FIRST_RISE
+    for _ in range(BAND_STEPS):
+        slope = _soft_margin(stations, q)[1]
+        largest = np.max(np.abs(slope))
+        bent = np.zeros_like(q)
+        bent[1:-1] = 0.5 * (q[2:] + q[:-2]) - q[1:-1]
+        step = SMOOTH * bent + (rise / largest * slope if largest > 0.0 else 0.0)
+        moved, there = stations.onto(q + step, k, grasps, MARCH_STEPS)
+        new = _soft_margin(stations, moved)[0] if np.all(there) else -np.inf
+        if new > value:
+            q, value, rise = moved, new, 1.5 * rise
+            continue
+        rise *= 0.4
+        if rise < LEAST_RISE:
+            break
+    return q
+
+
+def _soft_margin(stations: Stations, q: Postures) -> tuple[float, Postures]:
+    """A smooth lower bound of the least margin, -log sum exp(-c m) / c over all of them, and its gradient."""
+    limits = stations.limits
+    low, high = limits.robot.position_lower, limits.robot.position_upper
+    W, U = stations.rows[: len(q)], limits.velocity
+    J, H = stations.hand.derivative(q)
+    left, _, right = np.linalg.svd((W @ J) * U, full_matrices=False)
+    u, v = left[:, :, -1], right[:, -1] * U
+    sigma = np.einsum("ns,nsj,nj->n", u, W @ J, v)
+    sigma_safe = np.maximum(sigma, 1e-9)
+    weakest = 1.0 - stations.need / sigma_safe
+    d_sigma = np.einsum("nr,nrjk,nj->nk", np.einsum("ns,nsr->nr", u, W), H, v)
+    room, bounded = rooms(limits, q), np.isfinite(high - low)
+    with np.errstate(invalid="ignore"):
+        d_room = np.where(bounded, np.where(q - low < high - q, 2.0, -2.0) / (high - low), 0.0)
+    dt = np.diff(stations.time[: len(q)])[:, None]
+    step = np.diff(q, axis=0)
+    speed = 1.0 - np.abs(step) / dt / U
+    terms = np.concatenate([weakest, room[:, bounded].ravel(), speed.ravel()])
+    least = terms.min()
+    weight = np.exp(-SHARPNESS * (terms - least))
+    total = weight.sum()
+    value = least - np.log(total) / SHARPNESS
+    weight /= total
+    n = len(q)
+    slope = (weight[:n] * stations.need / sigma_safe**2)[:, None] * d_sigma
+    by_room = np.zeros_like(q)
+    by_room[:, bounded] = weight[n : n + n * bounded.sum()].reshape(n, -1)
+    slope += by_room * d_room
+    pushed = weight[n + n * bounded.sum() :].reshape(speed.shape) * np.sign(step) / dt / U
+    slope[:-1] += pushed
+    slope[1:] -= pushed
+    return float(value), slope

@@ -1,0 +1,256 @@
+"""The way of a hand as a table of stations, and many postures brought onto them at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
+from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
+from manip_learn.control.limits import Limits
+from manip_learn.control.tasks.motion import FreeDirection
+from manip_learn.errors import FeatureError
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+
+PERIOD = 0.1  # [s] between stations: at 0.1 m/s a centimetre, on which a joint path bends by less than a millimetre
+FEWEST, MOST = 16, 64  # stations: of a short way, and of a long one, whose stations are then farther apart
+# [m or rad] off its station that a posture may be: a tenth of the 0.2 mm that count as at the mechanism
+ON = 2e-5
+LONGEST_STEP = 0.5  # [rad or m] of one joint in one Newton step: a linearisation is good for half a radian
+# [m or rad] of damping per metre or radian of error: a far target is approached, a near one met (Levenberg)
+DAMPING = 0.1
+
+Postures = Float[np.ndarray, "n nv"]
+
+
+@final
+@dataclass(frozen=True)
+class Hand:
+    """Poses and Jacobians of a frame at many postures, in the base frame or as another frame sees it.
+
+    Attributes:
+        pose: (n, nv) -> (n, 4, 4).
+        jacobian: (n, nv) -> (n, 6, nv).
+        derivative: (n, nv) -> the Jacobians and their derivatives (n, 6, nv, nv).
+    """
+
+    pose: Callable[[Postures], Float[np.ndarray, "n 4 4"]]
+    jacobian: Callable[[Postures], Float[np.ndarray, "n 6 nv"]]
+    derivative: Callable[[Postures], tuple[Float[np.ndarray, "n 6 nv"], Float[np.ndarray, "n 6 nv nv"]]]
+
+    @staticmethod
+    def of(features: FeatureMap) -> Hand:
+        """The frame of some features.
+
+        Raises:
+            FeatureError: They have none.
+        """
+        if isinstance(features, FrameJacobian | WeighedVelocity):
+            kinematics = batch_kinematics(features.robot, features.frame)
+            return Hand(kinematics.pose, kinematics.jacobian, kinematics.jacobian_and_derivative)
+        if isinstance(features, RelativeFrameJacobian):
+            every = RelativeFrameJacobian(features.robot, features.frame.name, features.relative_to.name)
+            return Hand(lambda q: np.array([every.pose(x) for x in q]), every.batch, every.batch_with_derivative)
+        raise FeatureError(f"a way is planned for the rows of a frame, not for {features!r}")
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Stations:
+    """Where a hand should be at each of L instants of a way, and along which rows that counts.
+
+    Attributes:
+        limits: Of the joints.
+        features: Those of the motion; they have a frame.
+        time: shape (L,), since the way began [s].
+        distance: shape (L,), along the way [m or rad].
+        places: shape (L, 3), where the hand's origin should be [m].
+        turns: shape (L, 3, 3), how the hand should have turned since the way began, in the base frame.
+        rows: shape (L, s, 6), weights of the hand's twist (v, w) in the rows held and driven.
+        need: Largest norm of the velocity that the way asks of these rows [m/s or rad/s].
+        grasp: shape (3, 3), orientation of the hand at the start, which counts where the rows hold orientations.
+    """
+
+    limits: Limits
+    features: FeatureMap
+    time: Float[np.ndarray, " L"]
+    distance: Float[np.ndarray, " L"]
+    places: Float[np.ndarray, "L 3"]
+    turns: Float[np.ndarray, "L 3 3"]
+    rows: Float[np.ndarray, "L s 6"]
+    need: float
+    grasp: Float[np.ndarray, "3 3"]
+    hand: Hand
+
+    @staticmethod
+    def of(motion: FreeDirection, start: ArrayLike, limits: Limits) -> Stations:
+        """The stations of a motion that begins where the hand takes hold.
+
+        Args:
+            motion: The motion.
+            start: Posture before that: the hand is at the mechanism, or goes to the nearest place that was shown.
+            limits: Of the joints.
+
+        Raises:
+            FeatureError: The rows are not those of a frame.
+        """
+        features = motion.constraint.features
+        hand = Hand.of(features)
+        time, distance, goals = _poses_of(motion, start, hand)
+        turns = goals[:, :3, :3] @ goals[0, :3, :3].T
+        rows = motion.constraint.selection @ _weights(features, goals)
+        # the hand's twist from one station to the next, in the rows
+        moved = np.diff(goals[:, :3, 3], axis=0)
+        turned = Rotation.from_matrix(turns[1:] @ turns[:-1].transpose(0, 2, 1)).as_rotvec()
+        twist = np.hstack([moved, turned]) / np.diff(time)[:, None]
+        need = float(np.max(np.linalg.norm(np.einsum("lsk,lk->ls", rows[:-1], twist), axis=1)))
+        places = goals[:, :3, 3].copy()
+        return Stations(limits, features, time, distance, places, turns, rows, need, goals[0, :3, :3].copy(), hand)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def holds_orientation(self) -> bool:
+        """Whether a row weighs a rotation of the hand."""
+        return bool(np.any(np.abs(self.rows[:, :, 3:]) > 1e-9))
+
+    @property
+    def span(self) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"]]:
+        """Lowest and highest positions of the joints; of a joint without limits a turn about zero [rad or m]."""
+        robot = self.limits.robot
+        low, high = robot.position_lower, robot.position_upper
+        return np.where(np.isfinite(low), low, -np.pi), np.where(np.isfinite(high), high, np.pi)
+
+    def free_to_turn(self) -> Stations:
+        """The same places for a hand that may turn."""
+        rows = np.zeros((len(self), 3, 6))
+        rows[:, range(3), range(3)] = 1.0
+        return replace(self, rows=rows)
+
+    def seen_from(self, shift: Float[np.ndarray, " 3"]) -> Stations:
+        """The same way, seen from a base that was moved by so much [m]."""
+        return replace(self, places=self.places - shift)
+
+    def matrices(self, q: Postures, station: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s nv"]:
+        """A(q) of the rows held and driven."""
+        return self.rows[station] @ self.hand.jacobian(q)
+
+    def onto(
+        self,
+        q: Postures,
+        station: Int[np.ndarray, " n"],
+        grasp: Float[np.ndarray, "n 3 3"],
+        steps: int,
+        pull: Postures | None = None,
+    ) -> tuple[Postures, Bool[np.ndarray, " n"]]:
+        """Postures brought onto their stations, within the joint limits, by Newton's method.
+
+        A joint that stands at a limit and would go beyond it leaves the motion to the others.
+
+        Args:
+            q: Where they begin.
+            station: Number of each one's station.
+            grasp: Orientation of each one's hand at the start of the way.
+            steps: Of Newton's method, at most.
+            pull: How far the spare joints go towards something else, in the first step [rad or m].
+
+        Returns:
+            The postures, and which of them are there.
+        """
+        low, high = self.limits.robot.position_lower, self.limits.robot.position_upper
+        q = np.clip(q if pull is None else q + pull, low, high)
+        there = np.zeros(len(q), dtype=bool)
+        todo = np.arange(len(q))
+        for step in range(steps + 1):
+            k = station[todo]
+            pose, J = self.hand.pose(q[todo]), self.hand.jacobian(q[todo])
+            W = self.rows[k]
+            error = np.einsum("nsk,nk->ns", W, self._twist_to(pose, k, grasp[todo]))
+            far = np.sqrt(np.sum(error * error, axis=1))
+            there[todo] = far < ON
+            if step == steps or np.all(there[todo]):
+                break
+            late = far >= ON
+            todo, far = todo[late], far[late]
+            q[todo] = _stepped(q[todo], (W @ J)[late], error[late], far, (low, high))
+        return q, there
+
+    def _twist_to(
+        self, pose: Float[np.ndarray, "n 4 4"], station: Int[np.ndarray, " n"], grasp: Float[np.ndarray, "n 3 3"]
+    ) -> Float[np.ndarray, "n 6"]:
+        """From each pose to its station: (p* - p, log(R* R^T))."""
+        out = np.zeros((len(pose), 6))
+        out[:, :3] = self.places[station] - pose[:, :3, 3]
+        if self.holds_orientation:
+            wanted = self.turns[station] @ grasp @ pose[:, :3, :3].transpose(0, 2, 1)
+            out[:, 3:] = Rotation.from_matrix(wanted).as_rotvec()
+        return out
+
+
+def _stepped(
+    q: Postures, A: Float[np.ndarray, "n s nv"], error: Float[np.ndarray, "n s"], far: np.ndarray, span: tuple
+) -> Postures:
+    """One Newton step, then once more without the joints that it would drive beyond a limit."""
+    low, high = span
+    step = _least_step(A, error, far)
+    out = q + step
+    blocked = (out < low) | (out > high)
+    if blocked.any():
+        some = blocked.any(axis=1)
+        edge = np.clip(out[some], low, high)
+        taken = np.where(blocked[some], edge - q[some], 0.0)
+        left = error[some] - np.einsum("nsj,nj->ns", A[some], taken)
+        rest = _least_step(A[some] * ~blocked[some][:, None], left, far[some])
+        out[some] = np.clip(q[some] + taken + np.where(blocked[some], 0.0, rest), low, high)
+    return out
+
+
+def _least_step(
+    A: Float[np.ndarray, "n s nv"], error: Float[np.ndarray, "n s"], far: Float[np.ndarray, " n"]
+) -> Postures:
+    """A^T (A A^T + d^2)^-1 e, with d in proportion to the error, no joint farther than `LONGEST_STEP`."""
+    gram = A @ A.transpose(0, 2, 1)
+    s = gram.shape[1]
+    gram[:, range(s), range(s)] += (DAMPING * np.minimum(far, 1.0))[:, None] ** 2 + 1e-12
+    step = np.einsum("nsj,ns->nj", A, np.linalg.solve(gram, error[:, :, None])[:, :, 0])
+    size = np.max(np.abs(step), axis=1, keepdims=True)
+    return step * np.minimum(1.0, LONGEST_STEP / np.maximum(size, LONGEST_STEP))
+
+
+def _weights(features: FeatureMap, goals: Float[np.ndarray, "L 4 4"]) -> Float[np.ndarray, "L p 6"]:
+    """What the features' rows make of the hand's twist (v, w) at each goal."""
+    if isinstance(features, WeighedVelocity):
+        return features.weights(goals[:, :3, 3])[0]
+    chosen = features.padded(np.eye(features.n_rows)) if isinstance(features, FrameJacobian) else _of_relative(features)
+    if not (isinstance(features, FrameJacobian) and features.reference == "local"):
+        return np.broadcast_to(chosen, (len(goals), *chosen.shape))
+    own = np.zeros((len(goals), 6, 6))
+    own[:, :3, :3] = own[:, 3:, 3:] = goals[:, :3, :3].transpose(0, 2, 1)
+    return chosen @ own
+
+
+def _poses_of(
+    motion: FreeDirection, start: ArrayLike, hand: Hand
+) -> tuple[Float[np.ndarray, " L"], Float[np.ndarray, " L"], Float[np.ndarray, "L 4 4"]]:
+    """Times, distances and poses of the hand; what a motion of its place does not say is as at the start."""
+    time, distance, goals = motion.table(start, PERIOD, FEWEST, MOST)
+    features = motion.constraint.features
+    if goals[0].ndim == 2:
+        return time, distance, np.array(goals)
+    here = hand.pose(features.robot.positions(start)[None])  # type: ignore[attr-defined]  # features of a frame
+    poses = np.repeat(here, len(goals), axis=0)
+    poses[:, [AXES.index(name) for name in features.row_names], 3] = np.array(goals)
+    return time, distance, poses
+
+
+def _of_relative(features: FeatureMap) -> Float[np.ndarray, "p 6"]:
+    return np.eye(6)[[AXES.index(name) for name in features.row_names]]
