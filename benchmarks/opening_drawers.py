@@ -200,7 +200,7 @@ def chests(bench: Bench, n: int, seed: int) -> str:
 def side_forces(bench: Bench) -> str:
     """The largest side force on the drawer of example 07, opened by position servos from the demo's start [N]."""
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-    from drawer_physics import PERIOD, DrawerPhysics
+    from drawer_physics import PERIOD, ArmPhysics, drawer
 
     lines = ["| policy | 400 N m/rad | 2,000 N m/rad |", "|---|---|---|"]
     for policy in POLICIES:
@@ -210,11 +210,13 @@ def side_forces(bench: Bench) -> str:
             controller = ml.ResolvedRateController(bench.constraint, task, bench.policy(policy, task.constraint))
             loop = ml.ServoLoop(controller, PERIOD, latency=0.003, compiled=False)
             loop.reset(q)
-            physics = DrawerPhysics("sawyer", q, bench.outward, stiffness, np.random.default_rng(7))
+            handle = bench.robot.position(q, bench.features.frame)
+            held = drawer(handle, bench.outward)
+            physics = ArmPhysics("sawyer", q, held, stiffness, np.random.default_rng(7))
             force = []
             for _ in range(round((task.duration + 1.0) / PERIOD)):
-                loop.update(*physics.measured())
-                physics.send(loop.position)
+                command = loop.update(physics.read()[0], physics.time)
+                physics.command(loop.position, command.velocity)
                 force.append(physics.side_force)
             forces.append(max(force[50:]))  # what closing the grip takes is over after 50 ms
         lines.append(f"| {policy} | {forces[0]:.1f} | {forces[1]:.1f} |")

@@ -52,6 +52,7 @@ class ArmPhysics:
         latency: From a measurement to the command that it leads to, a multiple of two periods [s]; half on each way.
         jammed_at: Way at which a drawer is stuck [m]; None for nowhere.
         payload: Mass that hangs from the hand, and that the drives know nothing of [kg].
+        start: shape (nv,), posture before the hand takes hold [rad]; None for `grasp`, the hand on the handle.
     """
 
     period = PERIOD
@@ -68,6 +69,7 @@ class ArmPhysics:
         latency: float = LATENCY,
         jammed_at: float | None = None,
         payload: float = 0.0,
+        start: Float[np.ndarray, " nv"] | None = None,
     ):
         arm = load_arm(robot_name)
         handle = arm.pose(grasp)[:3, 3]
@@ -86,9 +88,10 @@ class ArmPhysics:
             model.jnt_solref[-1], model.jnt_solimp[-1] = (0.02, 1.0), STIFF_SOLIMP  # wood gives way a little
         self._weight = np.array([0.0, 0.0, -9.81 * payload])
         self._data = mujoco.MjData(model)
-        self._data.qpos[: self._n] = grasp
-        if held:
-            self._data.eq_active[self._grip] = 1
+        first = grasp if start is None else start
+        self._data.qpos[: self._n] = first
+        if start is None:
+            self.take_hold()
         mujoco.mj_forward(model, self._data)
         inertia = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, self._data, inertia)
@@ -96,7 +99,12 @@ class ArmPhysics:
         late = round(0.5 * latency / PERIOD)
         self._measured = deque([self._encoders() for _ in range(late + 1)], late + 1)
         self.history: list[tuple[float, float]] = []  # way [m or rad] and side force [N] after each period
-        self._sent = deque([grasp.copy() for _ in range(late + 2)], late + 2)
+        self._sent = deque([first.copy() for _ in range(late + 2)], late + 2)
+
+    def take_hold(self) -> None:
+        """Close the grip on the handle, where the hand is there."""
+        if self._grip >= 0:
+            self._data.eq_active[self._grip] = 1
 
     @property
     def time(self) -> float:

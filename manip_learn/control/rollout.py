@@ -24,7 +24,6 @@ from manip_learn.robot import html_card
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
-
 _CURVES = ("time", "q", "u", "manipulability", "task_error", "status", "following_error")
 
 
@@ -128,17 +127,12 @@ class Rollout:
         kept = {name: getattr(self, name)[:n] for name in _CURVES if getattr(self, name) is not None}
         return replace(self, **kept)
 
-    def followed_by(self, other: Rollout, names: tuple[str, str]) -> Rollout:
-        """This motion and another one that begins where it ends, as one.
-
-        Args:
-            other: What follows, of the same robot.
-            names: What the two parts are called, e.g. in a replay.
-        """
+    def followed_by(self, other: Rollout) -> Rollout:
+        """This motion and another one of the same robot that begins where it ends, as one; the phases of both."""
         shift = float(self.time[-1])
         joined = {name: np.concatenate([getattr(self, name)[:-1], getattr(other, name)]) for name in _CURVES[1:5]}
         time = np.concatenate([self.time[:-1], other.time + shift])
-        phases = ((names[0], 0.0, shift), (names[1], shift, float(time[-1])))
+        phases = (*self.phases, *((name, start + shift, end + shift) for name, start, end in other.phases))
         status = (*self.status[:-1], *other.status)
         return replace(other, **joined, time=time, status=status, phases=phases, following_error=None)
 

@@ -113,6 +113,7 @@ def _phases(value: object) -> list | None:
         raise ValueError(f"the phases must be a name, a start and an end each, they are {value!r:.60}")
     return value
 
+
 def _target(value: object) -> list | None:
     array = None if value is None else np.array(value, dtype=np.float64)
     if array is not None and not (array.ndim in (1, 2) and np.all(np.isfinite(array))):

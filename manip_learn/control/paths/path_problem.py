@@ -266,7 +266,7 @@ class PathProblem:
 
 @final
 class PathPolicy(NullSpacePolicy):
-    """pi = dq*/dt + gain (q*(t) - q), with q*(t) a cubic spline through knots; at rest before the first one and behind the last.
+    """pi = dq*/dt + gain (q*(t) - q), q* a cubic spline through knots, at rest before the first and behind the last.
 
     Args:
         time: Times of the knots, rising [s].

@@ -60,18 +60,17 @@ class Clearance:
         found = self._collision.closer_than(self._robot.configuration(q), 2.0 * CLEARANCE)
         return min((p.distance for p in found), default=np.inf)
 
-    def touching(self, q: Posture) -> tuple[str, str] | None:
-        """Two links that touch or overlap; None if none do."""
+    def near(self, q: Posture, distance: float | None = None) -> tuple[str, str] | None:
+        """Two links that are nearer to each other than a distance [m], by default that asked for; None if none are."""
         if self._collision is None:
             return None
-        found = self._collision.closer_than(self._robot.configuration(q), 0.0)
+        far = self.least if distance is None else distance
+        found = self._collision.closer_than(self._robot.configuration(q), far)
         return found[0].links if found else None
 
     def __call__(self, q: Posture) -> bool:
         """Whether a posture is clear."""
-        if self._collision is None:
-            return True
-        return not self._collision.closer_than(self._robot.configuration(q), self.least)
+        return self.near(q) is None
 
     def of_line(self, a: Posture, b: Posture) -> bool:
         """Whether the straight joint motion between two postures is clear, the middle looked at first."""
@@ -99,9 +98,7 @@ def clear_path(
     return None if path is None else _shortened(path, clear, rng)
 
 
-def _grown(
-    start: Posture, goal: Posture, draw: Callable[[], Posture], clear: Clearance
-) -> list[Posture] | None:
+def _grown(start: Posture, goal: Posture, draw: Callable[[], Posture], clear: Clearance) -> list[Posture] | None:
     trees: list[tuple[list[Posture], list[int]]] = [([start], [-1]), ([goal], [-1])]
     for turn in range(TRIES):
         here, there = trees[turn % 2], trees[1 - turn % 2]

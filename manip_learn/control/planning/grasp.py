@@ -60,21 +60,19 @@ class GraspCone:
         Args:
             shown: Orientation of the hand at the start.
         """
-        return shown @ self.axis if self.direction is None else np.asarray(self.direction)
+        return shown @ np.asarray(self.axis) if self.direction is None else np.asarray(self.direction)
 
-    def orientations(
-        self, shown: Float[np.ndarray, "3 3"], rng: np.random.Generator
-    ) -> Float[np.ndarray, "g 3 3"]:
+    def orientations(self, shown: Float[np.ndarray, "3 3"], rng: np.random.Generator) -> Float[np.ndarray, "g 3 3"]:
         """Orientations of the hand inside the cone, that next to the one shown first.
 
         Args:
             shown: Orientation of the hand at the start.
             rng: Random numbers of the tilts.
         """
-        wanted, here = self.toward(shown), shown @ self.axis
-        upright = _least_turn(here, wanted) @ shown
+        wanted, axis = self.toward(shown), np.asarray(self.axis)
+        upright = _least_turn(shown @ axis, wanted) @ shown
         spins = np.arange(self.turns or SPINS) * 2.0 * np.pi / (self.turns or SPINS)
-        spun = upright @ Rotation.from_rotvec(spins[:, None] * self.axis).as_matrix()
+        spun = upright @ Rotation.from_rotvec(spins[:, None] * axis).as_matrix()
         if self.angle == 0.0:
             return spun
         across = np.linalg.svd(wanted[None])[2][1:]
@@ -85,14 +83,14 @@ class GraspCone:
         tilted = Rotation.from_rotvec(tilt[:, None] * about).as_matrix()
         chosen = spun[rng.integers(len(spun), size=TILTS)]
         if self.turns is None:
-            chosen = upright @ Rotation.from_rotvec(rng.uniform(0.0, 2.0 * np.pi, (TILTS, 1)) * self.axis).as_matrix()
+            chosen = upright @ Rotation.from_rotvec(rng.uniform(0.0, 2.0 * np.pi, (TILTS, 1)) * axis).as_matrix()
         return np.concatenate([upright[None], tilted @ chosen])
 
     def holds(
         self, orientations: Float[np.ndarray, "n 3 3"], toward: Float[np.ndarray, "n 3"]
     ) -> Bool[np.ndarray, " n"]:
         """Which hands have their axis in the cone about a direction each."""
-        cosine = np.sum((orientations @ self.axis) * toward, axis=1)
+        cosine = np.sum((orientations @ np.asarray(self.axis)) * toward, axis=1)
         return cosine >= np.cos(self.angle) - 1e-6
 
 

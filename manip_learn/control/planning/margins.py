@@ -1,13 +1,14 @@
 """How much of its own limits a way leaves: of the joints' ranges, of their speeds, of what the weakest direction needs.
 
-    margin = min over the way of  min( 1 - |b| / sigma_min(A U),                         the weakest direction
+    margin = min over the way of  min( max(0, 1 - |b| / sigma_min(A U)),                 the weakest direction
                                        min_i 2 min(q_i - low_i, high_i - q_i) / (high_i - low_i),   the range
                                        1 - max_i |u_i| / U_i )                                      the speed
 
 A holds the rows held and driven, metres and radians alike as in mu; U is the diagonal of the velocity limits, so that
 sigma_min(A U) is how fast the hand can go in its weakest direction with joint speeds of norm 1 in units of their
 limits, and |b| the largest velocity that the way asks of it. Each term is 1 where nothing is used, and 0 at the limit.
-The first becomes negative near singularities where the way happens to need little of the weakest direction.
+The first is 0 where that direction is slower than the way, which may happen not to need it; the last is negative where
+the way takes longer than it was asked to.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from jaxtyping import Float
 from manip_learn.control.limits import Limits
 from manip_learn.control.planning.stations import Postures, Stations
 from manip_learn.control.tasks.driven_motion import Unit
+
+LEAST_LOG = -50.0  # of mu at a singularity: e^-50 is far below what rounding leaves of it
 
 
 @final
@@ -93,7 +96,9 @@ def node_margins(stations: Stations, q: Postures, station: np.ndarray) -> NodeMa
     squares = np.linalg.eigvalsh(weighted @ weighted.transpose(0, 2, 1))[:, 0]
     sigma = np.sqrt(np.maximum(squares, np.finfo(np.float64).tiny))
     log_mu = 0.5 * np.linalg.slogdet(A @ A.transpose(0, 2, 1))[1]
-    return NodeMargins(1.0 - stations.need / sigma, np.min(rooms(stations.limits, q), axis=1), np.maximum(log_mu, -50.0))
+    room = np.min(rooms(stations.limits, q), axis=1)
+    weakest = np.maximum(1.0 - stations.need / sigma, 0.0)
+    return NodeMargins(weakest, room, np.maximum(log_mu, LEAST_LOG))
 
 
 def rooms(limits: Limits, q: Postures) -> Postures:

@@ -18,7 +18,7 @@ from manip_learn.control.paths.path_problem import PathPolicy
 from manip_learn.control.planning.approach import Clearance, clear_path, self_collision
 from manip_learn.control.planning.grasp import GraspCone
 from manip_learn.control.planning.margins import Margins, margins_of
-from manip_learn.control.planning.search import TIE, Ladder, ladder_of, relaxed
+from manip_learn.control.planning.search import TIE, Fits, Ladder, ladder_of, relaxed
 from manip_learn.control.planning.stations import FEWEST, MOST, PERIOD, Postures, Stations
 from manip_learn.control.policies import NullSpacePolicy
 from manip_learn.control.rollout import Rollout
@@ -26,7 +26,7 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.joint_motion import JointMotion, every_joint
 from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.control.way import AT_LIMIT, WayDone, simulate_way
-from manip_learn.errors import ConfigurationError, FeatureError, NoPlanError, TargetError, advice
+from manip_learn.errors import ConfigurationError, FeatureError, NoPlanError, TargetError, advice, an
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import html_card
 from manip_learn.robot.collision import SelfCollision
@@ -38,7 +38,9 @@ APPROACH_SHARE = 0.25  # of the velocity limits, on the way to the posture of ho
 APART = 0.3  # [rad or m] of the joint that differs most: nearer postures are one and the same choice
 TRIED = 8  # choices that are simulated, best margin first
 OTHERS = 4  # choices of which a plan says why they are worse
+SPARE = 1.1  # times the time that the fastest joint needs: its speed also takes deviations back
 PLACES, SENSES = 3, 8  # of the base: distances, and directions in the plane
+LESS = 0.9  # of a way that did not come true is tried next
 LEAST_SHARE = 0.01  # of the whole way: less is no part of it
 
 
@@ -93,8 +95,8 @@ class Plan:
 
     @property
     def rollout(self) -> Rollout:
-        """Approach and way, one after the other."""
-        return self.approach.followed_by(self.way, ("approach", "way"))
+        """Approach and way, one after the other; its phases are the approach, the hold and the way."""
+        return self.approach.followed_by(self.way)
 
     def save(self, path: Any) -> Any:
         """Write approach and way as one file; formats and errors as for `Rollout.save`."""
@@ -196,7 +198,9 @@ def plan(
     problem.check(beyond_shown)
     said("comparing postures", 0.1)
     ladder = problem.ladder(candidates)
-    found = problem.best(ladder, said)
+    if problem.slow_down(ladder):
+        ladder = problem.ladder(candidates)
+    found = problem.best(ladder, said) or problem.best(ladder.where(problem.clear), said) or problem.as_it_stands()
     if found is None:
         said("looking for what would help", 0.6)
         raise problem.refusal(ladder, candidates, base_within)
@@ -220,7 +224,10 @@ class _Problem:
         dt: float,
     ):
         if not isinstance(motion, FreeDirection):
-            raise ConfigurationError(f"plan(constraint, motion, start): the motion is {motion!r}, not what motion() makes")
+            raise ConfigurationError(
+                f"call plan(constraint, motion, start): the motion is {an(motion)}; "
+                + "motion(constraint, along=... | turn=...) makes one"
+            )
         self.rows = motion.rows(constraint)
         robot = constraint.robot
         if robot is None:
@@ -239,7 +246,7 @@ class _Problem:
     def check(self, beyond_shown: bool) -> None:
         """Refuse a start, a way or a grasp that cannot be."""
         check_inside(self.robot, self.positions)
-        touching = self.clear.touching(self.positions)
+        touching = self.clear.near(self.positions, 0.0)
         if touching is not None:
             raise TargetError(f"at the start the links {touching[0]!r} and {touching[1]!r} touch: start elsewhere")
         shown, wanted = self.motion.longest_shown, abs(self.motion.wanted)
@@ -262,20 +269,30 @@ class _Problem:
         if grasp is not None and stations.holds_orientation:
             grasps = grasp.orientations(stations.grasp, self.rng)
         elif grasp is not None:
-            toward = grasp.toward(stations.grasp)
-
-            def fits(poses: np.ndarray, k: np.ndarray) -> np.ndarray:
-                return grasp.holds(poses[:, :3, :3], stations.turns[k] @ toward)
-
+            fits = _inside(grasp, stations)
         return ladder_of(stations, self.rows, self.positions, candidates, self.rng, grasps, fits)
 
+    def slow_down(self, ladder: Ladder) -> bool:
+        """Give the way more time, where no posture is found from which the joints are fast enough for it."""
+        margin = float(np.max(ladder.margins_from_the_end(len(self.stations) - 1)[:, 0], initial=-np.inf))
+        if not -np.inf < margin < -TIE:
+            return False
+        times = SPARE * (1.0 - margin)
+        self.motion = self.motion.slowed(times)
+        self.stations = Stations.of(self.motion, self.start, self.limits)
+        self.notes = (*self.notes, f"the joints are too slow for it: the way takes {times:.2g} times its time")
+        return True
+
     def best(self, ladder: Ladder, said: Progress) -> Plan | None:
-        """The plan with the largest margin that comes true in simulation; None if none does."""
+        """The plan with the largest margin that comes true in simulation; None if none does, or if links touch."""
         choices = self._choices(ladder)
         for number, (march, margin) in enumerate(choices[:TRIED]):
             said("simulating the best of them", 0.3 + 0.08 * number)
             path = self._way(ladder, march, margin)
-            if path is None or (approach := self._approach(path[0])) is None:
+            if path is None:
+                return None
+            approach = self._approach(path[0])
+            if approach is None:
                 continue
             law = self._law(path)
             way, outcome = simulate_way(self.robot, law, approach.q[-1], self.dt)
@@ -283,7 +300,7 @@ class _Problem:
                 margins = margins_of(self.stations, path)
                 others = self._others(ladder, choices, march)
                 return self._plan(path[0], approach, way, margins, outcome, others, law, len(choices))
-        return self._as_it_stands(len(choices))
+        return None
 
     def _choices(self, ladder: Ladder) -> list[tuple[int, float]]:
         """Numbers and margins of the marches from which the whole way is possible, best first, each apart."""
@@ -344,7 +361,7 @@ class _Problem:
             out.append(Choice(path[0], margin, margins_of(self.stations, path).limited_by(self.motion.unit)))
         return tuple(out)
 
-    def _as_it_stands(self, compared: int) -> Plan | None:
+    def as_it_stands(self) -> Plan | None:
         """The way from the start with the ascent of mu, or with spare joints at rest, where that comes true."""
         if self.motion.hold(self.start) > 0.0:
             return None
@@ -358,12 +375,24 @@ class _Problem:
             joints = np.array([self.robot.positions(q) for q in way.q])
             path = np.array([np.interp(time, way.time, column) for column in joints.T]).T
             margins = margins_of(self.stations, path)
-            return self._plan(self.positions, approach, way, margins, outcome, (), law, compared)
+            return self._plan(self.positions, approach, way, margins, outcome, (), law, 0)
         return None
 
-    def _plan(self, hold, approach, way, margins, outcome, others, law, compared) -> Plan:
+    def _plan(
+        self,
+        hold: Float[np.ndarray, " nv"],
+        approach: Rollout,
+        way: Rollout,
+        margins: Margins,
+        outcome: WayDone,
+        others: tuple[Choice, ...],
+        law: ResolvedRateController,
+        compared: int,
+    ) -> Plan:
         sequence = LawSequence(self._approach_law, law)
-        sequence.reset()
+        held, end = outcome.begins or 0.0, float(way.time[-1])
+        approach = replace(approach, phases=(("approach", 0.0, float(approach.time[-1])),))
+        way = replace(way, phases=(*((("hold", 0.0, held),) if held else ()), ("way", held, end)))
         numbers = margins.margin, margins, outcome, others, sequence, compared, self.notes
         return Plan(self.robot, hold, approach, way, *numbers)
 
@@ -371,6 +400,7 @@ class _Problem:
 
     def refusal(self, ladder: Ladder, candidates: int, base_within: float) -> NoPlanError:
         """How much of the way can be done, what stops it, and what would help."""
+        could, ladder = ladder.reached(), ladder.where(self.clear)
         unit, size = ("m", 1.0) if self.motion.unit == "m" else ("degrees", float(np.degrees(1.0)))
         helps = self._helps(candidates, base_within)
         more = "".join(f"; {sentence}" for sentence in helps)
@@ -387,6 +417,8 @@ class _Problem:
         march = int(np.argmax(margins))
         path = ladder.postures(ladder.path(march, last, margins[march] - TIE))
         largest, stopped_by = self._largest(path)
+        if last < could:
+            stopped_by = f"links that would touch ({self._touching(ladder, last)})"
         return NoPlanError(
             f"no plan for {abs(size * self.motion.wanted):.3g} {unit}: {abs(size * largest):.3g} {unit} at most, "
             f"stopped by {stopped_by}{more}",
@@ -398,27 +430,27 @@ class _Problem:
 
     def _largest(self, path: Postures) -> tuple[float, str]:
         """How much of the way comes true from the beginning of a path, and what stops it."""
-        stopped_by = self._stopped_by(path)
-        for share in (1.0, 0.95, 0.9, 0.75, 0.5, 0.25):
-            distance = share * float(self.stations.distance[len(path) - 1])
-            if abs(distance) < LEAST_SHARE * abs(self.motion.wanted):
-                break
-            task = self.motion.with_distance(distance)
+        stopped_by, distance = self._stopped_by(path), float(self.stations.distance[len(path) - 1])
+        times = max(1.0, SPARE * (1.0 - margins_of(self.stations, path).speed))
+        while abs(distance) >= LEAST_SHARE * abs(self.motion.wanted):
+            task = self.motion.with_distance(distance).slowed(times)
             time, there, _ = task.table(self.start, PERIOD, FEWEST, MOST)
             done = np.abs(self.stations.distance[: len(path)])
             knots = np.array([np.interp(np.abs(there), done, column) for column in path.T]).T
-            policy = PathPolicy(task.pause + time, knots, FOLLOWING, self.robot)
-            outcome = simulate_way(self.robot, self._controller(task, policy), self.robot.configuration(path[0]))[1]
+            law = self._controller(task, PathPolicy(task.pause + time, knots, FOLLOWING, self.robot))
+            outcome = simulate_way(self.robot, law, self.robot.configuration(path[0]), self.dt)[1]
             if outcome.is_done and not outcome.strays:
                 return distance, stopped_by
-            stopped_by = outcome.stopped_by or f"{1e3 * outcome.deviation:.1f} mm off what holds the hand"
+            if outcome.stopped_by is not None:
+                stopped_by = outcome.stopped_by
+            distance = LESS * (outcome.done if 0.0 < outcome.done / distance < 1.0 and not outcome.strays else distance)
         return 0.0, stopped_by
 
     def _stopped_by(self, path: Postures) -> str:
         """What keeps the last posture of a path from going on, in words."""
         q, k = path[-1], np.array([len(path) - 1])
         if len(path) == len(self.stations):
-            return "links that touch, or limits of the loop in simulation"
+            return "limits of the loop in simulation"
         for i, name in enumerate(self.robot.joint_names):
             for side, limit in (("lower", self.robot.position_lower[i]), ("upper", self.robot.position_upper[i])):
                 if abs(q[i] - limit) < AT_LIMIT:
@@ -430,6 +462,13 @@ class _Problem:
         what, d = ("move along", (x, y, z)) if moves else ("turn about", (rx, ry, rz))
         words = ", ".join(f"{c:.2f}" for c in np.array(d) / np.linalg.norm(d))
         return f"a singularity: the hand can hardly {what} ({words}) there (singular value {sigma[-1]:.2g})"
+
+    def _touching(self, ladder: Ladder, last: int) -> str:
+        """Two links that touch at the station after the last one."""
+        for q in ladder.q[np.isfinite(ladder.q[:, last + 1, 0]), last + 1]:
+            if (links := self.clear.near(q)) is not None:
+                return " and ".join(links)
+        return "on the way"
 
     def _missed(self, candidates: int) -> str:
         """How near the hand comes to where it should take hold, in words."""
@@ -461,6 +500,12 @@ class _Problem:
                     out.append(f"the base moved by ({shift[0]:.2f}, {shift[1]:.2f}) m could do it")
                     return tuple(out)
         return tuple(out)
+
+
+def _inside(grasp: GraspCone, stations: Stations) -> Fits:
+    """Whether hands are inside a cone that turns with the way."""
+    toward = grasp.toward(stations.grasp)
+    return lambda poses, k: grasp.holds(poses[:, :3, :3], stations.turns[k] @ toward)
 
 
 def _check_joints(robot: Robot, limits: Limits) -> None:

@@ -11,7 +11,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -28,6 +29,9 @@ SHARE = 0.125  # of the seeds: those along the self-motion of the start
 PULL = 0.3  # share of the joints' speeds that spare joints may use while the way is marched along
 ASCENT = 3.0  # [1/s] gain of the pull up the manipulability, as that of `ManipulabilityAscent`
 TIE = 0.01  # margins nearer to each other than a hundredth of the limits are alike: the manipulability decides
+TURN = 2.0 * np.pi
+# poses (n, 4, 4) and their stations (n,) -> whether the hand may be so
+Fits = Callable[[np.ndarray, np.ndarray], np.ndarray]
 SLOWEST = 3.0  # times the velocity limit that a step may ask for: the way is then done in three times its time
 ROUGH = 1.0  # log mu that a node may lose for a step at full speed, when ties are decided: straight joint motion
 
@@ -55,12 +59,19 @@ class Ladder:
     least: Float[np.ndarray, "P L"]
     log_mu: Float[np.ndarray, "P L"]
 
+    def where(self, clear: Callable[[Float[np.ndarray, " nv"]], bool]) -> Ladder:
+        """The same with those nodes only whose postures are clear."""
+        allowed = self.allowed.copy()
+        for p, k in np.argwhere(allowed).tolist():
+            allowed[p, k] = clear(self.q[p, k])
+        return replace(self, allowed=allowed)
+
     def margins_from_the_end(self, last: int) -> Float[np.ndarray, "P L"]:
         """The largest least margin with which each node goes on to a station; minus infinity where none does."""
         out = np.full(self.least.shape, -np.inf)
         out[:, last] = np.where(self.allowed[:, last], self.least[:, last], -np.inf)
         for k in range(last - 1, -1, -1):
-            i, j, edge = self._edges(k, np.isfinite(out[:, k + 1]))
+            i, j, edge = self._edges(k, self.allowed[:, k], np.isfinite(out[:, k + 1]))
             if len(i) and len(j):
                 on = np.minimum(edge, out[j, k + 1])
                 out[i, k] = np.minimum(self.least[i, k], on.max(axis=1))
@@ -72,9 +83,9 @@ class Ladder:
         for k in range(len(self.stations) - 1):
             if not on.any():
                 return k - 1
-            i, j, edge = self._edges(k, self.allowed[:, k + 1])
+            _, j, edge = self._edges(k, on, self.allowed[:, k + 1])
             ahead = np.zeros_like(on)
-            ahead[j] = np.isfinite(edge[on[i]]).any(axis=0)
+            ahead[j] = np.isfinite(edge).any(axis=0)
             on = ahead
         return len(self.stations) - 1 if on.any() else len(self.stations) - 2
 
@@ -87,52 +98,49 @@ class Ladder:
             floor: A margin that one path at least has.
         """
         best: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-        ahead = np.where(self.allowed[:, last] & (self.least[:, last] >= floor), self.log_mu[:, last], -np.inf)
+        high = self.allowed & (self.least >= floor)
+        ahead = np.where(high[:, last], self.log_mu[:, last], -np.inf)
         for k in range(last - 1, -1, -1):
-            i, j, edge = self._edges(k, np.isfinite(ahead))
+            i, j, edge = self._edges(k, high[:, k], np.isfinite(ahead))
             gain = np.where(edge >= floor, ahead[j] - ROUGH * (1.0 - edge) ** 2, -np.inf)
             choice = gain.argmax(axis=1)
             best.append((i, j, choice))
-            here = np.full(len(self.q), -np.inf)
-            fits = self.least[i, k] >= floor
-            here[i] = np.where(fits, self.log_mu[i, k] + gain[np.arange(len(i)), choice], -np.inf)
-            ahead = here
+            ahead = np.full(len(self.q), -np.inf)
+            ahead[i] = self.log_mu[i, k] + gain[np.arange(len(i)), choice]
         marches = [first]
         for i, j, choice in reversed(best):
             marches.append(int(j[choice[np.flatnonzero(i == marches[-1])[0]]]))
         return np.array(marches)
 
-    def postures(self, marches: Int[np.ndarray, " k"]) -> Postures:
-        """The postures of a path, joints without limits unwound."""
-        path = self.q[marches, np.arange(len(marches))]
-        return np.vstack([path[:1], path[0] + np.cumsum(self._difference(path[:-1], path[1:]), axis=0)])
-
-    def _edges(self, k: int, goes_on: Bool[np.ndarray, " P"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Nodes of layer k, those of the next that go on, and what a step leaves of the joints' speeds."""
-        i, j = np.flatnonzero(self.allowed[:, k]), np.flatnonzero(goes_on)
-        time = self.stations.time[k + 1] - self.stations.time[k]
-        step = self._difference(self.q[i, k][:, None], self.q[j, k + 1][None])
-        left = speeds_left(self.stations.limits, step, time)
-        far = (left < 1.0 - SLOWEST) | (self.family[i][:, None] != self.family[j][None])
+    def _edges(
+        self, k: int, here: Bool[np.ndarray, " P"], ahead: Bool[np.ndarray, " P"]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Some nodes of layer k, some of the next, and what the step between them leaves of the joints' speeds."""
+        i, j = np.flatnonzero(here), np.flatnonzero(ahead)
+        before, after, wound = self.q[i, k].T, self.q[j, k + 1].T, self._wound
+        fastest = np.zeros((len(i), len(j)))
+        for joint, (speed, turns) in enumerate(zip(self.stations.limits.velocity, wound, strict=True)):
+            step = after[joint] - before[joint][:, None]
+            if turns:
+                step -= TURN * np.round(step / TURN)
+            np.maximum(fastest, np.abs(step) / speed, out=fastest)
+        left = 1.0 - fastest / (self.stations.time[k + 1] - self.stations.time[k])
+        far = (left < 1.0 - SLOWEST) | (self.family[i][:, None] != self.family[j])
         return i, j, np.where(far, -np.inf, left)
 
-    def _difference(self, a: Float[np.ndarray, "... nv"], b: Float[np.ndarray, "... nv"]) -> np.ndarray:
-        """From a to b; of joints without limits by less than half a turn."""
-        step = b - a
-        wound = self._wound
-        if wound.any():
-            step[..., wound] -= 2.0 * np.pi * np.round(step[..., wound] / (2.0 * np.pi))
-        return step
+    def postures(self, marches: Int[np.ndarray, " k"]) -> Postures:
+        """The postures of a path; joints without limits go on from station to station by less than half a turn."""
+        path = self.q[marches, np.arange(len(marches))]
+        steps = np.diff(path, axis=0)
+        steps -= np.where(self._wound, TURN * np.round(steps / TURN), 0.0)
+        return np.vstack([path[:1], path[0] + np.cumsum(steps, axis=0)])
 
     @property
     def _wound(self) -> Bool[np.ndarray, " nv"]:
+        """Joints that turn without limits."""
         robot = self.stations.limits.robot
-        return ~np.isfinite(robot.position_upper - robot.position_lower) & robot_turns(robot)
-
-
-def robot_turns(robot) -> Bool[np.ndarray, " nv"]:
-    """Which joints turn."""
-    return np.array([block.kind != "prismatic" for block in robot.blocks for _ in block.coordinate_names])
+        turns = [block.kind != "prismatic" for block in robot.blocks for _ in block.coordinate_names]
+        return np.array(turns) & ~np.isfinite(robot.position_upper - robot.position_lower)
 
 
 def ladder_of(
@@ -142,7 +150,7 @@ def ladder_of(
     number: int,
     rng: np.random.Generator,
     grasps: Float[np.ndarray, "g 3 3"],
-    fits=None,
+    fits: Fits | None = None,
 ) -> Ladder:
     """Seeds, and their marches along the whole way.
 
@@ -153,7 +161,7 @@ def ladder_of(
         number: Of seeds.
         rng: Random numbers.
         grasps: Orientations in which the hand may take hold, where the rows hold orientations; tried in turn.
-        fits: (poses (n, 4, 4), stations (n,)) -> whether the hand may be so; None for everything.
+        fits: Whether the hand may be so; None for everything.
     """
     q, station, family = _seeds(stations, start, number, rng, len(grasps))
     q, there = stations.onto(q, station, grasps[family], SEED_STEPS)
@@ -265,19 +273,17 @@ def relaxed(stations: Stations, q: Postures, grasp: Float[np.ndarray, "3 3"]) ->
         q: One posture a station.
         grasp: Orientation of the hand at the start.
     """
-    k = np.arange(len(q))
-    grasps = np.repeat(grasp[None], len(q), axis=0)
-    value, rise = _soft_margin(stations, q)[0], FIRST_RISE
+    k, grasps = np.arange(len(q)), np.repeat(grasp[None], len(q), axis=0)
+    (value, slope, within), rise = _soft_margin(stations, q), FIRST_RISE
     for _ in range(BAND_STEPS):
-        slope = _soft_margin(stations, q)[1]
         largest = np.max(np.abs(slope))
         bent = np.zeros_like(q)
         bent[1:-1] = 0.5 * (q[2:] + q[:-2]) - q[1:-1]
         step = SMOOTH * bent + (rise / largest * slope if largest > 0.0 else 0.0)
         moved, there = stations.onto(q + step, k, grasps, MARCH_STEPS)
-        new = _soft_margin(stations, moved)[0] if np.all(there) else -np.inf
-        if new > value:
-            q, value, rise = moved, new, 1.5 * rise
+        new = _soft_margin(stations, moved)
+        if np.all(there) and new[0] > value and new[2] >= min(within, 0.0):
+            q, (value, slope, within), rise = moved, new, 1.5 * rise
             continue
         rise *= 0.4
         if rise < LEAST_RISE:
@@ -285,8 +291,13 @@ def relaxed(stations: Stations, q: Postures, grasp: Float[np.ndarray, "3 3"]) ->
     return q
 
 
-def _soft_margin(stations: Stations, q: Postures) -> tuple[float, Postures]:
-    """A smooth lower bound of the least margin, -log sum exp(-c m) / c over all of them, and its gradient."""
+def _soft_margin(stations: Stations, q: Postures) -> tuple[float, Postures, float]:
+    """A smooth lower bound of the least margin, -log sum exp(-c m) / c over all of them, its gradient, and the least
+    margin of the limits of joints.
+
+    Below 0 that of the weakest direction goes on along its tangent, sigma / |b| - 1, so that the slope leads out of
+    singularities.
+    """
     limits = stations.limits
     low, high = limits.robot.position_lower, limits.robot.position_upper
     W, U = stations.rows[: len(q)], limits.velocity
@@ -294,8 +305,8 @@ def _soft_margin(stations: Stations, q: Postures) -> tuple[float, Postures]:
     left, _, right = np.linalg.svd((W @ J) * U, full_matrices=False)
     u, v = left[:, :, -1], right[:, -1] * U
     sigma = np.einsum("ns,nsj,nj->n", u, W @ J, v)
-    sigma_safe = np.maximum(sigma, 1e-9)
-    weakest = 1.0 - stations.need / sigma_safe
+    over = np.maximum(sigma, stations.need)
+    weakest = np.where(sigma > stations.need, 1.0 - stations.need / over, sigma / stations.need - 1.0)
     d_sigma = np.einsum("nr,nrjk,nj->nk", np.einsum("ns,nsr->nr", u, W), H, v)
     room, bounded = rooms(limits, q), np.isfinite(high - low)
     with np.errstate(invalid="ignore"):
@@ -310,11 +321,11 @@ def _soft_margin(stations: Stations, q: Postures) -> tuple[float, Postures]:
     value = least - np.log(total) / SHARPNESS
     weight /= total
     n = len(q)
-    slope = (weight[:n] * stations.need / sigma_safe**2)[:, None] * d_sigma
+    slope = (weight[:n] * stations.need / over**2)[:, None] * d_sigma
     by_room = np.zeros_like(q)
     by_room[:, bounded] = weight[n : n + n * bounded.sum()].reshape(n, -1)
     slope += by_room * d_room
     pushed = weight[n + n * bounded.sum() :].reshape(speed.shape) * np.sign(step) / dt / U
     slope[:-1] += pushed
     slope[1:] -= pushed
-    return float(value), slope
+    return float(value), slope, float(min(np.min(room), np.min(speed)))

@@ -200,6 +200,13 @@ class FreeDirection(Task):
         other.reset()
         return other
 
+    def slowed(self, times: float) -> FreeDirection:
+        """The same motion in so many times its time, from a start of its own."""
+        other = copy.copy(self)
+        other._profile = replace(self._profile, speed=self._profile.peak / times)
+        other.reset()
+        return other
+
     @property
     def longest_shown(self) -> float | None:
         """How far apart along the motion the places are at which the task was shown [m or rad]; None if not known."""
