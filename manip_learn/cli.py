@@ -12,6 +12,7 @@ import typer
 
 from manip_learn.commands import arguments as shared
 from manip_learn.commands.output import answer, progress, refused_by_system, waiting
+from manip_learn.commands.plan_options import PlanOptions
 from manip_learn.commands.read_options import ReadOptions
 from manip_learn.commands.refusal import nobody_reads, refuse
 from manip_learn.commands.robot_options import RobotOptions
@@ -174,6 +175,7 @@ def control(
     check: Annotated[bool, typer.Option("--check", help="Write nothing and refuse if it gets less far.")] = False,
     out: Annotated[Path | None, typer.Option(help="Rollout file to write: .npz, .csv, .jsonl or .mcap.")] = None,
     *,
+    planned: PlanOptions | None,
     robot_options: RobotOptions,
     explain: shared.Explain = False,
     as_json: shared.Json = False,
@@ -185,7 +187,7 @@ def control(
         result = run(
             robot, constraint, start=vector("--start", start), target=vector("--target", target), along=along,
             turn=turn, direction=direction_of(direction), speed=speed, keep_orientation=keep_orientation, rows=rows,
-            check=check, policy=policy, rest=vector("--rest", rest), gain=gain, task_gain=task_gain,
+            check=check, planned=planned, policy=policy, rest=vector("--rest", rest), gain=gain, task_gain=task_gain,
             duration=duration, dt=dt, inverse=inverse, tolerance=tolerance, out=out, robot_options=robot_options,
             progress=report
         )  # fmt: skip

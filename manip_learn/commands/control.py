@@ -10,6 +10,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_learn.commands.plan_options import PlanOptions
 from manip_learn.commands.robot_loading import robot_of_constraint
 from manip_learn.commands.robot_options import RobotOptions
 from manip_learn.constraint.constraint import Constraint
@@ -17,6 +18,8 @@ from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.limits import check_inside
+from manip_learn.control.planning.grasp import GraspCone
+from manip_learn.control.planning.plan import Plan, plan
 from manip_learn.control.policies import ASCENT_GAIN, JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
@@ -69,6 +72,8 @@ class Controlled:
         way: What became of a way along the mechanism; None without one.
         start: Where the start posture came from, if it was not given.
         verb: What the way did to the thing, e.g. `"opened"`.
+        plan: The plan that was followed; None without one.
+        hint: What to try, where the way was probably meant otherwise.
     """
 
     rollout: Rollout
@@ -79,6 +84,8 @@ class Controlled:
     way: WayDone | None = None
     start: str = ""
     verb: str = "moved"
+    plan: Plan | None = None
+    hint: str = ""
 
     @property
     def final_error(self) -> float:
@@ -129,6 +136,7 @@ class Controlled:
             "final_error": self.final_error,
             "tolerance": self.tolerance,
             **(way if self.way is None else self.way.to_dict()),
+            "plan": None if self.plan is None else self.plan.to_dict(),
             "min_manipulability": float(r.manipulability.min()),
             "mean_manipulability": float(r.manipulability.mean()),
             "max_velocity": float(np.abs(r.u).max()),
@@ -152,6 +160,7 @@ def control(
     keep_orientation: bool = False,
     rows: str = "all",
     check: bool = False,
+    planned: PlanOptions | None = None,
     policy: str = "manipulability",
     rest: list[float] | None = None,
     gain: float = ASCENT_GAIN,
@@ -167,8 +176,9 @@ def control(
     """Simulate a controller and write the rollout to a file if one is named.
 
     Raises:
-        TargetError: A target beside a way, an unknown word for `rows`; with `check`, a way or a target that is not
-            reached, before anything is written.
+        TargetError: A target beside a way, an unknown word for `rows`, a plan without a way; with `check`, a way or a
+            target that is not reached, before anything is written.
+        NoPlanError: With `planned`, from no posture can the whole way be done.
         ManipLearnError: Anything else that is wrong with the robot, the constraint file, the numbers or the output.
     """
     robot = robot_of_constraint(robot_name, constraint_file, robot_options or RobotOptions())
@@ -196,8 +206,10 @@ def control(
         inverse,  # type: ignore[arg-type]  # checked by the controller
         dt=dt,
     )
-    way = None
-    if isinstance(task, FreeDirection):
+    way, found = None, None
+    if planned is not None:
+        found, rollout, way = follow(planned, constraint, task, q0, dt, progress)
+    elif isinstance(task, FreeDirection):
         rollout, way = simulate_way(robot, controller, q0, dt, duration, progress=progress)
     else:
         if duration is None:  # an attraction leaves e^(-gain t) of the way
@@ -205,13 +217,56 @@ def control(
             duration = max(5.0, math.log(max(far, 1.0)) / task_gain if task_gain > 0.0 else 5.0)
         rollout = simulate(robot, controller, q0, duration, dt, progress=progress)
     aim = aim_of(constraint, task, rollout) if isinstance(task, PointAttractor) else None
+    verb = verb_of(constraint, rollout, way)
     done = Controlled(
-        rollout, None, tolerance, place_of(constraint), aim, way, whence, verb_of(constraint, rollout, way)
+        rollout, None, tolerance, place_of(constraint), aim, way, whence, verb, found, _hint(task, direction)
     )
     if check and not done.reached:
         because = "" if way is None else f": stopped by {way.stopped_by}"
         raise TargetError(f"{done.sentence}{because}; ask for less, or start elsewhere (--start)", code="not-reached")
     return replace(done, out=rollout.save(out) if out is not None else None)
+
+
+def follow(
+    options: PlanOptions,
+    constraint: Constraint,
+    task: Task,
+    q0: np.ndarray,
+    dt: float,
+    progress: Progress | None = None,
+) -> tuple[Plan, Rollout, WayDone]:
+    """A plan, its approach and way as one motion, and what became of the way in that.
+
+    Raises:
+        TargetError: The task is no way; or as `plan` raises it.
+        NoPlanError: From no posture can the whole way be done.
+    """
+    if not isinstance(task, FreeDirection):
+        raise TargetError("only a way is planned: --plan goes with --along or --turn")
+    grasp = None
+    if options.grasp_angle is not None or options.grasp_turns is not None:
+        turns = 1 if options.grasp_turns is None else options.grasp_turns or None
+        grasp = GraspCone(angle=math.radians(options.grasp_angle or 0.0), turns=turns)
+    found = plan(
+        constraint,
+        task,
+        q0,
+        options.seed,
+        grasp=grasp,
+        base_within=options.base_within,
+        beyond_shown=options.beyond_shown,
+        dt=dt,
+        progress=progress,
+    )
+    begins = float(found.approach.time[-1]) + (found.outcome.begins or 0.0)
+    return found, found.rollout, replace(found.outcome, begins=begins)
+
+
+def _hint(task: Task, direction: list[float] | str | None) -> str:
+    """What to try, where a way went against that of the recordings and nobody said so."""
+    if direction is None and isinstance(task, FreeDirection) and task.goes_as_shown is False:
+        return "the recordings went the other way: --direction shown counts that way as positive"
+    return ""
 
 
 def place_of(constraint: Constraint) -> str:

@@ -9,13 +9,16 @@ from typing import Any, final
 
 import numpy as np
 
-from manip_learn.commands.control import Controlled, null_policy, place_of, verb_of
+from manip_learn.commands.control import Controlled, follow, null_policy, place_of, verb_of
 from manip_learn.commands.learn import Learnt, learn
+from manip_learn.commands.plan_options import PlanOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.planning.plan import Plan
+from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
-from manip_learn.control.tasks import PointAttractor, Task, motion
-from manip_learn.control.way import simulate_way
+from manip_learn.control.tasks import FreeDirection, PointAttractor, Task, motion
+from manip_learn.control.way import WayDone, simulate_way
 from manip_learn.errors import UnknownNameError
 from manip_learn.playback import ReplayResult, replay
 from manip_learn.recordings.trajectory_source import Progress
@@ -55,6 +58,10 @@ class Scene:
     towards: tuple[float, ...] = ()
     target: tuple[float, ...] = ()
     duration: float = 8.0
+
+    def way(self, constraint: Constraint) -> FreeDirection:
+        """Its way along what was learnt."""
+        return motion(constraint, self.along, direction=self.towards, keep_orientation=True, pause=PAUSE)
 
 
 SCENES = {
@@ -112,7 +119,7 @@ def shipped_recordings() -> Path:
 
 
 def demo(robot_name: str, out: Path, open_browser: bool, progress: Progress | None = None) -> Demo:
-    """Learn, compare the three policies from a nearly singular start, write constraint, rollouts and replay.
+    """Learn, compare a plan and three policies from a nearly singular start, write constraint, rollouts and replay.
 
     Raises:
         UnknownNameError: There is no demo for that robot.
@@ -132,15 +139,18 @@ def demo(robot_name: str, out: Path, open_browser: bool, progress: Progress | No
     robot = load_robot(robot_name)
     rollouts = {}
     for i, (name, controller) in enumerate(controllers(robot, learnt.constraint, scene).items()):
-        said(f"moving with the {name} policy", 0.5 + 0.12 * i)
+        said(f"moving with the {name} policy", 0.5 + 0.1 * i)
         way = None
         if scene.along is None:
             rollout = simulate(robot, controller, scene.start, scene.duration, DT)
         else:
             rollout, way = simulate_way(robot, controller, scene.start, DT)
-        place, verb = place_of(learnt.constraint), verb_of(learnt.constraint, rollout, way)
-        written = rollout.save(out / f"{name}.npz")
-        rollouts[name] = Controlled(rollout, written, TOLERANCE, place, way=way, verb=verb)
+        rollouts[name] = _written(name, out, learnt.constraint, rollout, way, None)
+    if scene.along is not None:
+        said("planning in which posture to take hold", 0.8)
+        start = np.array(scene.start)
+        found, rollout, way = follow(PlanOptions(), learnt.constraint, scene.way(learnt.constraint), start, DT)
+        rollouts = {"plan": _written("plan", out, learnt.constraint, rollout, way, found), **rollouts}
     said("writing the replay", 0.9)
     page = replay(
         robot,
@@ -155,13 +165,19 @@ def demo(robot_name: str, out: Path, open_browser: bool, progress: Progress | No
     return Demo(learnt, rollouts, page, scene.story)
 
 
+def _written(
+    name: str, out: Path, constraint: Constraint, rollout: Rollout, way: WayDone | None, found: Plan | None
+) -> Controlled:
+    """A rollout of the demo, in its file."""
+    place, verb = place_of(constraint), verb_of(constraint, rollout, way)
+    return Controlled(rollout, rollout.save(out / f"{name}.npz"), TOLERANCE, place, way=way, verb=verb, plan=found)
+
+
 def controllers(robot: Robot, constraint: Constraint, scene: Scene) -> dict[str, ResolvedRateController]:
     """The three policies that are compared, the recommended one first."""
     out = {}
     for name in ("manipulability", "attractor", "zero"):
-        task: Task = PointAttractor(scene.target)
-        if scene.along is not None:
-            task = motion(constraint, scene.along, direction=scene.towards, keep_orientation=True, pause=PAUSE)
+        task: Task = PointAttractor(scene.target) if scene.along is None else scene.way(constraint)
         policy = null_policy(name, task.rows(constraint), robot, None, scene.rest)
         out[name] = ResolvedRateController(constraint, task, policy, dt=DT)
     return out

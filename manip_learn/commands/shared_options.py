@@ -11,16 +11,22 @@ from typing import Any
 from typer.core import TyperCommand
 
 from manip_learn.atomic_write import check_folder
+from manip_learn.commands.plan_options import plan_options
 from manip_learn.commands.read_options import read_options
 from manip_learn.commands.robot_options import robot_options
 
 # parameter of a command -> the function whose parameters are the flags, and which makes its value of them
 HEADINGS = {"learn": "Learning", "control": "Task"}
-HEADINGS_AFTER = ("Controller", "Reading recordings", "Robot", "Output")
+HEADINGS_AFTER = ("Plan", "Controller", "Reading recordings", "Robot", "Output")
 CONTROLLER = {"policy", "rest", "gain", "task_gain", "inverse", "duration", "dt"}
 WRITTEN = {"out", "html", "csv"}
 OUTPUT = {*WRITTEN, "open_browser", "browser", "explain", "as_json", "help"}
-SETS: dict[str, Callable[..., Any]] = {"robot_options": robot_options, "options": read_options}
+SETS: dict[str, Callable[..., Any]] = {
+    "planned": plan_options,
+    "robot_options": robot_options,
+    "options": read_options,
+}
+SET_HEADINGS = {"planned": "Plan", "options": "Reading recordings", "robot_options": "Robot"}
 
 
 def takes_shared_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -47,9 +53,7 @@ class GroupedCommand(TyperCommand):
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Arguments, then options of the command, the controller, of reading, of the robot, and of the output."""
         shared = {
-            flag: heading
-            for name, heading in (("options", "Reading recordings"), ("robot_options", "Robot"))
-            for flag in inspect.signature(SETS[name]).parameters
+            flag: heading for name, heading in SET_HEADINGS.items() for flag in inspect.signature(SETS[name]).parameters
         }
         sections: dict[str, list[Any]] = {
             title: [] for title in ("Arguments", HEADINGS.get(self.name or "", "Options"), *HEADINGS_AFTER)

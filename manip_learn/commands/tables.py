@@ -24,9 +24,11 @@ if TYPE_CHECKING:  # so that printing one command's answer does not load the oth
     from manip_learn.commands.reproduce import Reproduction
     from manip_learn.commands.robots import KnownRobots
     from manip_learn.commands.warm_up import Warmed
+    from manip_learn.control.planning.plan import Plan
     from manip_learn.playback import ReplayResult
     from manip_learn.robot.robot_summary import RobotSummary
 
+MOST_OTHERS = 3  # postures that a plan says more about on a terminal
 MOST_ROWS = 20  # of an audit on a terminal
 WAY_TERMS = ("off", "fastest", "least mu")
 ROLLOUT_TERMS = ("error", "mu", "peak", "unhindered")
@@ -106,6 +108,8 @@ def print_demo(console: Console, demo: Demo, explain: bool = False) -> None:
     ways = [r for r in demo.rollouts.values() if r.way is not None]
     print_words(console, WAY_TERMS if ways else ROLLOUT_TERMS, explain)
     for name, controlled in demo.rollouts.items():
+        if controlled.plan is not None:
+            console.print(f"{escape(name)}: {escape(controlled.plan.sentence)}", highlight=False)
         if controlled.way is not None and controlled.way.stopped_by is not None:
             console.print(f"[yellow]{escape(name)}: stopped by {controlled.way.stopped_by}[/yellow]", highlight=False)
     console.print(
@@ -180,11 +184,23 @@ def print_controlled(console: Console, controlled: Controlled, explain: bool = F
         console.print(f"start: {escape(controlled.start)} (another: --start)", highlight=False)
     console.print(rollout_table({"rollout": controlled}, console.width))
     print_words(console, ROLLOUT_TERMS if way is None else WAY_TERMS, explain)
+    if controlled.plan is not None:
+        print_plan(console, controlled.plan)
     console.print(f"steps: {', '.join(f'{status} {n}' for status, n in r.status_counts.items())}", highlight=False)
     for sentence in _obstacles(controlled):
         console.print(f"[yellow]{escape(sentence)}[/yellow]", highlight=False)
     if controlled.out is not None:
         console.print(f"written: {escape(str(controlled.out))}", highlight=False, soft_wrap=True)
+
+
+def print_plan(console: Console, plan: Plan) -> None:
+    """What was planned, and why other postures were worse."""
+    console.print(f"plan: {escape(plan.sentence)}", highlight=False)
+    for other in plan.others[:MOST_OTHERS]:
+        console.print(f"  instead, margin {other.margin:.0%}: {escape(other.why)}", highlight=False)
+    console.print(f"  of {counted(plan.candidates, 'posture')} that take hold", highlight=False)
+    for note in plan.notes:
+        console.print(f"[yellow]{escape(note)}[/yellow]", highlight=False)
 
 
 def _obstacles(controlled: Controlled) -> list[str]:
@@ -202,6 +218,8 @@ def _obstacles(controlled: Controlled) -> list[str]:
             f"the hand moved {aim.crossed:.3g} along what the recordings show to be blocked, to come to the target: a "
             "hand that holds the thing needs a target on its way, or --along"
         )
+    if controlled.hint:
+        out.append(controlled.hint)
     if aim is not None and aim.ignored and not controlled.reached:
         out.append(f"--rows held leaves {', '.join(aim.ignored)} of the target free")
     if way is None and controlled.stalled:

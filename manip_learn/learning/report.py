@@ -254,7 +254,9 @@ def build_report(
         effort=_effort(answer, overview, selection) if kind == "motion-constrained" else None,
     )
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
-    provenance["postures"] = np.round(data.q[evenly(len(data.q), KEPT_POSTURES)], 5).tolist()
+    kept = evenly(len(data.q), KEPT_POSTURES)
+    provenance["postures"] = np.round(data.q[kept], 5).tolist()
+    provenance["posture_trajectories"] = data.trajectory[kept].tolist()
     return Constraint(selection, features, provenance), report
 
 

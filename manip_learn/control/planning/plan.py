@@ -119,7 +119,7 @@ class Plan:
     def _repr_html_(self) -> str:
         facts: list[tuple[str, str | None]] = [
             ("plan", self.sentence),
-            ("compared", f"{self.candidates} postures"),
+            ("compared", f"{self.candidates} postures that take hold"),
             *(("instead", f"margin {other.margin:.0%}: {other.why}") for other in self.others),
         ]
         return html_card.card("Plan", html_card.facts(facts))
@@ -370,6 +370,8 @@ class _Problem:
             way, outcome = simulate_way(self.robot, law, self.start, self.dt)
             approach = self._approach(self.positions)
             if not outcome.is_done or outcome.strays or outcome.begins is None or approach is None:
+                continue
+            if not all(self.clear(self.robot.positions(q)) for q in way.q):
                 continue
             time = outcome.begins + self.stations.time * (outcome.seconds or 0.0) / self.stations.time[-1]
             joints = np.array([self.robot.positions(q) for q in way.q])

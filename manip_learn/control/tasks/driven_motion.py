@@ -98,6 +98,28 @@ def nearest_turn(angle: float, near: float) -> float:
     return angle + 2.0 * math.pi * round((near - angle) / (2.0 * math.pi))
 
 
+ONE_WAY = 0.5  # share of what lies to one side of where recordings begin, from which on that is the way shown
+
+
+def shown_sense(constraint: Constraint, motion: DrivenMotion) -> float:
+    """1 where a task was shown to the positive side of where its recordings began, -1 to the other; 0 if not known.
+
+    Whether a person who opened a drawer shut it again does not matter; where the recordings went to both sides, the
+    way is not known.
+    """
+    shown, of = (constraint.provenance.get(name) for name in ("postures", "posture_trajectories"))
+    robot = constraint.robot
+    if robot is None or not shown or not of or len(of) != len(shown) or len(shown[0]) not in (robot.nq, robot.nv):
+        return 0.0
+    ways, numbers = [], np.array(of)
+    for number in np.unique(numbers):
+        first, *others = (shown[i] for i in np.flatnonzero(numbers == number))
+        origin = motion.origin(first)
+        ways += [motion.progress(origin, posture, 0.0) for posture in others]
+    left, moved = float(np.sum(ways)), float(np.sum(np.abs(ways)))
+    return math.copysign(1.0, left) if moved > 0.0 and abs(left) >= ONE_WAY * moved else 0.0
+
+
 # [m] a hand this near to where a task was shown is on the mechanism: people take hold of a handle a finger's breadth
 # further on, and a constraint file keeps a few postures only
 GRIP = 0.02

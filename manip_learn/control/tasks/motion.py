@@ -15,7 +15,15 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.control.policies import ASCENT_GAIN, ManipulabilityAscent
-from manip_learn.control.tasks.driven_motion import DrivenMotion, Setpoint, ShownPlaces, Unit, apart, between
+from manip_learn.control.tasks.driven_motion import (
+    DrivenMotion,
+    Setpoint,
+    ShownPlaces,
+    Unit,
+    apart,
+    between,
+    shown_sense,
+)
 from manip_learn.control.tasks.mechanism_motion import MechanismMotion, place_about
 from manip_learn.control.tasks.point_attractor import Task
 from manip_learn.control.tasks.straight_motion import MotionProfile, StraightMotion
@@ -193,6 +201,12 @@ class FreeDirection(Task):
         """
         return ManipulabilityAscent(self.constraint, gain)
 
+    @property
+    def goes_as_shown(self) -> bool | None:
+        """Whether the way goes as the recordings went from where they began; None where they do not say."""
+        sense = shown_sense(self.learnt, self._motion)
+        return None if sense == 0.0 else sense * self.wanted > 0.0
+
     def with_distance(self, distance: float) -> FreeDirection:
         """The same motion by another distance [m or rad], from a start of its own."""
         other = copy.copy(self)
@@ -342,7 +356,8 @@ def motion(
             the positive sense is that of the largest number of its direction.
         turn: Angle [rad], of a hinge, a screw, a ball; right-handed about its axis.
         direction: Which way, where several are free: along a plane three numbers, or one per row of the features; about
-            a ball the axis of the turn; of a cylinder the name of a row (`"tangential"`, `"axial"`).
+            a ball the axis of the turn; of a cylinder the name of a row (`"tangential"`, `"axial"`). Or `"shown"`: as
+            the recordings went from where they began, and `"back"`: the other way; that way then counts as positive.
         speed: Largest rate [m/s or rad/s]; by default the hand moves at 0.1 m/s.
         keep_orientation: The hand does not turn either, as of a gripper that has closed on a handle.
         pause: Time at rest on the mechanism before the way begins, as to close a gripper [s]; the null-space policy
@@ -354,7 +369,7 @@ def motion(
     Raises:
         TargetError: Neither of `along` and `turn`, or both; a number that is none; a direction that is held.
         ConstraintError: The mechanism does not move that way, nothing is free, or several directions are and none was
-            named; says which are.
+            named; says which are. The recordings do not say which way is the one shown.
 
     >>> import manip_learn as ml
     >>> robot = ml.load_robot("sawyer")
@@ -373,17 +388,30 @@ def motion(
     if speed is None:
         lever = 0.0 if known is None or known.radius is None else known.radius
         speed = HAND_SPEED if unit == "m" else min(TURN_SPEED, HAND_SPEED / lever if lever > 0.0 else math.inf)
-    return FreeDirection(
+    as_shown = isinstance(direction, str) and direction in ("shown", "back")
+    task = FreeDirection(
         constraint,
         along if along is not None else turn,  # type: ignore[arg-type]  # one of the two was given
         speed,
-        direction=direction,
+        direction=None if as_shown else direction,
         unit=unit,
         straight=True,
         keep_orientation=keep_orientation,
         pause=pause,
         take_hold=True,
     )
+    return _as_shown(task, direction == "back") if as_shown else task
+
+
+def _as_shown(task: FreeDirection, back: bool) -> FreeDirection:
+    """The same way in the sense of the recordings, or against it."""
+    sense = shown_sense(task.learnt, task._motion)
+    if sense == 0.0:
+        raise ConstraintError(
+            "the recordings do not say which way is the one shown: they went to both sides of where they began, or the "
+            "constraint was not learnt by this version; leave the direction out, and choose the sign"
+        )
+    return task.with_distance(task.wanted * (-sense if back else sense))
 
 
 def motion_to(
