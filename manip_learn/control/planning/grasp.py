@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from manip_learn.errors import TargetError
 
 SPINS = 24  # of a hand that may turn about its axis by any angle: every 15 degrees
+ROUNDING = 1e-6  # of a cosine: a hand whose axis stands still counts as inside a cone of no width
 TILTS = 48  # of a hand whose axis may tilt
 
 
@@ -91,7 +92,7 @@ class GraspCone:
     ) -> Bool[np.ndarray, " n"]:
         """Which hands have their axis in the cone about a direction each."""
         cosine = np.sum((orientations @ np.asarray(self.axis)) * toward, axis=1)
-        return cosine >= np.cos(self.angle) - 1e-6
+        return cosine >= np.cos(self.angle) - ROUNDING
 
 
 def _least_turn(a: Float[np.ndarray, " 3"], b: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:

@@ -1,13 +1,14 @@
 """How much of its own limits a way leaves: of the joints' ranges, of their speeds, of what the weakest direction needs.
 
-    margin = min over the way of  min( max(0, 1 - |b| / sigma_min(A U)),                 the weakest direction
-                                       min_i 2 min(q_i - low_i, high_i - q_i) / (high_i - low_i),   the range
-                                       1 - max_i |u_i| / U_i )                                      the speed
+    margin = min over the way of  min( sigma / (sigma + 1),   sigma = sigma_min(B^-1 A U)        the weakest direction
+                                       min_i 2 min(q_i - low_i, high_i - q_i) / (high_i - low_i)            the range
+                                       1 - max_i |u_i| / U_i )                                              the speed
 
-A holds the rows held and driven, metres and radians alike as in mu; U is the diagonal of the velocity limits, so that
-sigma_min(A U) is how fast the hand can go in its weakest direction with joint speeds of norm 1 in units of their
-limits, and |b| the largest velocity that the way asks of it. Each term is 1 where nothing is used, and 0 at the limit.
-The first is 0 where that direction is slower than the way, which may happen not to need it; the last is negative where
+A holds the rows held and driven, U is the diagonal of the velocity limits, and B that of the speeds which the way needs
+along the rows: that of the hand for translations, that of its turning for rotations, and where it does only one of the
+two, the other at a lever of `LEVER`. sigma is therefore how fast the hand can go in its weakest direction, with joint
+speeds of norm 1 in units of their limits, over what the way needs. Each term is 1 where nothing of a limit is used, and
+0 at the limit; the first is one half where the weakest direction is just as fast as the way. The last is negative where
 the way takes longer than it was asked to.
 """
 
@@ -30,7 +31,7 @@ class NodeMargins(NamedTuple):
     """Of postures at stations.
 
     Attributes:
-        weakest: shape (n,), left of the speed that the weakest direction could have.
+        weakest: shape (n,), sigma / (sigma + 1): 0 at a singularity.
         room: shape (n,), left of the range of the joint that is nearest to a limit, as a share of half of it.
         log_mu: shape (n,), log of the manipulability of the rows held and driven.
     """
@@ -52,7 +53,7 @@ class Margins(NamedTuple):
     Attributes:
         margin: The least of the three.
         singular_value: Least singular value of the rows held and driven [m or 1].
-        weakest: Least share of the speed that is left in the weakest direction.
+        weakest: sigma / (sigma + 1), the least.
         weakest_at: Where on the way [m or rad].
         room: Least share of half a joint's range that is left.
         room_joint: Name of that joint.
@@ -83,22 +84,22 @@ class Margins(NamedTuple):
             return f"joint {self.room_joint!r} has {self.room:.0%} of half its range left, {where(self.room_at)} along"
         if self.margin == self.speed:
             return f"joint {self.speed_joint!r} has {self.speed:.0%} of its speed left"
+        sigma = self.weakest / max(1.0 - self.weakest, np.finfo(np.float64).tiny)
         return (
-            f"the weakest direction has {self.weakest:.0%} of its speed left, {where(self.weakest_at)} along "
-            f"(least singular value {self.singular_value:.2g})"
+            f"the weakest direction has {sigma:.2g} times the speed that the way needs, {where(self.weakest_at)} "
+            f"along (least singular value {self.singular_value:.2g})"
         )
 
 
 def node_margins(stations: Stations, q: Postures, station: np.ndarray) -> NodeMargins:
     """Margins of postures, each at its station."""
     A = stations.matrices(q, station)
-    weighted = A * stations.limits.velocity
+    weighted = A * stations.limits.velocity / stations.needs[station][:, :, None]
     squares = np.linalg.eigvalsh(weighted @ weighted.transpose(0, 2, 1))[:, 0]
-    sigma = np.sqrt(np.maximum(squares, np.finfo(np.float64).tiny))
+    sigma = np.sqrt(np.maximum(squares, 0.0))
     log_mu = 0.5 * np.linalg.slogdet(A @ A.transpose(0, 2, 1))[1]
     room = np.min(rooms(stations.limits, q), axis=1)
-    weakest = np.maximum(1.0 - stations.need / sigma, 0.0)
-    return NodeMargins(weakest, room, np.maximum(log_mu, LEAST_LOG))
+    return NodeMargins(sigma / (sigma + 1.0), room, np.maximum(log_mu, LEAST_LOG))
 
 
 def rooms(limits: Limits, q: Postures) -> Postures:

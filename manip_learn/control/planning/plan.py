@@ -18,7 +18,7 @@ from manip_learn.control.paths.path_problem import PathPolicy
 from manip_learn.control.planning.approach import Clearance, clear_path, self_collision
 from manip_learn.control.planning.grasp import GraspCone
 from manip_learn.control.planning.margins import Margins, margins_of
-from manip_learn.control.planning.search import TIE, Fits, Ladder, ladder_of, relaxed
+from manip_learn.control.planning.search import TIE, Ladder, ladder_of, relaxed
 from manip_learn.control.planning.stations import FEWEST, MOST, PERIOD, Postures, Stations
 from manip_learn.control.policies import NullSpacePolicy
 from manip_learn.control.rollout import Rollout
@@ -265,12 +265,12 @@ class _Problem:
     def ladder(self, candidates: int, stations: Stations | None = None, grasp: GraspCone | None = None) -> Ladder:
         """Postures along the way, and how they go over into each other."""
         stations, grasp = stations or self.stations, grasp or self.grasp
-        grasps, fits = stations.grasp[None], None
-        if grasp is not None and stations.holds_orientation:
-            grasps = grasp.orientations(stations.grasp, self.rng)
-        elif grasp is not None:
-            fits = _inside(grasp, stations)
-        return ladder_of(stations, self.rows, self.positions, candidates, self.rng, grasps, fits)
+        if grasp is None:
+            grasps = stations.grasp[None]
+            return ladder_of(stations, self.rows, self.positions, candidates, self.rng, grasps)
+        grasps = grasp.orientations(stations.grasp, self.rng)
+        # a hand that is free to turn takes hold inside the cone, and stays there while it turns with the way
+        return ladder_of(stations.posed(), self.rows, self.positions, candidates, self.rng, grasps, stations)
 
     def slow_down(self, ladder: Ladder) -> bool:
         """Give the way more time, where no posture is found from which the joints are fast enough for it."""
@@ -318,7 +318,17 @@ class _Problem:
         """The postures of the best way from one choice, relaxed; None where links touch on it."""
         path = ladder.postures(ladder.path(march, len(self.stations) - 1, margin - TIE))
         better = relaxed(self.stations, path, ladder.grasp[march])
-        return next((way for way in (better, path) if self._is_clear(way)), None)
+        return next((way for way in (better, path) if self._is_in_cone(way) and self._is_clear(way)), None)
+
+    def _is_in_cone(self, way: Postures) -> bool:
+        if self.grasp is None:
+            return True
+        stations = self.stations
+        hands, toward = (
+            stations.hand.pose(way)[:, :3, :3],
+            stations.turns[: len(way)] @ self.grasp.toward(stations.grasp),
+        )
+        return bool(np.all(self.grasp.holds(hands, toward)))
 
     def _is_clear(self, way: Postures) -> bool:
         return all(self.clear(q) for q in way) and all(map(self.clear.of_line, way[:-1], way[1:]))
@@ -363,7 +373,7 @@ class _Problem:
 
     def as_it_stands(self) -> Plan | None:
         """The way from the start with the ascent of mu, or with spare joints at rest, where that comes true."""
-        if self.motion.hold(self.start) > 0.0:
+        if self.motion.hold(self.start) > 0.0 or self.grasp is not None:
             return None
         for policy in (self.motion.ascent(), None):
             law = self._controller(self.motion.with_distance(self.motion.wanted), policy)  # type: ignore[arg-type]
@@ -502,12 +512,6 @@ class _Problem:
                     out.append(f"the base moved by ({shift[0]:.2f}, {shift[1]:.2f}) m could do it")
                     return tuple(out)
         return tuple(out)
-
-
-def _inside(grasp: GraspCone, stations: Stations) -> Fits:
-    """Whether hands are inside a cone that turns with the way."""
-    toward = grasp.toward(stations.grasp)
-    return lambda poses, k: grasp.holds(poses[:, :3, :3], stations.turns[k] @ toward)
 
 
 def _check_joints(robot: Robot, limits: Limits) -> None:

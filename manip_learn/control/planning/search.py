@@ -30,8 +30,6 @@ PULL = 0.3  # share of the joints' speeds that spare joints may use while the wa
 ASCENT = 3.0  # [1/s] gain of the pull up the manipulability, as that of `ManipulabilityAscent`
 TIE = 0.01  # margins nearer to each other than a hundredth of the limits are alike: the manipulability decides
 TURN = 2.0 * np.pi
-# poses (n, 4, 4) and their stations (n,) -> whether the hand may be so
-Fits = Callable[[np.ndarray, np.ndarray], np.ndarray]
 SLOWEST = 3.0  # times the velocity limit that a step may ask for: the way is then done in three times its time
 ROUGH = 1.0  # log mu that a node may lose for a step at full speed, when ties are decided: straight joint motion
 
@@ -150,7 +148,7 @@ def ladder_of(
     number: int,
     rng: np.random.Generator,
     grasps: Float[np.ndarray, "g 3 3"],
-    fits: Fits | None = None,
+    weighed: Stations | None = None,
 ) -> Ladder:
     """Seeds, and their marches along the whole way.
 
@@ -161,7 +159,7 @@ def ladder_of(
         number: Of seeds.
         rng: Random numbers.
         grasps: Orientations in which the hand may take hold, where the rows hold orientations; tried in turn.
-        fits: Whether the hand may be so; None for everything.
+        weighed: The same way with the rows whose margins count, where the search holds others too; None for the same.
     """
     q, station, family = _seeds(stations, start, number, rng, len(grasps))
     q, there = stations.onto(q, station, grasps[family], SEED_STEPS)
@@ -175,13 +173,10 @@ def ladder_of(
             _march(stations, rows, table, here, grasps[family], kind, int(k), sense)
     alive = np.isfinite(table[:, :, 0])
     p, k = np.nonzero(alive)
-    nodes = node_margins(stations, table[p, k], k)
+    nodes = node_margins(weighed or stations, table[p, k], k)
     least, log_mu = np.full((P, L), -np.inf), np.full((P, L), -np.inf)
     least[p, k], log_mu[p, k] = nodes.least, nodes.log_mu
-    allowed = alive.copy()
-    if fits is not None and len(p):
-        allowed[p, k] = fits(stations.hand.pose(table[p, k]), k)
-    return Ladder(stations, table, grasps[family], family, allowed, least, log_mu)
+    return Ladder(weighed or stations, table, grasps[family], family, alive, least, log_mu)
 
 
 def _seeds(
@@ -294,19 +289,15 @@ def relaxed(stations: Stations, q: Postures, grasp: Float[np.ndarray, "3 3"]) ->
 def _soft_margin(stations: Stations, q: Postures) -> tuple[float, Postures, float]:
     """A smooth lower bound of the least margin, -log sum exp(-c m) / c over all of them, its gradient, and the least
     margin of the limits of joints.
-
-    Below 0 that of the weakest direction goes on along its tangent, sigma / |b| - 1, so that the slope leads out of
-    singularities.
     """
     limits = stations.limits
     low, high = limits.robot.position_lower, limits.robot.position_upper
     W, U = stations.rows[: len(q)], limits.velocity
     J, H = stations.hand.derivative(q)
-    left, _, right = np.linalg.svd((W @ J) * U, full_matrices=False)
-    u, v = left[:, :, -1], right[:, -1] * U
-    sigma = np.einsum("ns,nsj,nj->n", u, W @ J, v)
-    over = np.maximum(sigma, stations.need)
-    weakest = np.where(sigma > stations.need, 1.0 - stations.need / over, sigma / stations.need - 1.0)
+    scale = 1.0 / stations.needs[: len(q)]
+    left, sigmas, right = np.linalg.svd((W @ J) * U * scale[:, :, None], full_matrices=False)
+    u, v, sigma = left[:, :, -1] * scale, right[:, -1] * U, sigmas[:, -1]
+    weakest = sigma / (sigma + 1.0)
     d_sigma = np.einsum("nr,nrjk,nj->nk", np.einsum("ns,nsr->nr", u, W), H, v)
     room, bounded = rooms(limits, q), np.isfinite(high - low)
     with np.errstate(invalid="ignore"):
@@ -321,7 +312,7 @@ def _soft_margin(stations: Stations, q: Postures) -> tuple[float, Postures, floa
     value = least - np.log(total) / SHARPNESS
     weight /= total
     n = len(q)
-    slope = (weight[:n] * stations.need / over**2)[:, None] * d_sigma
+    slope = (weight[:n] / (sigma + 1.0) ** 2)[:, None] * d_sigma
     by_room = np.zeros_like(q)
     by_room[:, bounded] = weight[n : n + n * bounded.sum()].reshape(n, -1)
     slope += by_room * d_room

@@ -24,6 +24,7 @@ PERIOD = 0.1  # [s] between stations: at 0.1 m/s a centimetre, on which a joint 
 FEWEST, MOST = 16, 64  # stations: of a short way, and of a long one, whose stations are then farther apart
 # [m or rad] off its station that a posture may be: a tenth of the 0.2 mm that count as at the mechanism
 ON = 2e-5
+LEVER = 0.2  # [m] between a hand and what it turns: a way of 0.1 m/s counts as one of 0.5 rad/s (`tasks.motion`)
 LONGEST_STEP = 0.5  # [rad or m] of one joint in one Newton step: a linearisation is good for half a radian
 # [m or rad] of damping per metre or radian of error: a far target is approached, a near one met (Levenberg)
 DAMPING = 0.1
@@ -75,7 +76,7 @@ class Stations:
         places: shape (L, 3), where the hand's origin should be [m].
         turns: shape (L, 3, 3), how the hand should have turned since the way began, in the base frame.
         rows: shape (L, s, 6), weights of the hand's twist (v, w) in the rows held and driven.
-        need: Largest norm of the velocity that the way asks of these rows [m/s or rad/s].
+        needs: shape (L, s), speed that the way needs along each row [m/s or rad/s].
         grasp: shape (3, 3), orientation of the hand at the start, which counts where the rows hold orientations.
     """
 
@@ -86,7 +87,7 @@ class Stations:
     places: Float[np.ndarray, "L 3"]
     turns: Float[np.ndarray, "L 3 3"]
     rows: Float[np.ndarray, "L s 6"]
-    need: float
+    needs: Float[np.ndarray, "L s"]
     grasp: Float[np.ndarray, "3 3"]
     hand: Hand
 
@@ -107,13 +108,9 @@ class Stations:
         time, distance, goals = _poses_of(motion, start, hand)
         turns = goals[:, :3, :3] @ goals[0, :3, :3].T
         rows = motion.constraint.selection @ _weights(features, goals)
-        # the hand's twist from one station to the next, in the rows
-        moved = np.diff(goals[:, :3, 3], axis=0)
-        turned = Rotation.from_matrix(turns[1:] @ turns[:-1].transpose(0, 2, 1)).as_rotvec()
-        twist = np.hstack([moved, turned]) / np.diff(time)[:, None]
-        need = float(np.max(np.linalg.norm(np.einsum("lsk,lk->ls", rows[:-1], twist), axis=1)))
+        needs = _needs(time, goals[:, :3, 3], turns, rows)
         places = goals[:, :3, 3].copy()
-        return Stations(limits, features, time, distance, places, turns, rows, need, goals[0, :3, :3].copy(), hand)
+        return Stations(limits, features, time, distance, places, turns, rows, needs, goals[0, :3, :3].copy(), hand)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -132,9 +129,16 @@ class Stations:
 
     def free_to_turn(self) -> Stations:
         """The same places for a hand that may turn."""
-        rows = np.zeros((len(self), 3, 6))
-        rows[:, range(3), range(3)] = 1.0
-        return replace(self, rows=rows)
+        return self._with_rows(np.eye(6)[:3])
+
+    def posed(self) -> Stations:
+        """The same places for a hand that turns with the way only."""
+        return self._with_rows(np.eye(6))
+
+    def _with_rows(self, rows: Float[np.ndarray, "s 6"]) -> Stations:
+        table = np.repeat(rows[None], len(self), axis=0)
+        needs = _needs(self.time, self.places, self.turns, table)
+        return replace(self, rows=table, needs=needs)
 
     def seen_from(self, shift: Float[np.ndarray, " 3"]) -> Stations:
         """The same way, seen from a base that was moved by so much [m]."""
@@ -224,6 +228,21 @@ def _least_step(
     step = np.einsum("nsj,ns->nj", A, np.linalg.solve(gram, error[:, :, None])[:, :, 0])
     size = np.max(np.abs(step), axis=1, keepdims=True)
     return step * np.minimum(1.0, LONGEST_STEP / np.maximum(size, LONGEST_STEP))
+
+
+def _needs(
+    time: Float[np.ndarray, " L"],
+    places: Float[np.ndarray, "L 3"],
+    turns: Float[np.ndarray, "L 3 3"],
+    rows: Float[np.ndarray, "L s 6"],
+) -> Float[np.ndarray, "L s"]:
+    """The largest speed along each row that a hand has which moves, or turns, as fast as the way does."""
+    period = np.diff(time)
+    speed = float(np.max(np.linalg.norm(np.diff(places, axis=0), axis=1) / period))
+    angle = Rotation.from_matrix(turns[1:] @ turns[:-1].transpose(0, 2, 1)).magnitude()
+    rate = float(np.max(angle / period))
+    linear, angular = max(speed, LEVER * rate), max(rate, speed / LEVER)
+    return np.linalg.norm(rows * np.repeat([linear, angular], 3), axis=2)
 
 
 def _weights(features: FeatureMap, goals: Float[np.ndarray, "L 4 4"]) -> Float[np.ndarray, "L p 6"]:
