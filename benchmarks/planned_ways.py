@@ -34,6 +34,7 @@ WAY, SPEED = 0.4, 0.3  # [m], [m/s]
 EXHAUSTIVE = 2000  # postures
 LOWEST, NARROWEST, FARTHEST = 0.1, 0.25, 0.9  # [m] of the handle: above the floor, from the base's axis
 OPEN = 5.0  # [mm] that servos which give way may leave of a drawer that counts as opened
+NEAR = 0.006  # [m] between links of a start
 STIFFNESS = 2000.0  # [N m/rad] of position servos
 FORCE = 60.0  # [N] at which the loop stops: at 0.3 m/s the joints' own friction looks like 16 N on a Panda's hand
 DT = 0.02  # [s] of the exhaustive search; a plan is simulated at 0.01
@@ -64,7 +65,7 @@ def case(name: str, keep_orientation: bool, rng: np.random.Generator) -> Case:
         q = np.clip(q, np.maximum(robot.position_lower, -np.pi), np.minimum(robot.position_upper, np.pi))
         place = robot.position(q, TIPS[name])
         near = place[2] > LOWEST and NARROWEST < np.hypot(*place[:2]) < FARTHEST
-        if near and (links is None or not links.closer_than(robot.configuration(q), 0.02)):
+        if near and (links is None or not links.closer_than(robot.configuration(q), NEAR)):
             break
     angle = rng.uniform(0.0, 2.0 * np.pi)
     across = [[-np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]]
@@ -101,7 +102,7 @@ def exhaustive(case: Case, rng: np.random.Generator) -> bool | None:
     q = q[there]
     _, first = np.unique(np.round(q, 2), axis=0, return_index=True)
     links = self_collision(case.robot)
-    clear = [i for i in first if links is None or not links.closer_than(case.robot.configuration(q[i]), 0.01)]
+    clear = [i for i in first if links is None or not links.closer_than(case.robot.configuration(q[i]), NEAR)]
     return any(greedy(case, False, q[i], DT) for i in clear)
 
 

@@ -18,8 +18,8 @@ from manip_learn.errors import RobotError
 from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.robot import Robot
 
-CLEARANCE = 0.01  # [m] between links on the way to a posture: what a shape, a cable and a servo's lag leave of a path
-STEP = 0.04  # [rad or m] between checks: a hand at 0.25 m moves by the clearance, at arm's length by four times that
+CLEARANCE = 0.005  # [m] between links: what a servo's lag makes of a path; links that are neighbours come within 2 cm
+STEP = 0.02  # [rad or m] between checks: a hand at 0.25 m moves by the clearance
 REACH = 0.4  # [rad or m] by which a tree grows at once
 TRIES = 1500  # of the trees: half a second of checks
 SHORTCUTS = 60

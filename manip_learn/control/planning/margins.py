@@ -110,11 +110,6 @@ def rooms(limits: Limits, q: Postures) -> Postures:
     return np.where(np.isfinite(high - low), left, 1.0)
 
 
-def speeds_left(limits: Limits, step: Float[np.ndarray, "... nv"], time: Float[np.ndarray, "..."]) -> np.ndarray:
-    """Left of the joints' speeds where they go so far in such a time, the least over the joints."""
-    return 1.0 - np.max(np.abs(step) / limits.velocity, axis=-1) / time
-
-
 def margins_of(stations: Stations, q: Postures) -> Margins:
     """Of a whole way: one posture a station."""
     k, names = np.arange(len(q)), stations.limits.robot.joint_names

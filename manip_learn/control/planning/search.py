@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
-from manip_learn.control.planning.margins import node_margins, rooms, speeds_left
+from manip_learn.control.planning.margins import node_margins, rooms
 from manip_learn.control.planning.stations import Postures, Stations
 
 SEED_STEPS, MARCH_STEPS = 40, 4  # of Newton's method: from anywhere, and from a station to the next
@@ -208,7 +208,9 @@ def _along_self_motion(stations: Stations, start: np.ndarray, number: int, rng: 
     return steps
 
 
-def _distinct(q: Postures, station: np.ndarray, family: np.ndarray) -> tuple[Postures, np.ndarray, np.ndarray]:
+def _distinct(
+    q: Postures, station: np.ndarray, family: np.ndarray
+) -> tuple[Float[np.ndarray, "m nv"], Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
     """Without those that inverse kinematics found twice, to a thousandth of a radian or a metre."""
     keys = np.column_stack([np.round(q, 3), station, family])
     _, first = np.unique(keys, axis=0, return_index=True)
@@ -233,7 +235,7 @@ def _march(
         pull = _pulls(stations, rows, q, kind[some]) * time
         k += sense
         there_q, there = stations.onto(q, np.full(len(some), k), grasp[some], MARCH_STEPS, pull)
-        there &= speeds_left(stations.limits, there_q - q, time) >= 1.0 - SLOWEST
+        there &= np.max(np.abs(there_q - q) / stations.limits.velocity, axis=1) <= SLOWEST * time
         some = some[there]
         table[some, k] = there_q[there]
 

@@ -1,0 +1,429 @@
+"""Plans: the posture in which to take hold, the approach, the way, and what is said where there is none."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import manip_learn as ml
+from manip_learn.commands.demo import SCENES
+from manip_learn.control.limits import Limits
+from manip_learn.control.planning.approach import Clearance, clear_path, self_collision
+from manip_learn.control.planning.margins import margins_of, node_margins, rooms
+from manip_learn.control.planning.search import Ladder, _soft_margin, ladder_of, relaxed
+from manip_learn.control.planning.stations import Stations
+from manip_learn.control.tasks.joint_motion import JointMotion, every_joint
+
+PANDA_TIP = "panda_hand_tcp"
+READY = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.7, 0.8])
+HARD = np.array(SCENES["sawyer"].start)  # a degree from a singularity of the drawer's rows
+
+
+@pytest.fixture(scope="module")
+def panda() -> ml.Robot:
+    return ml.load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
+
+
+@pytest.fixture(scope="module")
+def sawyer() -> ml.Robot:
+    return ml.load_robot("sawyer")
+
+
+def line(robot: ml.Robot, tip: str, along: tuple[float, float, float] = (1.0, 0.0, 0.0)) -> ml.Constraint:
+    across = np.linalg.svd(np.array([along]))[2][1:]
+    return ml.Constraint(across, ml.FrameJacobian(robot, tip))
+
+
+@pytest.fixture(scope="module")
+def drawer(sawyer: ml.Robot) -> ml.Constraint:
+    return line(sawyer, "right_gripper_tip", (0.91, 0.42, 0.0))
+
+
+def opening(constraint: ml.Constraint, **more) -> ml.FreeDirection:
+    towards = more.pop("direction", (-1.0, -0.5, 0.0))
+    return ml.motion(constraint, along=more.pop("along", 0.3), direction=towards, **more)
+
+
+@pytest.fixture(scope="module")
+def opened(drawer: ml.Constraint) -> ml.Plan:
+    return ml.plan(drawer, opening(drawer, keep_orientation=True, pause=0.5), HARD)
+
+
+def hinge(robot: ml.Robot, point: np.ndarray) -> ml.Constraint:
+    return ml.Constraint(
+        np.eye(2), ml.MechanismRows(robot, PANDA_TIP, ("radial", "axial"), axis=(0, 0, 1), point=point)
+    )
+
+
+# ---- a plan -----------------------------------------------------------------------------------------------------
+
+
+def test_a_plan_does_the_whole_way_from_a_start_beside_a_singularity(
+    sawyer: ml.Robot, drawer: ml.Constraint, opened: ml.Plan
+) -> None:
+    assert opened.outcome.is_done and opened.outcome.deviation < 1e-3
+    assert np.allclose(opened.approach.q[0], HARD, atol=1e-12)
+    assert np.max(np.abs(opened.approach.q[-1] - opened.hold)) < 1e-3
+    assert np.max(np.abs(opened.way.q[0] - opened.approach.q[-1])) < 1e-12
+    # the hand takes hold where it was, in the orientation in which it was
+    there = sawyer.pose(opened.approach.q[-1], "right_gripper_tip")
+    assert np.max(np.abs(there - sawyer.pose(HARD, "right_gripper_tip"))) < 2e-3
+    for rollout in (opened.approach, opened.way):
+        assert np.all(rollout.q >= sawyer.position_lower) and np.all(rollout.q <= sawyer.position_upper)
+        assert np.all(np.abs(rollout.u) <= sawyer.velocity_limit)
+    # as it stands the same way comes within a hundredth of a singularity and leaves the line
+    law = ml.ResolvedRateController(drawer, opening(drawer, keep_orientation=True, pause=0.5))
+    greedy = ml.simulate(sawyer, law, HARD, 4.5)
+    assert np.min(opened.way.manipulability) > 5.0 * np.min(greedy.manipulability)
+
+
+def test_the_same_seed_gives_the_same_plan(drawer: ml.Constraint, opened: ml.Plan) -> None:
+    motion = opening(drawer, keep_orientation=True, pause=0.5)
+    again = ml.plan(drawer, motion, HARD, seed=0)
+    assert np.array_equal(again.rollout.q, opened.rollout.q)
+    other = ml.plan(drawer, motion, HARD, seed=5)
+    assert abs(other.margin - opened.margin) < 0.05  # another search finds much the same
+
+
+def test_the_margin_is_that_of_the_motion_as_it_is_executed(drawer: ml.Constraint, opened: ml.Plan) -> None:
+    robot, rows = drawer.robot, opening(drawer, keep_orientation=True).constraint
+    q = opened.way.q[opened.way.time >= opened.outcome.begins]
+    u = opened.way.u[opened.way.time >= opened.outcome.begins]
+    half = 0.5 * (robot.position_upper - robot.position_lower)
+    room = np.min(np.minimum(q - robot.position_lower, robot.position_upper - q) / half)
+    speed = 1.0 - np.max(np.abs(u) / robot.velocity_limit)
+    need = np.where(np.abs(rows.selection[:, :3]).max(axis=1) > 1e-9, 0.1, 0.5)  # [m/s] of the way, [rad/s] at 0.2 m
+    sigma = min(np.linalg.svd((rows(x) * robot.velocity_limit) / need[:, None], compute_uv=False)[-1] for x in q[::10])
+    assert opened.margins.room == pytest.approx(room, abs=0.01)
+    assert opened.margins.speed == pytest.approx(speed, abs=0.05)
+    assert opened.margins.weakest == pytest.approx(sigma / (sigma + 1.0), abs=0.02)
+    assert opened.margin == min(opened.margins.room, opened.margins.speed, opened.margins.weakest)
+    assert opened.others and max(other.margin for other in opened.others) <= opened.margin + 0.05
+    assert all("left" in other.why or "weakest" in other.why for other in opened.others)
+
+
+def test_simulate_and_a_servo_loop_run_a_plan(sawyer: ml.Robot, opened: ml.Plan) -> None:
+    again = ml.simulate(sawyer, opened.controller, HARD, float(opened.rollout.time[-1]))
+    assert np.max(np.abs(again.q[-1] - opened.rollout.q[-1])) < 1e-3
+    loop = ml.ServoLoop(opened.controller, dt=0.002)
+    loop.reset(HARD)
+    q, statuses = HARD.copy(), set()
+    for k in range(round((opened.rollout.time[-1] + 0.5) / 0.002)):
+        statuses.add(loop.update(q, 0.002 * k).status)
+        q = loop.position
+    assert np.max(np.abs(q - opened.rollout.q[-1])) < 2e-3
+    assert statuses <= {"ok", "null-scaled", "rerouted", "acceleration-limited"}
+    loop.reset(HARD)  # and a second time from the start
+    loop.update(HARD, 100.0)
+    assert loop.controller.way_begins is None
+
+
+def test_a_plan_is_saved_like_a_rollout_with_its_phases(tmp_path: Path, sawyer: ml.Robot, opened: ml.Plan) -> None:
+    assert [name for name, _, _ in opened.rollout.phases] == ["approach", "hold", "way"]
+    for ending in ("npz", "csv", "jsonl", "mcap"):
+        again = ml.Rollout.load(opened.save(tmp_path / f"plan.{ending}"), sawyer)
+        assert np.array_equal(again.q, opened.rollout.q) and again.phases == opened.rollout.phases
+    ends = [end for _, _, end in opened.rollout.phases]
+    starts = [start for _, start, _ in opened.rollout.phases]
+    assert starts[1:] == ends[:-1] and ends[-1] == pytest.approx(opened.rollout.time[-1])
+    assert "margin" in repr(opened) and "instead" in opened._repr_html_()
+
+
+@pytest.mark.parametrize("turn", (60.0, -60.0))
+def test_a_door_is_planned(panda: ml.Robot, turn: float) -> None:
+    door = hinge(panda, panda.position(READY, PANDA_TIP) + [0.0, 0.4, 0.0])
+    plan = ml.plan(door, ml.motion(door, turn=np.radians(turn)), READY)
+    assert plan.outcome.done == pytest.approx(np.radians(turn), abs=np.radians(0.3)) and plan.margin > 0.2
+
+
+def test_a_screw_a_table_and_rows_of_the_hand_are_planned(panda: ml.Robot) -> None:
+    point = panda.position(READY, PANDA_TIP)
+    names = ("screw", "slide-1", "slide-2", "turn-1", "turn-2")
+    rows = ml.MechanismRows(panda, PANDA_TIP, names, axis=(0, 0, 1), point=point, pitch=0.002)
+    screw = ml.Constraint(np.eye(5), rows)
+    assert ml.plan(screw, ml.motion(screw, turn=np.pi), READY).outcome.is_done
+    table = ml.Constraint(np.eye(6)[[2, 3, 4]], ml.FrameJacobian(panda, PANDA_TIP, "pose"))
+    wiped = ml.plan(table, ml.motion(table, along=0.4, direction=(0, 1, 0, 0, 0, 0)), READY)
+    assert wiped.outcome.is_done and wiped.margin > 0.4
+    own = ml.Constraint(np.eye(6)[[0, 1, 3, 4, 5]], ml.FrameJacobian(panda, PANDA_TIP, "pose", "local"))
+    assert ml.plan(own, ml.motion(own, along=-0.15), READY).outcome.is_done
+
+
+def test_an_arm_of_three_joints_and_one_of_six(panda: ml.Robot) -> None:
+    planar = ml.load_robot("planar3")
+    held = ml.Constraint([[0, 1]], ml.FrameJacobian(planar, "tip", "x y"))
+    assert ml.plan(held, ml.motion(held, along=0.3), [0.3, 0.8, 0.4]).margin > 0.8
+    ur5 = ml.load_robot("ur5")
+    rail = line(ur5, "tool0")
+    plan = ml.plan(rail, ml.motion(rail, along=0.3, keep_orientation=True), [0.0, -1.3, 1.7, -1.9, -1.4, 0.0])
+    assert plan.outcome.is_done and not plan.outcome.strays
+
+
+def test_a_way_too_fast_for_the_joints_takes_longer(panda: ml.Robot) -> None:
+    rail = line(panda, PANDA_TIP, (0.0, 1.0, 0.0))
+    plan = ml.plan(rail, ml.motion(rail, along=0.5, speed=6.0, keep_orientation=True), READY)
+    assert plan.outcome.is_done and plan.margin > -0.05
+    assert "too slow" in " ".join(plan.notes)
+
+
+# ---- the hand ---------------------------------------------------------------------------------------------------
+
+
+def test_a_symmetric_gripper_takes_hold_in_one_of_its_two_orientations(panda: ml.Robot) -> None:
+    rail = line(panda, PANDA_TIP)
+    motion = ml.motion(rail, along=0.2, keep_orientation=True)
+    twisted = READY + [0, 0, 0, 0, 0, 0, 1.9]  # the last joint near its limit: half a turn back is better
+    turned = ml.plan(rail, motion, twisted, grasp=ml.GraspCone(turns=2))
+    kept = ml.plan(rail, motion, twisted)
+    here, there = (panda.pose(q, PANDA_TIP)[:3, :3] for q in (twisted, turned.hold))
+    half = here @ np.diag([-1.0, -1.0, 1.0])
+    assert min(np.max(np.abs(there - R)) for R in (here, half)) < 1e-3
+    assert turned.margin > kept.margin + 0.1 and np.max(np.abs(there - half)) < 1e-3
+
+
+def test_a_hand_stays_inside_its_cone(panda: ml.Robot) -> None:
+    rail = line(panda, PANDA_TIP)
+    cone = ml.GraspCone(angle=0.3, turns=None, direction=(0.3, 0.0, -1.0))
+    plan = ml.plan(rail, ml.motion(rail, along=0.2), READY, grasp=cone)
+    down = np.array([0.3, 0.0, -1.0]) / np.linalg.norm([0.3, 0.0, -1.0])
+    for q in plan.way.q[::20]:
+        assert panda.pose(q, PANDA_TIP)[:3, 2] @ down > np.cos(0.32)
+
+
+def test_orientations_of_a_cone_are_inside_it(rng: np.random.Generator) -> None:
+    shown = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    shown *= np.linalg.det(shown)
+    for turns, angle in product((1, 2, None), (0.0, 0.4)):
+        cone = ml.GraspCone(axis=(0.0, 1.0, 0.0), angle=angle, turns=turns, direction=(1.0, 1.0, 0.0))
+        found = cone.orientations(shown, rng)
+        assert np.all(cone.holds(found, np.repeat(cone.toward(shown)[None], len(found), axis=0)))
+        assert np.allclose(found @ found.transpose(0, 2, 1), np.eye(3)) and np.allclose(np.linalg.det(found), 1.0)
+    assert np.allclose(ml.GraspCone().orientations(shown, rng)[0], shown)
+
+
+@pytest.mark.parametrize("wrong", ({"axis": (0, 0, 0)}, {"angle": -1.0}, {"turns": 0}, {"direction": (1, 2)}))
+def test_a_cone_that_is_none_is_refused(wrong: dict) -> None:
+    with pytest.raises(ml.ManipLearnError, match="got"):
+        ml.GraspCone(**wrong)
+
+
+# ---- where there is none ----------------------------------------------------------------------------------------
+
+
+def test_a_way_beyond_the_reach_says_how_much_of_it_can_be_done(panda: ml.Robot) -> None:
+    rail = line(panda, PANDA_TIP)
+    with pytest.raises(ml.NoPlanError, match=r"no plan for 1\.2 m: 0\.\d+ m at most, stopped by") as refused:
+        ml.plan(rail, ml.motion(rail, along=1.2), READY)
+    largest = refused.value.largest
+    assert 0.3 < largest < 0.6 and "singularity" in refused.value.stopped_by
+    law = ml.plan(rail, ml.motion(rail, along=0.95 * largest), READY)  # what it says can be done
+    assert law.outcome.is_done
+    beyond = panda.position(READY, PANDA_TIP)[0] + 1.1 * largest
+    assert beyond > 0.85  # a Panda's hand reaches 0.855 m from its shoulder
+
+
+def test_a_grip_or_a_base_that_would_help_is_named(panda: ml.Robot) -> None:
+    rail = line(panda, PANDA_TIP, (0.0, 1.0, 0.0))
+    motion = ml.motion(rail, along=0.75, keep_orientation=True)
+    with pytest.raises(ml.NoPlanError) as refused:
+        ml.plan(rail, motion, READY, base_within=0.6)
+    helps = " ".join(refused.value.helps)
+    assert "base moved by" in helps
+    assert refused.value.posture is None or refused.value.posture.shape == (7,)
+
+
+def test_a_handle_that_cannot_be_reached_is_said_before_anything_moves(panda: ml.Robot) -> None:
+    rail = line(panda, PANDA_TIP)
+    motion = ml.FreeDirection(rail, 0.1, 0.1, straight=True, start=READY)
+    stations = Stations.of(motion, READY, Limits(panda)).seen_from(np.array([0.0, 0.0, -2.0]))
+    q, there = stations.onto(np.tile(READY, (8, 1)), np.zeros(8, dtype=int), np.tile(np.eye(3), (8, 1, 1)), 40)
+    assert not there.any() and np.all(np.isfinite(q))
+
+
+def test_bad_starts_and_ways_are_refused_in_a_sentence(panda: ml.Robot, sawyer: ml.Robot) -> None:
+    rail = line(panda, PANDA_TIP)
+    motion = ml.motion(rail, along=0.2)
+    with pytest.raises(ml.ManipLearnError, match="outside its limits"):
+        ml.plan(rail, motion, READY + [9, 0, 0, 0, 0, 0, 0])
+    rng = np.random.default_rng(3)
+    links = self_collision(panda)
+    touching = next(q for q in (panda.random_configuration(rng) for _ in range(9999)) if links.closer_than(q, 0.0))
+    with pytest.raises(ml.ManipLearnError, match="touch"):
+        ml.plan(rail, motion, touching)
+    with pytest.raises(ml.ManipLearnError, match="motion"):
+        ml.plan(rail, ml.PointAttractor([0.5, 0.0, 0.5]), READY)  # type: ignore[arg-type]  # what a user may try
+    with pytest.raises(ml.ManipLearnError, match="another constraint"):
+        ml.plan(line(panda, PANDA_TIP), motion, READY)
+    endless = Limits(panda, velocity=np.where(np.arange(7) == 3, np.inf, 2.0))
+    with pytest.raises(ml.ManipLearnError, match="panda_joint4.*no velocity limit"):
+        ml.plan(rail, motion, READY, limits=endless)
+    own = ml.Constraint(np.eye(6)[[0, 1, 3, 4, 5]], ml.FrameJacobian(panda, PANDA_TIP, "pose", "local"))
+    with pytest.raises(ml.ManipLearnError, match="own axes"):
+        ml.plan(own, ml.motion(own, along=-0.1), READY, grasp=ml.GraspCone(turns=2))
+
+
+# ---- parts ------------------------------------------------------------------------------------------------------
+
+
+def stations_of(robot: ml.Robot, tip: str, q: np.ndarray, along: float = 0.2) -> tuple[Stations, ml.FreeDirection]:
+    rail = line(robot, tip)
+    motion = ml.motion(rail, along=along, keep_orientation=True)
+    return Stations.of(motion, q, Limits(robot)), motion
+
+
+@pytest.mark.parametrize("bent", (1.0, 1e-3))  # anywhere, and beside a singularity of the wrist
+def test_the_slope_of_the_soft_margin_is_that_of_central_differences(panda: ml.Robot, bent: float) -> None:
+    stations, _ = stations_of(panda, PANDA_TIP, READY)
+    rng = np.random.default_rng(2)
+    start = READY * [1, 1, 1, 1, 1, bent, 1]
+    q = start + np.cumsum(rng.normal(0.0, 0.02, (len(stations), 7)), axis=0)
+    value, slope, _ = _soft_margin(stations, q)
+    steps = 1e-6
+    numeric = np.zeros_like(q)
+    for i, j in product(range(0, len(q), 3), range(7)):
+        ahead, behind = q.copy(), q.copy()
+        ahead[i, j] += steps
+        behind[i, j] -= steps
+        numeric[i, j] = (_soft_margin(stations, ahead)[0] - _soft_margin(stations, behind)[0]) / (2.0 * steps)
+    rows = list(range(0, len(q), 3))
+    assert np.max(np.abs(numeric[rows] - slope[rows])) < 1e-5 * max(1.0, np.max(np.abs(slope)))
+    assert value <= margins_of(stations, q).margin + 1e-9
+
+
+def test_newton_brings_postures_onto_their_stations_within_the_limits(panda: ml.Robot) -> None:
+    stations, motion = stations_of(panda, PANDA_TIP, READY)
+    rng = np.random.default_rng(0)
+    q = rng.uniform(panda.position_lower, panda.position_upper, (64, 7))
+    k = rng.integers(len(stations), size=64)
+    found, there = stations.onto(q, k, np.repeat(stations.grasp[None], 64, axis=0), 40)
+    assert there.sum() > 16
+    assert np.all(found >= panda.position_lower) and np.all(found <= panda.position_upper)
+    goals = motion.table(READY, 0.1, 16, 64)[2]
+    for x, station in zip(found[there], k[there], strict=True):
+        assert np.max(np.abs(panda.pose(x, PANDA_TIP) - goals[station])) < 5e-5
+
+
+def test_the_ladder_finds_the_path_whose_least_margin_is_largest() -> None:
+    robot = ml.load_robot("planar3")
+    held = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", "x y"))
+    motion = ml.motion(held, along=0.3)
+    stations = Stations.of(motion, [0.3, 0.8, 0.4], Limits(robot))
+    rng = np.random.default_rng(1)
+    P, last = 5, 5
+    q = 0.3 * rng.normal(size=(P, len(stations), 3))
+    least, mu = rng.uniform(0.1, 0.9, (P, len(stations))), rng.normal(size=(P, len(stations)))
+    allowed = rng.uniform(size=least.shape) > 0.2
+    ladder = Ladder(stations, q, np.tile(np.eye(3), (P, 1, 1)), np.zeros(P, dtype=int), allowed, least, mu)
+    margins = ladder.margins_from_the_end(last)[:, 0]
+    best = np.full(P, -np.inf)
+    for path in product(range(P), repeat=last + 1):
+        k = np.arange(last + 1)
+        steps = np.diff(q[list(path), k], axis=0)
+        left = 1.0 - np.max(np.abs(steps) / robot.velocity_limit, axis=1) / np.diff(stations.time[: last + 1])
+        if np.all(allowed[list(path), k]) and np.all(left >= -2.0):
+            best[path[0]] = max(best[path[0]], min(np.min(least[list(path), k]), np.min(left)))
+    assert np.allclose(margins, best)
+    first = int(np.argmax(margins))
+    chosen = ladder.path(first, last, margins[first] - 0.01)
+    assert np.min(least[chosen, np.arange(last + 1)]) >= margins[first] - 0.01
+
+
+def test_relaxing_a_path_keeps_it_on_the_way_and_loses_no_margin(panda: ml.Robot) -> None:
+    stations, motion = stations_of(panda, PANDA_TIP, READY)
+    rng = np.random.default_rng(0)
+    ladder = ladder_of(stations, motion.constraint, READY, 96, rng, stations.grasp[None])
+    last = len(stations) - 1
+    margins = ladder.margins_from_the_end(last)[:, 0]
+    first = int(np.argmax(margins))
+    path = ladder.postures(ladder.path(first, last, margins[first] - 0.01))
+    better = relaxed(stations, path, ladder.grasp[first])
+    _, there = stations.onto(better, np.arange(last + 1), np.repeat(stations.grasp[None], last + 1, axis=0), 0)
+    assert there.all()
+    assert margins_of(stations, better).margin >= margins_of(stations, path).margin - 0.01
+    assert np.sum(np.diff(better, 2, axis=0) ** 2) <= 1.01 * np.sum(np.diff(path, 2, axis=0) ** 2)
+
+
+def test_margins_are_shares_of_the_limits(panda: ml.Robot) -> None:
+    limits = Limits(panda)
+    middle = 0.5 * (panda.position_lower + panda.position_upper)
+    assert np.allclose(rooms(limits, middle[None]), 1.0)
+    assert np.allclose(rooms(limits, panda.position_upper[None]), 0.0)
+    stations, _ = stations_of(panda, PANDA_TIP, READY)
+    stretched = READY * [1, 1, 1, 1, 1, 0, 1]  # the wrist straight: joints 5 and 7 turn about one axis
+    zero = np.zeros(1, dtype=int)
+    assert node_margins(stations, READY[None], zero).weakest[0] > 0.3
+    near = node_margins(stations, (READY * [0, 0, 0, 0, 0, 0, 0])[None], zero)
+    assert near.weakest[0] < 1e-6 and np.isfinite(near.log_mu[0]) and np.all(np.isfinite(stretched))
+
+
+def test_an_approach_goes_around_the_arm_itself() -> None:
+    robot = ml.load_robot("sawyer")
+    links = self_collision(robot)
+    rng = np.random.default_rng(4)
+    limits = Limits(robot)
+
+    def free() -> np.ndarray:
+        while True:
+            q = robot.random_configuration(rng)
+            if not links.closer_than(q, 0.006):
+                return q
+
+    blocked = 0
+    for _ in range(40):
+        start, goal = free(), free()
+        clear = Clearance(links, robot, [start, goal])
+        if clear.of_line(start, goal):
+            continue
+        blocked += 1
+        path = clear_path(start, goal, limits, clear, np.random.default_rng(0))
+        assert path is not None and np.array_equal(path[0], start) and np.array_equal(path[-1], goal)
+        for a, b in zip(path[:-1], path[1:], strict=True):
+            assert all(not links.closer_than(a + s * (b - a), 0.0) for s in np.linspace(0.0, 1.0, 50))
+        again = clear_path(start, goal, limits, clear, np.random.default_rng(0))
+        assert all(np.array_equal(p, q) for p, q in zip(path, again, strict=True))
+        if blocked == 3:
+            break
+    assert blocked == 3
+
+
+def test_joints_move_from_posture_to_posture_within_their_speeds(panda: ml.Robot) -> None:
+    path = np.array([READY, READY + 0.4, READY + [0.4, 0.2, 0, 0, 0, 0.1, -0.5]])
+    task = JointMotion(panda, path, 0.25 * panda.velocity_limit)
+    law = ml.ResolvedRateController(every_joint(panda), task)
+    rollout = ml.simulate(panda, law, READY, task.duration + 0.5)
+    assert np.max(np.abs(rollout.q[-1] - path[-1])) < 1e-3 and rollout.task_error[-1] < 2e-3
+    assert np.all(np.abs(rollout.u) <= 0.27 * panda.velocity_limit)
+    at_first = np.argmin(np.linalg.norm(rollout.q - path[1], axis=1))
+    assert np.max(np.abs(rollout.q[at_first] - path[1])) < 0.02
+    still = JointMotion(panda, READY[None], 1.0)
+    assert still.duration == 0.0 and np.array_equal(still.at(3.0)[0], READY)
+    with pytest.raises(ml.ManipLearnError, match="finite"):
+        JointMotion(panda, [READY * np.nan], 1.0)
+    with pytest.raises(ml.ManipLearnError, match="positive"):
+        JointMotion(panda, path, 0.0)
+
+
+def test_a_way_counts_as_the_recordings_went() -> None:
+    robot = ml.load_robot("sawyer")
+    features = ml.FrameJacobian(robot, "right_gripper_tip")
+    out = [HARD + 0.02 * i for i in range(4)]
+    places = np.array([robot.position(q, features.frame) for q in out])
+    way = places[-1] - places[0]
+    across = np.linalg.svd(way[None])[2][1:]
+    to_and_fro = [*out, *out[::-1]]
+
+    def shown(postures: list, of: list) -> ml.Constraint:
+        kept = {"postures": [q.tolist() for q in postures], "posture_trajectories": of}
+        return ml.Constraint(across, features, kept)
+
+    for postures, of in ((out, [0] * 4), (to_and_fro, [0] * 8), ([*out, *out], [0] * 4 + [1] * 4)):
+        forward = ml.motion(shown(postures, of), along=0.2, direction="shown")
+        back = ml.motion(shown(postures, of), along=0.2, direction="back")
+        assert forward.goes_as_shown is True and back.goes_as_shown is False and forward.wanted == -back.wanted
+        end = ml.simulate(robot, ml.ResolvedRateController(forward.learnt, forward), HARD, 2.0).q[-1]
+        assert (robot.position(end, features.frame) - places[0]) @ way > 0.0
+    with pytest.raises(ml.ManipLearnError, match="do not say"):
+        ml.motion(shown([*out, *out[::-1]], [0] * 4 + [1] * 4), along=0.2, direction="shown")
