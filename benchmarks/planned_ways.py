@@ -3,9 +3,8 @@
 Arms take hold of a drawer's handle that is where their hand happens to be: start postures are random, clear of
 self-collision, and the rail points in a random horizontal direction, 0.4 m long at 0.3 m/s. Four columns: whether the
 way is done (the whole of it, never 2 mm off the rail, within all limits) from the start without null-space motion, with
-the ascent of mu, by `ml.plan`, and, where there is no plan, from any of 2,000 postures of the same hand. Of these an
-exhaustive search simulates those that inverse kinematics finds, spare joints at rest, unless a station of the way has
-no posture at all.
+the ascent of mu, by `ml.plan`, and, where there is no plan, from any of 2,000 postures of the same hand, an exhaustive search without
+the planner's graph: each is carried along the way for itself, and those that come to its end are simulated.
 
     python benchmarks/planned_ways.py [--starts 60] [--seed 60000] [--arms sawyer panda xarm7 ur5 ur10] [--out FILE]
     python benchmarks/planned_ways.py --physics [--starts 100]   # plans in MuJoCo, by position servos and the loop
@@ -25,6 +24,7 @@ import numpy as np
 
 import manip_learn as ml
 from manip_learn.control.planning.approach import self_collision
+from manip_learn.control.planning.search import ladder_of
 from manip_learn.control.planning.stations import Stations
 from manip_learn.control.way import WayDone, simulate_way
 
@@ -89,21 +89,20 @@ def greedy(case: Case, climbs: bool, q: np.ndarray | None = None, dt: float = 0.
 
 
 def exhaustive(case: Case, rng: np.random.Generator) -> bool | None:
-    """Whether the way is done from any of many postures of the same hand; None where a station has no posture."""
+    """Whether the way is done from any of many postures of the same hand; None where a station has no posture.
+
+    The hand of each posture is carried along the way, spare joints at rest, drawn to the middle of their ranges, or up
+    mu; those that come to the end, clear of the arm's own links at the start, are simulated.
+    """
     stations = Stations.of(case.motion, case.start, ml.Limits(case.robot))
-    low, high = stations.span
-    seeds = rng.uniform(low, high, (EXHAUSTIVE, case.robot.nv))
-    grasp = np.repeat(stations.grasp[None], EXHAUSTIVE, axis=0)
-    for k in range(len(stations) - 1, -1, -4):
-        q, there = stations.onto(seeds.copy(), np.full(EXHAUSTIVE, k), grasp, 40)
-        if not there.any():
-            return None
-    q, there = stations.onto(seeds, np.zeros(EXHAUSTIVE, dtype=int), grasp, 40)
-    q = q[there]
-    _, first = np.unique(np.round(q, 2), axis=0, return_index=True)
+    rows, grasp = case.motion.constraint, stations.grasp[None]
+    ladder = ladder_of(stations, rows, case.start, EXHAUSTIVE, rng, grasp)
+    if not ladder.allowed.any(axis=0).all():
+        return None
     links = self_collision(case.robot)
-    clear = [i for i in first if links is None or not links.closer_than(case.robot.configuration(q[i]), NEAR)]
-    return any(greedy(case, False, q[i], DT) for i in clear)
+    whole = ladder.q[ladder.allowed.all(axis=1), 0]
+    clear = [q for q in whole if links is None or not links.closer_than(case.robot.configuration(q), NEAR)]
+    return any(greedy(case, climbs, q, DT) for q in clear for climbs in (False, True))
 
 
 def row(name: str, keep_orientation: bool, starts: int, seed: int, report: bool) -> str:

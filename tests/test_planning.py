@@ -164,7 +164,8 @@ def test_an_arm_of_three_joints_and_one_of_six(panda: ml.Robot) -> None:
 
 def test_a_way_too_fast_for_the_joints_takes_longer(panda: ml.Robot) -> None:
     rail = line(panda, PANDA_TIP, (0.0, 1.0, 0.0))
-    plan = ml.plan(rail, ml.motion(rail, along=0.5, speed=6.0, keep_orientation=True), READY)
+    motion = ml.motion(rail, along=0.5, speed=0.5, keep_orientation=True)
+    plan = ml.plan(rail, motion, READY, limits=Limits(panda, velocity=0.4))
     assert plan.outcome.is_done and plan.margin > -0.05
     assert "too slow" in " ".join(plan.notes)
 
@@ -384,9 +385,9 @@ def test_an_approach_goes_around_the_arm_itself() -> None:
             assert all(not links.closer_than(a + s * (b - a), 0.0) for s in np.linspace(0.0, 1.0, 50))
         again = clear_path(start, goal, limits, clear, np.random.default_rng(0))
         assert all(np.array_equal(p, q) for p, q in zip(path, again, strict=True))
-        if blocked == 3:
+        if blocked == 2:
             break
-    assert blocked == 3
+    assert blocked == 2
 
 
 def test_joints_move_from_posture_to_posture_within_their_speeds(panda: ml.Robot) -> None:
