@@ -66,7 +66,7 @@ ARMS = {
     "ur5": Arm("tool0", (), 0.93, 1.0),
     "ur10": Arm("tool0", (), 1.32, 1.0),
     "sawyer": Arm("right_gripper_tip", (), 1.17, 1.0),
-    "so101": Arm("gripperframe", (), 0.47, 0.4),
+    "so101": Arm("gripperframe", (), 0.45, 0.4),
 }
 
 
