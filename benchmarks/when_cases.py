@@ -1,4 +1,4 @@
-"""Arms, tasks and starts of `when_it_helps.py`: the hand at a handle, anywhere or near a singularity of the task's rows.
+"""Arms, tasks and starts of `when_it_helps.py`: the hand at a handle, anywhere or near a singularity of the rows.
 
 Lengths are those of arms of a metre or so; for the SO-101 all of them are multiplied by `Arm.size`. Mechanisms stand in
 front of the arm, their ways centred at MIDDLE of its reach. A start is kept if the hand also finds postures at the end
@@ -36,19 +36,18 @@ DESCENT, STEPS, TRIES = 0.08, 60, 4  # [rad] a step towards a singularity, steps
 KINDS = ("anywhere", "near")
 GRIPS = ("free", "held")
 
-# Simulation/SO101/so101_new_calib.urdf of github.com/TheRobotStudio/SO-ARM100 (Apache-2.0): parent, child, origin,
-# roll pitch yaw, limits; `front` is ours: the pan axis is z, and the arm points along x as the others do. Instead of the
-# 10 rad/s that are written there, the speed is that of the servo (STS3215, 45 rpm without load).
+# Simulation/SO101/so101_new_calib.urdf of github.com/TheRobotStudio/SO-ARM100 (Apache-2.0): parent, child, origin [m],
+# roll pitch yaw [rad], limits [rad]; `front` is ours: the pan axis is z, and the arm points along x as the others do.
 SO101 = (
     ("front", "front", "base", "-0.0230745 -0.0207909 0", "0 0 1.5708", None),
     ("shoulder_pan", "base", "shoulder", "0.0207909 -0.0230745 0.0948817", "-3.14159 0 1.5708", (-1.91986, 1.91986)),
-    ("shoulder_lift", "shoulder", "upper_arm", "-0.0303992 -0.0182778 -0.0542", "-1.5708 -1.5708 0", (-1.74533, 1.74533)),
+    ("shoulder_lift", "shoulder", "upper_arm", "-0.0303992 -0.0182778 -0.0542", "-1.5708 -1.5708 0", (-1.7453, 1.7453)),
     ("elbow_flex", "upper_arm", "lower_arm", "-0.11257 -0.028 0", "0 0 1.5708", (-1.69, 1.69)),
     ("wrist_flex", "lower_arm", "wrist", "-0.1349 0.0052 0", "0 0 -1.5708", (-1.65806, 1.65806)),
     ("wrist_roll", "wrist", "gripper", "0 -0.0611 0.0181", "1.5708 0 3.14159", (-2.79253, 2.79253)),
     ("gripperframe_frame", "gripper", "gripperframe", "-0.0079 -0.000218121 -0.0981274", "1.5708 0 1.5708", None),
 )
-SO101_SPEED = 4.7  # [rad/s]
+SO101_SPEED = 4.7  # [rad/s] of its servo, STS3215, without load: 45 rpm; that file says 10 rad/s
 
 
 class Arm(NamedTuple):
@@ -225,7 +224,7 @@ def posture(robot: ml.Robot, rng: np.random.Generator) -> np.ndarray:
 
 
 def brought_to(rows: ml.Constraint, target: np.ndarray, q: np.ndarray, most: int = 50) -> np.ndarray | None:
-    """The posture at which the rows of a frame are at a target that is found from q by damped steps; None if none is."""
+    """The posture with a frame's rows at a target that damped steps find from q; None if they find none."""
     robot, selection, q = rows.robot, rows.selection, q.copy()
     low, high = robot.position_lower + MARGIN, robot.position_upper - MARGIN
     for _ in range(most):

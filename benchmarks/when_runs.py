@@ -25,7 +25,7 @@ POLICIES = (*OWN, *SLOW, *PEERS)
 
 
 class Score(NamedTuple):
-    """What became of one start: of ways without an end, and without an answer, what there is of it."""
+    """What became of one start, with one policy."""
 
     done: bool
     seconds: float | None  # [s] from the beginning of the way until it was done
@@ -33,7 +33,7 @@ class Score(NamedTuple):
     fastest: float  # speed of the joint nearest to its velocity limit, as a share of that limit
     least: float  # mu of the rows held and driven, on the way
     mean: float
-    why: str = ""
+    why: str = ""  # of what was not done
 
 
 class Part(NamedTuple):
@@ -43,7 +43,7 @@ class Part(NamedTuple):
     mu: np.ndarray
 
 
-NOTHING = Score(False, None, float("nan"), float("nan"), float("nan"), float("nan"))
+NOTHING = Score(False, None, float("nan"), float("nan"), float("nan"), float("nan"), "no plan")
 
 
 def policy_of(name: str, case: Case, rows: ml.Constraint) -> ml.NullSpacePolicy | None:
@@ -66,7 +66,7 @@ def scored(way: WayDone, mu: np.ndarray) -> Part:
 
 
 def judged(task: ml.FreeDirection, time: np.ndarray, q: np.ndarray, u: np.ndarray, pause: float) -> Part:
-    """One stroke from any joint path, by the rule of `simulate_way`: the whole way, and never farther off than STRAY."""
+    """One stroke from any joint path, by the rule of `simulate_way`: the whole way, never farther off than STRAY."""
     robot = task.constraint.robot
     task.reset()
     task.velocity(task.constraint, q[0], 0.0)  # that is where the way begins
@@ -124,7 +124,7 @@ def run(case: Case, name: str, dt: float) -> Score:
     for number in range(len(case.strokes)):
         answer = make(case, number, q, name, dt)
         if answer is None:
-            return NOTHING if not parts else together(parts, len(case.strokes))
+            return together(parts, len(case.strokes))._replace(why="no plan") if parts else NOTHING
         q, part = answer
         parts.append(part)
         if not part.score.done:

@@ -12,6 +12,7 @@ def make(arm, case):
     solver.mask_fbase(True)
     solver.dt = arm.dt
     solver.enable_velocity_limits(True)
+    solver.enable_joint_limits(True)
     for name, limit in zip(arm.names, arm.velocity.tolist(), strict=True):
         robot.set_velocity_limit(name, limit)
     task = solver.add_position_task(arm.tip, case.poses[0][:3, 3])
@@ -29,7 +30,7 @@ def make(arm, case):
         turning.configure("orientation", "soft", 1.0)
     solver.add_regularization_task(1e-6)
     kind = "both" if case.whole else "position"
-    solver.add_manipulability_task(arm.tip, kind, 3.0).configure("mu", "soft", 1e-3)
+    solver.add_manipulability_task(arm.tip, kind, 1.0).configure("mu", "soft", 1e-3)
     velocities = [robot.get_joint_v_offset(n) for n in arm.names]
     fixed = robot.state.q[:7].copy()
 

@@ -18,7 +18,7 @@ Stepper = Callable[[np.ndarray, np.ndarray], np.ndarray]  # posture, pose wanted
 
 
 class WayCase(NamedTuple):
-    """Rows (s, 6), start (nv,), poses (T, 4, 4), share of the error that a step takes back, and whether mu is of 6 rows."""
+    """Rows (s, 6), start (nv,), poses (T, 4, 4), share of the error that a step takes back, whether mu has 6 rows."""
 
     rows: np.ndarray
     start: np.ndarray
