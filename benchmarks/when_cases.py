@@ -80,13 +80,12 @@ class Stroke(NamedTuple):
     pitch: float = 0.0
 
     def place(self, start: np.ndarray, s: float) -> np.ndarray:
-        """Pose (4, 4) of the hand after so much of the way [m or rad]."""
+        """Pose (4, 4) of a hand that keeps its orientation, after so much of the way [m or rad]."""
         pose = start.copy()
         if self.axis is None:
             pose[:3, 3] += s * self.direction
             return pose
         turn = Rotation.from_rotvec(s * self.axis).as_matrix()
-        pose[:3, :3] = turn @ start[:3, :3]
         pose[:3, 3] = self.point + turn @ (start[:3, 3] - self.point) + self.pitch * s * self.axis
         return pose
 
