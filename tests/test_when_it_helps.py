@@ -1,0 +1,168 @@
+"""The benchmark of when manipulability helps: its starts, its rule of what is done, its intervals and its table."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import manip_learn as ml
+from manip_learn.control.way import SLACK, simulate_way
+
+BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+sys.path.insert(0, str(BENCHMARKS))
+
+import when_cases  # noqa: E402
+import when_it_helps  # noqa: E402
+import when_runs  # noqa: E402
+
+DOOR = ("so101", "door 60 deg", "free", "near")
+
+
+@functools.cache
+def door() -> when_cases.Case:
+    return when_cases.cases_of(*DOOR, 1, 41_000)[0]
+
+
+def test_the_interval_is_that_of_wilson() -> None:
+    """Published values: 10 of 10 and 0 of 10 leave 0.278 of a share open, 15 of 20 is 0.531 to 0.888."""
+    assert when_it_helps.wilson(10, 10) == pytest.approx((0.7225, 1.0), abs=1e-4)
+    assert when_it_helps.wilson(0, 10) == pytest.approx((0.0, 0.2775), abs=1e-4)
+    assert when_it_helps.wilson(15, 20) == pytest.approx((0.5313, 0.8881), abs=1e-4)
+    assert when_it_helps.wilson(0, 0) == (0.0, 1.0)
+
+
+def test_a_mark_needs_six_starts_that_all_speak_for_the_same() -> None:
+    """The exact sign test: 6 to 0 has p = 0.031, 5 to 0 has 0.063; starts on which both agree do not count."""
+    assert when_it_helps.differs([True] * 6 + [True] * 9, [False] * 6 + [True] * 9)
+    assert not when_it_helps.differs([True] * 5 + [False] * 9, [False] * 5 + [False] * 9)
+    assert not when_it_helps.differs([], [])
+
+
+def test_starts_are_the_same_whatever_their_number_and_are_at_the_handle() -> None:
+    """The first of two starts is the only one of one; the hand is on the door's circle, inside the joint limits."""
+    one, two = door(), when_cases.cases_of(*DOOR, 2, 41_000)
+    assert np.array_equal(one.start, two[0].start) and not np.array_equal(two[0].start, two[1].start)
+    for case in two:
+        rows, robot = case.constraint.features, case.constraint.robot
+        out = robot.position(case.start, "gripperframe") - rows.geometry.point
+        assert abs(np.linalg.norm(out[:2]) - 0.4 * when_cases.DOOR) < 1e-6 and abs(out[2]) < 1e-6
+        assert np.all(case.start >= robot.position_lower) and np.all(case.start <= robot.position_upper)
+
+
+def test_a_start_near_a_singularity_is_nearer_to_one() -> None:
+    """Along the self-motion the smallest singular value of the rows only falls; with a kept orientation to 0.02."""
+    for grip in when_cases.GRIPS:
+        anywhere, near = (when_cases.cases_of("ur5", "drawer 0.3 m", grip, kind, 4, 5) for kind in when_cases.KINDS)
+        values = [[when_cases.smallest(case) for case in cases] for cases in (anywhere, near)]
+        assert np.median(values[1]) < np.median(values[0])
+        assert grip == "free" or np.max(values[1]) < when_cases.SINGULAR
+
+
+def end_of(case: when_cases.Case) -> np.ndarray:
+    """Where the hand is after all strokes as the library makes them."""
+    q = case.start
+    for number in range(len(case.strokes)):
+        law = ml.ResolvedRateController(case.constraint, case.motion(number))
+        q = simulate_way(case.constraint.robot, law, q)[0].q[-1]
+    return case.constraint.robot.pose(q, "tool0")
+
+
+@pytest.mark.parametrize("task", list(when_cases.TASKS))
+def test_the_poses_for_the_peers_are_those_of_the_way(task: str) -> None:
+    """They begin where the hand is and end at its goal, in the orientation of the start, 2 mm a step at most."""
+    cases = when_cases.cases_of("ur5", task, "held", "anywhere", 4, 3)
+    case = next(case for case in cases if when_runs.run(case, "none", 0.01).done)
+    poses, slices = when_runs.poses_of(case, 0.01)
+    if not case.strokes:
+        assert not slices and np.array_equal(poses[0], poses[-1])
+        assert np.linalg.norm(poses[0][:3, 3] - case.constraint.robot.position(case.start, "tool0")) > 0.2
+        return
+    assert np.allclose(poses[0], case.constraint.robot.pose(case.start, "tool0"), atol=1e-9)
+    assert np.array_equal(poses[0][:3, :3], poses[-1][:3, :3])
+    assert np.allclose(end_of(case), poses[-1], atol=2e-3)
+    assert slices[-1].stop == len(poses) and np.max(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)) < 2e-3
+    motion = case.motion(0)
+    motion.velocity(motion.constraint, case.start, 0.0)
+    if task.startswith(("drawer", "door", "screw")):
+        assert np.allclose(poses[-1][:3, 3], motion.goal()[:3, 3], atol=1e-6)
+
+
+def test_any_joint_path_is_judged_as_a_simulated_way_is() -> None:
+    """Done, time, deviation, fastest joint and mu of a rollout are the same from its postures alone."""
+    case = door()
+    task = case.motion(0)
+    law = ml.ResolvedRateController(case.constraint, task, ml.ManipulabilityAscent(task.constraint))
+    rollout, way = simulate_way(case.constraint.robot, law, case.start)
+    theirs = when_runs.scored(way, rollout.manipulability[rollout.time >= way.begins - 1e-9]).score
+    ours = when_runs.judged(case.motion(0), rollout.time, rollout.q, rollout.u, task.pause).score
+    assert ours.done == theirs.done and ours.seconds == pytest.approx(theirs.seconds)
+    assert ours[2:6] == pytest.approx(theirs[2:6], rel=1e-6)
+    # a hand that leaves the circle by 3 mm, or that stops half way, has not opened the door
+    half = len(rollout) // 2
+    first = rollout.time[:half], rollout.q[:half], rollout.u[:half]
+    assert not when_runs.judged(case.motion(0), *first, task.pause).score.done
+    off = rollout.q.copy()
+    off[half, 0] += 0.02  # [rad], 0.25 m from the pan axis
+    assert not when_runs.judged(case.motion(0), rollout.time, off, rollout.u, task.pause).score.done
+    assert rollout.time[-1] < task.duration + SLACK
+
+
+def test_a_plan_is_judged_by_its_way_and_missed_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`ml.plan(constraint, motion, start, seed=0).way` counts; `ml.NoPlanError` is a way that was not done."""
+    case, asked = door(), []
+
+    class NoPlanError(Exception):
+        """As the library's."""
+
+    def plan(constraint: ml.Constraint, motion: ml.FreeDirection, start: np.ndarray, seed: int) -> SimpleNamespace:
+        asked.append((motion.wanted, start, seed))
+        if len(asked) > 1:
+            raise NoPlanError
+        law = ml.ResolvedRateController(constraint, motion, ml.ManipulabilityAscent(motion.constraint))
+        return SimpleNamespace(way=simulate_way(constraint.robot, law, start)[0])
+
+    monkeypatch.setattr(ml, "plan", plan, raising=False)
+    monkeypatch.setattr(ml, "NoPlanError", NoPlanError, raising=False)
+    with_plan, learnt = when_runs.run(case, "plan", 0.01), when_runs.run(case, "learnt", 0.01)
+    assert with_plan.done and learnt.done
+    assert with_plan.deviation == pytest.approx(learnt.deviation, rel=0.5)
+    assert asked[0][0] == case.strokes[0].distance and np.array_equal(asked[0][1], case.start) and asked[0][2] == 0
+    assert when_runs.run(case, "plan", 0.01) == when_runs.NOTHING
+    number = when_it_helps.numbers_of(when_it_helps.Cell(*DOOR), when_it_helps.options(["--plans", "4"]), {})["plan"]
+    assert number == 4
+
+
+def test_a_cell_is_the_same_again_and_is_counted_right(tmp_path: Path) -> None:
+    """Two starts of a cell, measured twice and from the cache; the table counts what was done."""
+    cell = when_it_helps.Cell("so101", "reach", "held", "anywhere")
+    job = when_it_helps.Job(cell, {"none": 2, "learnt": 2, "path": 0}, 41_000, {}, tmp_path)
+    first = when_it_helps.measure(job)
+    assert first == when_it_helps.measure(job) == when_it_helps.measure(job._replace(cache=None))
+    assert len(list(tmp_path.iterdir())) == 3
+    scores = first[2]
+    cannot = when_it_helps.Cell("so101", "drawer 0.3 m", "held", "near")
+    text = when_it_helps.table({cell: scores, cannot: {}}, {cell: first[1][0]})
+    rows = [line for line in text.splitlines() if line.startswith("| so101 | ")]
+    assert len({line.count("|") for line in text.splitlines()}) == 1
+    assert len(rows) == 3 and "cannot be" in rows[2]
+    for policy in ("none", "learnt"):
+        assert f"{sum(s.done for s in scores[policy])}/2" in rows[1]
+
+
+def test_what_cannot_exist_is_known() -> None:
+    """Five joints do not move along six rows; everything else exists."""
+    missing = [
+        (arm, task, grip)
+        for arm in when_cases.ARMS
+        for task in when_cases.TASKS
+        for grip in when_cases.GRIPS
+        if not when_cases.exists(arm, task, grip)
+    ]
+    assert {(arm, grip) for arm, _, grip in missing} == {("so101", "held")}
+    assert {task for _, task, _ in missing} == set(when_cases.TASKS) - {"reach"}
+    assert when_it_helps.options(["--starts", "3"]).few == 10
