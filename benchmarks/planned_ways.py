@@ -3,8 +3,8 @@
 Arms take hold of a drawer's handle that is where their hand happens to be: start postures are random, clear of
 self-collision, and the rail points in a random horizontal direction, 0.4 m long at 0.3 m/s. Four columns: whether the
 way is done (the whole of it, never 2 mm off the rail, within all limits) from the start without null-space motion, with
-the ascent of mu, by `ml.plan`, and, where there is no plan, from any of 2,000 postures of the same hand, an exhaustive search without
-the planner's graph: each is carried along the way for itself, and those that come to its end are simulated.
+the ascent of mu, by `ml.plan`, and, where there is no plan, from any of 2,000 postures of the same hand: an exhaustive
+search without the planner's graph, each posture carried along the way for itself, and simulated if it comes to the end.
 
     python benchmarks/planned_ways.py [--starts 60] [--seed 60000] [--arms sawyer panda xarm7 ur5 ur10] [--out FILE]
     python benchmarks/planned_ways.py --physics [--starts 100]   # plans in MuJoCo, by position servos and the loop

@@ -166,7 +166,7 @@ def test_a_way_too_fast_for_the_joints_takes_longer(panda: ml.Robot) -> None:
     rail = line(panda, PANDA_TIP, (0.0, 1.0, 0.0))
     motion = ml.motion(rail, along=0.5, speed=0.5, keep_orientation=True)
     plan = ml.plan(rail, motion, READY, limits=Limits(panda, velocity=0.4))
-    assert plan.outcome.is_done and plan.margin > -0.05
+    assert plan.outcome.is_done and plan.outcome.seconds > 3.0 * 1.5
     assert "too slow" in " ".join(plan.notes)
 
 
@@ -324,7 +324,7 @@ def test_the_ladder_finds_the_path_whose_least_margin_is_largest() -> None:
         k = np.arange(last + 1)
         steps = np.diff(q[list(path), k], axis=0)
         left = 1.0 - np.max(np.abs(steps) / robot.velocity_limit, axis=1) / np.diff(stations.time[: last + 1])
-        if np.all(allowed[list(path), k]) and np.all(left >= -2.0):
+        if np.all(allowed[list(path), k]) and np.all(np.abs(steps) <= 0.5):
             best[path[0]] = max(best[path[0]], min(np.min(least[list(path), k]), np.min(left)))
     assert np.allclose(margins, best)
     first = int(np.argmax(margins))

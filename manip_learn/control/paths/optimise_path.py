@@ -25,6 +25,7 @@ Law = Callable[[NullSpacePolicy], Controller]
 FLOOR_RATIO = 1e-2  # mu below this part of its median over random postures counts as singular
 SPARE_SPEED = 0.98  # part of the velocity limit that the knots use: a spline overshoots its knots
 TASK_SLACK, TASK_FLOOR = 1.01, 1e-6  # a path may leave this much more of the task undone than the greedy law
+TASK_STRAY = 1e-3  # [m or rad] and on a way at no time by more: half of what a hand may be off what holds it
 TOLERANCE = 1e-3  # of the conditions of optimality, in units of log mu
 MOST_ITERATIONS = 60
 SAMPLES = 200
@@ -67,7 +68,8 @@ def optimise_path(
 
     Returns:
         The rollout with the highest mean of log mu (bounded near singularities) out of the greedy one and those found,
-        if its distance to the task's goal, both mean and final, is at most 1 % above the greedy one's.
+        if its distance to the task's goal, both mean and final, is at most 1 % above the greedy one's, and where
+        something holds the hand (the task does not slide) at no time more than a millimetre or a milliradian.
 
     Raises:
         MissingExtraError: CasADi is not installed.
@@ -92,9 +94,9 @@ def optimise_path(
     problem = PathProblem(rows, task, start, duration / knots, knots, bounds, floor)
     pull = 4.0 / duration
     tried = [run(JointAttractor(goal, pull, constraint.robot)) for goal in random[:guesses]]
-    best_guess = max([c for c in tried if _serves(c, greedy)], key=lambda c: c.score, default=None)
+    best_guess = max([c for c in tried if _serves(c, greedy, task)], key=lambda c: c.score, default=None)
     found = [run(policy) for policy in _optimised(problem, [greedy] + ([best_guess] if best_guess else []))]
-    acceptable = [c for c in [*found, *tried] if _serves(c, greedy)]
+    acceptable = [c for c in [*found, *tried] if _serves(c, greedy, task)]
     return max([greedy, *acceptable], key=lambda c: c.score).rollout
 
 
@@ -129,13 +131,14 @@ def _score(constraint: Constraint, rollout: Rollout, floor: float) -> float:
     return float(np.mean(0.5 * np.log(mu**2 + floor**2)))
 
 
-def _serves(candidate: _Candidate, greedy: _Candidate) -> bool:
-    """Whether a candidate's task comes as close to its goal as the greedy law's does, all the way and in the end."""
+def _serves(candidate: _Candidate, greedy: _Candidate, task: Task) -> bool:
+    """Whether a candidate's task comes as close to its goal as the greedy law's does: on average, in the end, and on a way at all times."""
     ours, theirs = candidate.rollout.task_error, greedy.rollout.task_error
     if np.any(np.isnan(theirs)):
         return True
     allowed = TASK_SLACK * np.array([np.mean(theirs), theirs[-1]]) + TASK_FLOOR
-    return bool(np.mean(ours) <= allowed[0] and ours[-1] <= allowed[1])
+    strays = not task.slides and np.max(ours - theirs) > TASK_STRAY
+    return bool(np.mean(ours) <= allowed[0] and ours[-1] <= allowed[1] and not strays)
 
 
 def _posture(constraint: Constraint, q0: ArrayLike) -> Float[np.ndarray, " n"]:

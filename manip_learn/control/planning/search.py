@@ -30,7 +30,7 @@ PULL = 0.3  # share of the joints' speeds that spare joints may use while the wa
 ASCENT = 3.0  # [1/s] gain of the pull up the manipulability, as that of `ManipulabilityAscent`
 TIE = 0.01  # margins nearer to each other than a hundredth of the limits are alike: the manipulability decides
 TURN = 2.0 * np.pi
-SLOWEST = 3.0  # times the velocity limit that a step may ask for: the way is then done in three times its time
+JUMP = 0.5  # [rad or m] of a joint from one station to the next: a longer step is another branch of the kinematics
 ROUGH = 1.0  # log mu that a node may lose for a step at full speed, when ties are decided: straight joint motion
 
 
@@ -116,14 +116,16 @@ class Ladder:
         """Some nodes of layer k, some of the next, and what the step between them leaves of the joints' speeds."""
         i, j = np.flatnonzero(here), np.flatnonzero(ahead)
         before, after, wound = self.q[i, k].T, self.q[j, k + 1].T, self._wound
-        fastest = np.zeros((len(i), len(j)))
+        fastest, longest = np.zeros((len(i), len(j))), np.zeros((len(i), len(j)))
         for joint, (speed, turns) in enumerate(zip(self.stations.limits.velocity, wound, strict=True)):
             step = after[joint] - before[joint][:, None]
             if turns:
                 step -= TURN * np.round(step / TURN)
-            np.maximum(fastest, np.abs(step) / speed, out=fastest)
+            step = np.abs(step)
+            np.maximum(longest, step, out=longest)
+            np.maximum(fastest, step / speed, out=fastest)
         left = 1.0 - fastest / (self.stations.time[k + 1] - self.stations.time[k])
-        far = (left < 1.0 - SLOWEST) | (self.family[i][:, None] != self.family[j])
+        far = (longest > JUMP) | (self.family[i][:, None] != self.family[j])
         return i, j, np.where(far, -np.inf, left)
 
     def postures(self, marches: Int[np.ndarray, " k"]) -> Postures:
@@ -235,7 +237,7 @@ def _march(
         pull = _pulls(stations, rows, q, kind[some]) * time
         k += sense
         there_q, there = stations.onto(q, np.full(len(some), k), grasp[some], MARCH_STEPS, pull)
-        there &= np.max(np.abs(there_q - q) / stations.limits.velocity, axis=1) <= SLOWEST * time
+        there &= np.max(np.abs(there_q - q), axis=1) <= JUMP
         some = some[there]
         table[some, k] = there_q[there]
 

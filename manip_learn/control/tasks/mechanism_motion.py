@@ -118,9 +118,10 @@ class MechanismMotion(DrivenMotion):
     def _coordinates(self, origin: np.ndarray, q: ArrayLike, near: float) -> dict[str, float]:
         """The coordinate of each row, less its value at the start; angles next to `near`."""
         pose, g = self.origin(q), self._rows.geometry
-        near = near if self.unit == "rad" else 0.0
-        out = place_about(origin[:3, 3] - g.point, pose[:3, 3] - g.point, g, near)
-        return out | _hand(origin, pose, g, near) if self._turns else out
+        # only what is driven goes beyond half a turn
+        turned, around = (near if self._driven == name else 0.0 for name in ("turn", "tangential"))
+        out = place_about(origin[:3, 3] - g.point, pose[:3, 3] - g.point, g, around)
+        return out | _hand(origin, pose, g, turned) if self._turns else out
 
 
 def place_about(d0: np.ndarray, d: np.ndarray, g: Place, near: float) -> dict[str, float]:
