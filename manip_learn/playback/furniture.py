@@ -96,8 +96,8 @@ def furniture_of(
     """What the hand moves along its mechanism; None if that is nothing that opens, or it hardly moves along it.
 
     A line is taken where the hand moves along it, since its direction alone was learnt; a hinge is where it was learnt.
-    The furniture is shut where the motion along the mechanism begins, follows the hand, and stays where the hand leaves
-    it. A hand that moves away from the robot's base pushes its drawer: that is open at first, and shut in the end.
+    The furniture is shut where the motion along the mechanism begins, or the first of the given ways, follows the hand,
+    and stays where the hand leaves it. A hand that moves away from the robot's base pushes its drawer: that is open at first, and shut in the end.
 
     Args:
         mechanism: Its dictionary, as a constraint keeps it.
