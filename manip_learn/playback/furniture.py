@@ -97,7 +97,8 @@ def furniture_of(
 
     A line is taken where the hand moves along it, since its direction alone was learnt; a hinge is where it was learnt.
     The furniture is shut where the motion along the mechanism begins, or the first of the given ways, follows the hand,
-    and stays where the hand leaves it. A hand that moves away from the robot's base pushes its drawer: that is open at first, and shut in the end.
+    and stays where the hand leaves it. A hand that moves away from the robot's base pushes its drawer: that is open at
+    first, and shut in the end.
 
     Args:
         mechanism: Its dictionary, as a constraint keeps it.
