@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -101,3 +103,84 @@ def test_opened_and_shut_again():
 def test_nothing_is_made_up(mechanism, way):
     """Without a mechanism that opens, without its place, or where the hand hardly moves along it, there is none."""
     assert furniture_of(mechanism, *stages("line", way)) is None
+
+
+def there_and_back(kind, way):
+    """Times and path of a hand that waits on its mechanism, goes aside and comes back, waits, and goes its way."""
+    smooth = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, N))
+    begins = place(kind, np.zeros(N))
+    aside = np.outer(np.sin(np.pi * np.linspace(0.0, 1.0, N)), [0.3, 0.5, 0.8])
+    path = np.concatenate([begins, begins + aside, begins, place(kind, way * smooth)])
+    return 0.01 * np.arange(len(path)), path
+
+
+@pytest.mark.parametrize("sense", [-1.0, 1.0])
+@pytest.mark.parametrize(("kind", "way"), [("line", 0.3), ("hinge", 0.9), ("screw", 7.5)])
+def test_it_is_shut_until_the_way_begins(kind, way, sense):
+    """A hand that begins at the handle, leaves it and comes back moves it from the beginning of its way on only."""
+    times, path = there_and_back(kind, sense * way)
+    begins = times[3 * N]
+    piece = furniture_of(MECHANISMS[kind], times, path, [(begins, times[-1])])
+    assert piece is not None
+    assert not np.any(piece.opening[: 3 * N + 1])
+    assert piece.opening[-1] == pytest.approx(way, rel=1e-9)
+    for i in range(3 * N, 4 * N, 7):
+        np.testing.assert_allclose(piece.moved(np.zeros((1, 3)), piece.opening[i])[0], path[i], atol=1e-9)
+
+
+def test_shut_is_where_the_way_begins_though_the_hand_was_beyond():
+    """A hand that comes along the line has not taken hold yet, and one that goes back along it has let go."""
+    times = 0.01 * np.arange(4 * N)
+    along = np.concatenate(
+        [np.linspace(0.3, 0.0, N), np.zeros(N), np.linspace(0.0, -0.2, N), np.linspace(-0.2, 0.1, N)]
+    )
+    span = float(times[2 * N]), float(times[3 * N - 1])
+    piece = furniture_of(MECHANISMS["line"], times, place("line", along), [span])
+    assert piece is not None
+    np.testing.assert_allclose(piece.pose[:3, 3], place("line", [0.0])[0], atol=1e-12)
+    expected = [np.zeros(2 * N), np.linspace(0.0, 0.2, N), np.full(N, 0.2)]
+    np.testing.assert_allclose(piece.opening, np.concatenate(expected), atol=1e-12)
+
+
+def test_a_second_way_shuts_it_again():
+    """Out in the first way, left alone between them, and shut in the second; another line is not its own."""
+    times = 0.01 * np.arange(5 * N)
+    out, back = place("line", np.linspace(0.0, -0.3, N)), place("line", np.linspace(-0.3, 0.0, N))
+    aside = out[-1] + np.outer(np.sin(np.pi * np.linspace(0.0, 1.0, N)), [0.0, 0.4, 0.2])
+    path = np.concatenate([out, aside, back, aside, out + [0.0, 0.3, 0.0]])
+    ways = [(float(times[k * N]), float(times[(k + 1) * N - 1])) for k in (0, 2, 4)]
+    piece = furniture_of(MECHANISMS["line"], times, path, ways)
+    assert piece is not None
+    opening = np.linspace(0.0, 0.3, N)
+    expected = [opening, np.full(N, 0.3), opening[::-1], np.zeros(2 * N)]
+    np.testing.assert_allclose(piece.opening, np.concatenate(expected), atol=1e-12)
+
+
+@pytest.mark.parametrize("ways", [[], [(0.0, 0.01 * N)], [(90.0, 95.0)]])
+def test_without_its_way_there_is_none(ways):
+    """A motion that ends before its way, or whose way hardly moves, opens nothing."""
+    assert furniture_of(MECHANISMS["line"], *there_and_back("line", -0.3), ways) is None
+
+
+@pytest.mark.parametrize(
+    ("names", "opens_at"),
+    [(("approach", "hold", "way"), 0.6), (("out", "on", "further"), 0.0), (("approach", "approach", "hold"), None)],
+)
+def test_the_phases_of_a_rollout_say_when_it_moves(robot_of, names, opens_at):
+    """Phases of a plan tell its way, those with other names tell nothing, and a plan without its way opens nothing."""
+    robot = robot_of("sawyer")
+    kept = {"n_constraints": 2, "mechanism": MECHANISMS["line"]}
+    constraint = ml.Constraint([[0, 1, 0], [0, 0, 1]], ml.FrameJacobian(robot, "right_gripper_tip"), kept)
+    controller = ml.ResolvedRateController(constraint, task=ml.FreeDirection(constraint, -0.12, 0.2))
+    rollout = ml.simulate(robot, controller, [0.3, -0.9, 0.2, 1.6, 0.1, 0.7, 0.4], duration=1.2, dt=0.01)
+    spans = list(zip(names, (0.0, 0.4, 0.6), (0.4, 0.6, 1.2), strict=True))
+    later = replace(rollout, time=rollout.time + 7.0, phases=tuple((n, 7.0 + a, 7.0 + b) for n, a, b in spans))
+    tree, tip = kinematic_tree(robot), robot.frame("right_gripper_tip")
+    motion = recorded_motion(robot, tree, tip, "a", later, mechanism=MECHANISMS["line"])
+    assert [(b.name, pytest.approx(b.start), pytest.approx(b.end)) for b in motion.phases] == spans
+    if opens_at is None:
+        assert motion.furniture is None
+        return
+    assert motion.furniture is not None
+    moving = motion.furniture.times[motion.furniture.opening > 0.0]
+    assert opens_at < moving[0] < opens_at + 0.05

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 from test_playback import EVIL, data_in, unpacked, waving
 
+from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
 from manip_learn.playback import replay
-from manip_learn.playback.phase_bands import PhaseBand, phase_bands, phase_kinds, phases_from_json
+from manip_learn.playback.phase_bands import PhaseBand, own_bands, own_kinds, phase_bands, phase_kinds, phases_from_json
 from manip_learn.recordings.trajectory import Trajectory
 
 FREE, FIRST, SECOND = ("a", 0.0, 1.0, None), ("a", 1.0, 2.0, 0), ("b", 0.5, 1.5, 1)
@@ -102,6 +104,60 @@ def test_without_phases_nothing_changes(robot_of, tmp_path):
     data = data_in(replay(robot, {"a": recorded(robot), "b": recorded(robot)}, tmp_path / "a.html").html)
     assert data["phaseKinds"] == data["mechanisms"] == []
     assert len({r["colour"] for r in data["rollouts"]}) == 2
+
+
+OWN = (("approach", 0.0, 0.8), ("hold", 0.8, 1.0), ("way", 1.0, 2.0))
+
+
+def test_a_rollouts_own_phases_are_bands_in_its_own_colour(robot_of, tmp_path):
+    """They are in the page with their words, and the page is not one of constraints: all keep their colours."""
+    robot = robot_of("planar3")
+    rollouts = {"plan": replace(waving(robot), phases=OWN), "zero": waving(robot, phase=1.0)}
+    data = data_in(replay(robot, rollouts, tmp_path / "a.html").html)
+    plan, zero = data["rollouts"]
+    assert plan["phases"] == [[0.0, 0.8, 0], [0.8, 1.0, 1], [1.0, 2.0, 2]]
+    assert [k["label"] for k in plan["phaseKinds"]] == [k["mark"] for k in plan["phaseKinds"]] == [p[0] for p in OWN]
+    assert {k["colour"] for k in plan["phaseKinds"]} == {plan["colour"]} != {zero["colour"]}
+    approach, hold, way = (k["strength"] for k in plan["phaseKinds"])
+    assert approach < hold < way == 1.0
+    assert zero["phases"] == data["phaseKinds"] == [] and "phaseKinds" not in zero
+
+
+@pytest.mark.parametrize("ending", [".npz", ".csv"])
+def test_a_rollout_of_a_file_draws_the_same(robot_of, tmp_path, ending):
+    """Phases that were saved with a rollout are drawn as those of the rollout itself."""
+    robot = robot_of("planar3")
+    rollout = replace(waving(robot), phases=OWN)
+    again, _ = Rollout.load_with_notes(rollout.save(tmp_path / f"a{ending}"), robot)
+    pages = [data_in(replay(robot, {"plan": r}, tmp_path / "a.html").html)["rollouts"] for r in (rollout, again)]
+    assert pages[0] == pages[1] and len(pages[0][0]["phases"]) == 3
+
+
+def test_phases_that_are_given_replace_a_rollouts_own(robot_of, tmp_path):
+    """Phases of constraints are drawn where they are given; other rollouts of the page keep their own."""
+    robot = robot_of("planar3")
+    rollouts = {name: replace(waving(robot), phases=OWN) for name in ("a", "b")}
+    data = data_in(replay(robot, rollouts, tmp_path / "a.html", phases=[FREE, FIRST]).html)
+    a, b = data["rollouts"]
+    assert a["phases"] == [[0.0, 1.0, -1], [1.0, 2.0, 0]] and "phaseKinds" not in a
+    assert len(b["phases"]) == len(b["phaseKinds"]) == 3 and len(data["phaseKinds"]) == 2
+
+
+def test_own_phases_share_a_kind_by_their_name():
+    """Names that come twice are one kind, in the order of time; long ones are cut; constraints are none of them."""
+    bands = own_bands("a", [("way", 3.0, 4.0), ("approach", 0.0, 1.0), ("way", 1.0, 2.0), ("x" * 90, 2.0, 3.0)])
+    assert [b.start for b in bands] == [0.0, 1.0, 2.0, 3.0]
+    assert [k.label for k in own_kinds(bands, "#0072b2")] == ["approach", "way", "x" * 40]
+    assert own_kinds([PhaseBand(0.0, 1.0, None), PhaseBand(1.0, 2.0, 0)], "#0072b2") == ()
+
+
+@pytest.mark.parametrize("span", [(1.0, 0.0), (0.0, float("nan")), ("early", 1.0)])
+def test_bad_phases_of_a_rollout_are_refused(robot_of, tmp_path, span):
+    """Times that cannot be drawn are refused with the rollout's name or the phase's number."""
+    robot = robot_of("planar3")
+    rollout = replace(waving(robot), phases=(OWN[0], ("hold", *span)))
+    with pytest.raises(RecordingError, match="phase 1"):
+        replay(robot, {"plan": rollout}, tmp_path / "a.html")
 
 
 class TestMechanism:

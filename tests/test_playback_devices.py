@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import itertools
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ FINGER = 40  # least width and height of what a finger must hit [px]
 # a check box or a choice is hit by its label
 CONTROLS = "button, select, summary, input[type=range], label:has(input)"
 HINGE = {"type": "hinge", "axis": [0, 0, 1], "point": [0.5, 0.5, 0.1], "radius": 0.6, "sentence": "a hinge"}
-PAGES = ("replay", "phases", "live")
+PAGES = ("replay", "phases", "plan", "live")
 REPORT = {
     "sentence": "the hand is held", "gap": 3940.0, "n_constraints": 2, "held_out_residual": 0.012,
     "uncertainty_deg": 0.2, "n_samples": 600, "n_trajectories": 2, "warnings": ["recordings are few"],
@@ -82,6 +83,9 @@ def address_of(kind, robot, folder):
     if kind == "phases":
         rollouts = {"a": waving(robot, 4.0).trajectory("a"), "b": waving(robot, 2.0, phase=1.0).trajectory("b")}
         more = {"phases": PHASES, "mechanism": HINGE, "constraint": (guided, guided), "report": REPORT}
+    if kind == "plan":
+        parts = (("approach", 0.0, 1.5), ("hold", 1.5, 1.6), ("a rather long name of a phase", 1.6, 3.0))
+        rollouts = {name: replace(rollout, phases=parts) for name, rollout in rollouts.items()}
     notes = ["a note about a_very_long_file_name_that_has_no_space_in_it_and_goes_on_and_on.mcap"]
     path = folder / f"{kind}.html"
     yield replay(robot, rollouts, path, title="drawer, 3 times", notes=notes, **more).html.as_uri()
@@ -119,7 +123,7 @@ def test_phones_show_everything_without_sideways_scrolling(robot_of, tmp_path, o
                 assert left >= -0.5 and right <= width + 0.5, (width, name)
 
 
-@pytest.mark.parametrize("kind", ["replay", "phases"])
+@pytest.mark.parametrize("kind", ["replay", "phases", "plan"])
 def test_phones_show_the_curve_at_first(robot_of, tmp_path, opened, kind):
     """On a phone, robot and curve are both there before anything is scrolled; names and notes come below."""
     with address_of(kind, robot_of("planar3"), tmp_path) as address:

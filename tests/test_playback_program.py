@@ -217,6 +217,46 @@ def test_phase_at_a_moment(run):
     assert run("phaseAt({ ...phased, hasPhases: false }, 1)", given=PHASED) == [None]
 
 
+OWN = """const DARK = { matches: false }, onScreen = (hex) => hex;
+    const pageColour = (name) => (name === "--page" ? "#ffffff" : "#17212b");
+    const words = [["approach", 0.2], ["hold", 0.4], ["way", 1]];
+    const kinds = ownKinds(words.map(([w, s]) => ({ label: w, mark: w, ink: "#ffffff", strength: s })), "#0000ff");
+    const plan = { name: "plan", hasOwnPhases: true, duration: 4, phases: [[0, 2, 0], [2, 3, 1], [3, 4, 2]] };
+    plan.bands = bandsOf(plan, kinds);"""
+
+
+def test_a_rollouts_own_phases(run):
+    """They are read at any moment, beyond them there is nothing, and the hand holds from the end of the approach on."""
+    labels = run(*(f"(phaseAt(plan, {t}) || {{}}).label || null" for t in (0, 1.9, 2, 3, 4, 4.1)), given=OWN)
+    assert labels == ["approach", "approach", "hold", "way", "way", None]
+    assert run("phaseAt({ ...plan, bands: [] }, 1)", "hasGaps({ ...plan, bands: [plan.bands[0]] })", given=OWN) == [
+        *(None, False),
+    ]
+    holds = [run(f"takesHold({r}, {t})", given=OWN)[0] for r in ("plan", "{}") for t in (1, 2.5, 3.5)]
+    assert holds == [False, True, True, True, True, True]
+    words = run("readOf(plan, 2.5, 0.25, false)", "readOf(plan, 2.5, 0.25, true)", "readOf({}, 1, 0.25)", given=OWN)
+    assert words == ["0.250 hold", "0.250", "0.250"]
+    assert run("inWords([{ ...plan, curve: [] }])", given=OWN) == [
+        "plan: approach until 2.00 s, hold until 3.00 s, way until 4.00 s",
+    ]
+
+
+def test_own_phases_have_their_rollouts_colour(run):
+    """The fainter the less there is of it, with ink that can be read; the path keeps the rollout's own."""
+    assert run("kinds.map((k) => k.colour)", "kinds.map((k) => k.ink)", given=OWN) == [
+        *(["#ccccff", "#9999ff", "#0000ff"], ["#17212b", "#17212b", "#ffffff"]),
+    ]
+    rollouts = ("plan", "{ ...plan, hasPhases: true }", "{ hasPhases: true, hasOwnPhases: false }")
+    assert run(*(f"Boolean(hasPhaseColours({r}))" for r in rollouts), given=OWN) == [False, False, True]
+
+
+def test_the_word_on_a_band_is_as_long_as_it_has_room(run):
+    """A word, its first letter, or nothing; the number of a constraint or nothing."""
+    given = "const word = { mark: 'approach', outline: '#000000' }, number = { mark: '12' };"
+    asked = [f"markOn({kind}, {width})" for kind in ("word", "number") for width in (200, 70, 69, 16, 11, 10)]
+    assert run(*asked, given=given) == ["approach", "approach", "a", "a", "a", "", "12", "12", "12", "12", "", ""]
+
+
 def test_gaps_between_phases_are_told(run):
     """Moments without a phase are in the colour key if they are more than a hundredth of the recording."""
     given = "const r = (end) => ({ duration: 4, bands: [{ start: 0, end: 2 }, { start: 2, end }] });"

@@ -250,6 +250,39 @@ def test_the_drawer_is_in_the_hand_and_says_how_far_it_is_open(robot_of, opening
     wait_until(page, "document.querySelectorAll('#labels span:not([hidden])').length === 0")
 
 
+@pytest.fixture(scope="module")
+def plan(opening):
+    """A hand that leaves the handle, comes back, takes hold, and goes the far way; its phases are those of a plan."""
+    way, time = opening["far"], np.arange(101) * 0.01
+    aside = np.outer(np.sin(np.pi * time) ** 2, [0.3, 0.4, 0.0, -0.3, 0.0, 0.2, 0.0])
+    curves = {"manipulability": 0.0 * time + 0.05, "task_error": 0.0 * time, "status": ("ok",) * 101}
+    approach = replace(way, time=time, q=START + aside, u=0.0 * aside, phases=(("approach", 0.0, 1.0),), **curves)
+    return approach.followed_by(replace(way, phases=(("hold", 0.0, 0.1), ("way", 0.1, 1.2))))
+
+
+def test_a_plan_beside_other_rollouts(robot_of, opening, plan, tmp_path, opened):
+    """Its band has the words, its drawer is shut until the way begins, and the others are drawn as without it."""
+    robot = robot_of("sawyer")
+    page = opened(replay(robot, {"plan": plan, **opening}, tmp_path / "a.html").html.as_uri(), 1280, 800)
+    assert page.locator("#chart .bands text:not(.mark)").all_text_contents() == ["planplan"]  # with its title
+    assert page.locator("#chart .bands .mark").all_text_contents() == ["approach", "hold", "way"]
+    for t, phase, shut in ((0.0, "approach", True), (0.5, "approach", True), (1.05, "hold", True), (2.2, "way", False)):
+        page.evaluate("t => manipLearn.seek(t)", t)
+        assert page.locator("#phase").inner_text() == f"plan: {phase}"
+        assert page.locator("#chart .readout text").all_text_contents()[1].endswith(f" {phase}")
+        states = page.locator("#legend .state").all_inner_texts()
+        assert [phase in state for state in states] == [True, False, False]
+        assert ("0.000 m open" in states[0]) == shut
+        marks = page.locator("#labels span:visible").all_inner_texts()
+        assert ("held" in marks) == (phase != "approach")
+    begins = robot.pose(plan.q[110], robot.frame("right_gripper_tip"))[:3, 3]
+    page.evaluate("manipLearn.seek(0.5)")
+    np.testing.assert_allclose(page.evaluate("manipLearn.handle('plan')"), begins, atol=1e-3)
+    np.testing.assert_allclose(page.evaluate("manipLearn.trackValues(2.2).opening.plan['']"), 0.15, atol=4e-3)
+    colours = page.locator("#legend .rollout").evaluate_all("all => all.map(e => e.style.getPropertyValue('--colour'))")
+    assert len(set(colours)) == 3
+
+
 def test_first_view_and_tracks_leave_the_scene_its_half(robot_of, opening, tmp_path, opened):
     """Every mark is in the first view, and the scene has half the window, with all tracks open too."""
     page = opened(replay(robot_of("sawyer"), opening, tmp_path / "a.html").html.as_uri(), 1280, 800)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, final
 
@@ -19,6 +19,7 @@ ON_IT = 0.005  # [m] off its line or circle up to which a hand still moves it: t
 LEAST_TRAVEL = 0.02  # [m] less than this is a controller that settles, not a drawer that is pulled
 CANDIDATES = 200  # places along the path where the line may be
 BOARD, STANDOFF = 0.016, 0.045  # thickness of a board, and of the hand in front of it [m]
+ROUNDING = 1e-9  # [s] of times
 UPRIGHT = 0.98  # cosine of the tilt up to which a chest stands on the floor
 KINDS: dict[str, Literal["drawer", "door", "crank"]] = {"line": "drawer", "hinge": "door", "screw": "crank"}
 FRONT, BODY, HANDLE = "front", "body", "handle"
@@ -87,18 +88,24 @@ class Furniture:
 
 
 def furniture_of(
-    mechanism: Mapping[str, Any] | None, times: Float[np.ndarray, " T"], path: Float[np.ndarray, "T 3"]
+    mechanism: Mapping[str, Any] | None,
+    times: Float[np.ndarray, " T"],
+    path: Float[np.ndarray, "T 3"],
+    ways: Sequence[tuple[float, float]] | None = None,
 ) -> Furniture | None:
     """What the hand moves along its mechanism; None if that is nothing that opens, or it hardly moves along it.
 
     A line is taken where the hand moves along it, since its direction alone was learnt; a hinge is where it was learnt.
-    The furniture is shut where the motion along the mechanism begins, follows the hand, and stays where the hand leaves
-    it. A hand that moves away from the robot's base pushes its drawer: that is open at first, and shut in the end.
+    The furniture is shut where the motion along the mechanism begins, or the first of the given ways, follows the hand,
+    and stays where the hand leaves it. A hand that moves away from the robot's base pushes its drawer: that is open at
+    first, and shut in the end.
 
     Args:
         mechanism: Its dictionary, as a constraint keeps it.
         times: From the motion's first sample on [s].
         path: The hand in the base frame [m].
+        ways: Start and end of the times during which the hand has hold of it, if that is known: it is shut where the
+            hand is when the first of them begins, and stands still outside of them [s]. None: all of the motion.
 
     Raises:
         RecordingError: A mechanism with numbers of a wrong size or not finite.
@@ -110,14 +117,18 @@ def furniture_of(
     if axis is None or (kind != "drawer" and point is None):
         return None
     along, across, lever = _coordinates(axis, point if kind != "drawer" else None, pitch, path)
-    found = _stretch(lever * along, across)
+    spans = [slice(*np.searchsorted(times, (a - ROUNDING, b + ROUNDING))) for a, b in ways or ()]
+    found = _stretch(lever * along, across) if ways is None else _way(lever * along, across, spans)
     if found is None:
         return None
     begin, end, middle, sense = found
     back = along[begin] - along[middle]
-    moved = np.zeros(len(along))
-    moved[begin:end] = np.maximum(sense * (along[begin:end] - along[begin]), 0.0)
-    moved[end:] = moved[end - 1]
+    held = np.zeros(len(along), dtype=bool)
+    held[begin:end] = True
+    for later in spans[1:]:
+        held[later] = np.linalg.norm(across[later] - across[middle], axis=1) <= ON_IT
+    moved = np.maximum(sense * (along - along[begin]), 0.0)
+    moved = moved[np.maximum.accumulate(np.where(held, np.arange(len(along)), begin))]
     if kind != "drawer" and point is not None:
         handle = point + rotation_matrix(back * axis) @ (path[middle] - point) + pitch * back * axis
         if np.linalg.norm(np.cross(axis, handle - point)) < LEAST_TRAVEL:
@@ -169,6 +180,22 @@ def _stretch(along: Float[np.ndarray, " T"], across: Float[np.ndarray, "T k"]) -
     # a hand that comes along the axis has not taken hold yet; one that opens twice has shut it before
     begin = int(np.flatnonzero(run <= run[: last + 1].min() + 0.1 * ON_IT)[0])
     return start + begin, end, k, sense
+
+
+def _way(
+    along: Float[np.ndarray, " T"], across: Float[np.ndarray, "T k"], spans: Sequence[slice]
+) -> tuple[int, int, int, float] | None:
+    """The same of a motion that is known to hold the mechanism in some spans, and to begin where it is shut."""
+    if not spans or len(along[spans[0]]) < 2:
+        return None
+    first, along, across = spans[0].start, along[spans[0]], across[spans[0]]
+    k = int(np.argmin(np.linalg.norm(across - np.median(across, axis=0), axis=1)))
+    start, end = _run(across, across[k], k)
+    moved = along[start:end] - along[start]
+    far = float(moved[np.argmax(np.abs(moved))])
+    if abs(far) < LEAST_TRAVEL:
+        return None
+    return first + start, first + end, first + k, float(np.sign(far))
 
 
 def _run(across: Float[np.ndarray, "T k"], centre: Float[np.ndarray, " k"], k: int) -> tuple[int, int]:

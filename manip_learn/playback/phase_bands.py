@@ -1,10 +1,10 @@
-"""Phases of recordings, ready for the page: one colour per constraint, grey for free motion."""
+"""Phases, ready for the page: of recordings one colour per constraint, grey for free motion; of rollouts their own."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 from manip_learn.errors import RecordingError
@@ -14,6 +14,9 @@ from manip_learn.playback.palette import COLOURS
 Phase = tuple[str, float, float, int | None] | tuple[str, float, float, int | None, str]
 MAX_CONSTRAINTS = 1000  # a larger number is a mistake, not a constraint
 FREE_COLOUR = "#8a95a0"
+WAY = "way"  # the phase of a rollout in which the hand moves along its mechanism
+LEADING = {"approach": 0.18, "hold": 0.4}  # phases before it, and how much of the rollout's colour they have
+MAX_NAME = 40
 _CONSTRAINT_COLOURS = tuple(value for name, value in COLOURS.items() if name != "grey")
 
 
@@ -24,30 +27,34 @@ class PhaseKind:
 
     Attributes:
         label: Name in the legend, e.g. `"constraint 1: line"` or `"free motion"`.
-        mark: Number written on the bands, so that not colour alone tells them apart; empty for free motion.
+        mark: Number or word written on the bands, so that not colour alone tells them apart; empty for free motion.
         colour: Hexadecimal value.
         ink: Colour of the number, black or white, whichever has more contrast.
+        strength: Share of the colour in what is drawn; the rest is the page's. Below 1 the path of the tip is thin.
     """
 
     label: str
     mark: str
     colour: str
     ink: str
+    strength: float = 1.0
 
 
 @final
 @dataclass(frozen=True)
 class PhaseBand:
-    """One stretch of one recording.
+    """One stretch of one recording or rollout.
 
     Attributes:
         start, end: On the recording's own clock [s].
         constraint: Number of the constraint, counted from 0; None for free motion.
+        name: What a rollout calls a phase of its own, e.g. `"approach"`; None for those of constraints.
     """
 
     start: float
     end: float
     constraint: int | None
+    name: str | None = None
 
 
 def phase_kinds(phases: Sequence[Phase], names: Sequence[str] = ()) -> tuple[PhaseKind, ...]:
@@ -93,6 +100,31 @@ def phase_bands(phases: Sequence[Phase], names: Sequence[str]) -> dict[str, tupl
             code="phases",
         )
     return {name: tuple(sorted(some, key=lambda b: b.start)) for name, some in bands.items()}
+
+
+def own_bands(rollout: str, phases: Sequence[tuple[str, float, float]]) -> tuple[PhaseBand, ...]:
+    """The phases that a rollout itself has, in order of time.
+
+    Args:
+        rollout: Its name, for errors.
+        phases: As in `Rollout.phases`.
+
+    Raises:
+        RecordingError: Times that are not finite or in the wrong order.
+    """
+    checked = [(str(name)[:MAX_NAME], _checked(i, (rollout, *span, None))[1]) for i, (name, *span) in enumerate(phases)]
+    return tuple(sorted((replace(band, name=name) for name, band in checked), key=lambda b: b.start))
+
+
+def own_kinds(bands: Sequence[PhaseBand], colour: str) -> tuple[PhaseKind, ...]:
+    """The phases that a rollout itself has, by their names; empty if it has none.
+
+    Args:
+        bands: All of its bands.
+        colour: That of the rollout, hexadecimal.
+    """
+    names = dict.fromkeys(band.name for band in bands if band.name is not None)
+    return tuple(PhaseKind(name, name, colour, _ink(colour), LEADING.get(name, 1.0)) for name in names)
 
 
 def phases_from_json(value: object) -> tuple[Phase, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
@@ -15,7 +15,7 @@ from manip_learn.playback.furniture import Furniture, furniture_of
 from manip_learn.playback.guidance import Guidance
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks
 from manip_learn.playback.motion_samples import MotionSamples, finite, motion_samples
-from manip_learn.playback.phase_bands import PhaseBand
+from manip_learn.playback.phase_bands import LEADING, WAY, PhaseBand, own_bands
 from manip_learn.playback.tracks import Curve, Track, broken_share, extremes, tracks_of
 from manip_learn.recordings.preprocessing import evenly
 from manip_learn.recordings.trajectory import Trajectory
@@ -46,7 +46,8 @@ class RecordedMotion:
         status: (time, word) wherever the status changes; empty if it is not known.
         duration: [s].
         first_time: Of the first sample, on the recording's own clock [s].
-        phases: Bands within the recording, their times counted from its first sample.
+        phases: Bands within the recording, their times counted from its first sample; a rollout without any from
+            constraints has its own.
         measures: What else is shown over time.
         samples: All samples; None for a motion that is not recorded.
         guidance: Constraint and target.
@@ -91,7 +92,7 @@ def recorded_motion(
         tip: Frame whose path is drawn.
         name: Name in the legend.
         recording: What is played.
-        phases: Bands on the recording's own clock.
+        phases: Bands on the recording's own clock; empty for those that a rollout itself has.
         guidance: Its constraint and its target.
         mechanism: Of a rollout whose constraint keeps none.
 
@@ -105,12 +106,13 @@ def recorded_motion(
     keys = key_frames(time)
     path_keys = keys[evenly(keys.size, MAX_PATH_POINTS)]
     curve_times, curve = _curve(name, time, getattr(recording, "manipulability", None))
-    bands = _within(phases, first_time, float(time[-1]))
+    own = _within(own_bands(name, getattr(recording, "phases", ())), first_time, float(time[-1]))
+    bands = _within(phases, first_time, float(time[-1])) or own
     tracks = joint_tracks(robot, tree, q[keys])
     path_times, path = time[path_keys], np.array([robot.pose(x, tip)[:3, 3] for x in q[path_keys]])
     measures, furniture = tracks_of(robot, recording, samples, guidance, bands), None
     if isinstance(recording, Rollout):
-        furniture = furniture_of(guidance.mechanism(0) or mechanism, path_times, path)
+        furniture = furniture_of(guidance.mechanism(0) or mechanism, path_times, path, _ways(own))
     if furniture is not None:
         measures = (Track("opening", (Curve("", path_times, furniture.opening),), furniture.unit), *measures)
     return RecordedMotion(
@@ -136,8 +138,15 @@ def recorded_motion(
 
 def _within(phases: tuple[PhaseBand, ...], first_time: float, duration: float) -> tuple[PhaseBand, ...]:
     """Bands with times from the first sample on; what lies outside the recording is cut off."""
-    spans = [(max(b.start - first_time, 0.0), min(b.end - first_time, duration), b.constraint) for b in phases]
-    return tuple(PhaseBand(start, end, constraint) for start, end, constraint in spans if start < end)
+    moved = (replace(b, start=max(b.start - first_time, 0.0), end=min(b.end - first_time, duration)) for b in phases)
+    return tuple(band for band in moved if band.start < band.end)
+
+
+def _ways(own: tuple[PhaseBand, ...]) -> list[tuple[float, float]] | None:
+    """When the hand has hold of its mechanism, by a rollout's own phases; None if they do not tell."""
+    if not any(band.name == WAY or band.name in LEADING for band in own):
+        return None
+    return [(band.start, band.end) for band in own if band.name == WAY]
 
 
 def key_frames(time: Float[np.ndarray, " T"]) -> np.ndarray:

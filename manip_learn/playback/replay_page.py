@@ -85,7 +85,8 @@ def replay(
     The first rollout is drawn solid, the others as ghosts; all start at time zero, and the shorter ones hold their last
     posture. The page has the manipulability curves with a cursor, the controller's status, and the path of the tip.
     With phases, colours are those of the constraints, and only the first recording is drawn as a robot, the others as
-    the path of the tip.
+    the path of the tip. Phases that a rollout itself has, as that of a plan, are bands below the curves instead, and
+    its path is thin and dashed until its way begins.
 
     Args:
         robot: The robot that the rollouts were made with.
@@ -156,8 +157,8 @@ def replay(
 def _drawings(
     first: Mapping[str, Any] | None, motions: Sequence[RecordedMotion]
 ) -> tuple[MechanismDrawing | None, ...]:
-    """What is drawn of each constraint's mechanism; of rollouts, which are without phases, the first one's alone."""
-    n = len(motions[0].guidance.constraints) if any(m.phases for m in motions) else 1
+    """What is drawn of each constraint's mechanism; without phases of constraints, the first one's alone."""
+    n = len(motions[0].guidance.constraints) if any(b.name is None for m in motions for b in m.phases) else 1
     described = [first, *(motions[0].guidance.mechanism(k) for k in range(1, n))]
     return tuple(None if d is None else _drawing(d, k, motions) for k, d in enumerate(described))
 

@@ -13,7 +13,7 @@ from manip_learn.playback.constraint_marks import constraint_marks, ellipsoid_sc
 from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.playback.mechanism_drawing import MechanismDrawing
 from manip_learn.playback.packing import packed
-from manip_learn.playback.phase_bands import PhaseKind
+from manip_learn.playback.phase_bands import PhaseKind, own_kinds
 from manip_learn.playback.recorded_motion import RecordedMotion
 from manip_learn.playback.shapes import Appearance, TriangleMesh
 from manip_learn.playback.tracks import points_per_curve, track_data
@@ -59,7 +59,7 @@ def scene_data(
         ],
         "ellipsoidScale": ellipsoid_scale([one for some in marks for one in some], ELLIPSOID * size),
         "notes": list(notes),
-        "phaseKinds": [{"label": k.label, "mark": k.mark, "colour": k.colour, "ink": k.ink} for k in kinds],
+        "phaseKinds": [_kind(k) for k in kinds],
         "mechanisms": [_mechanism(k, m) for k, m in enumerate(mechanisms) if m is not None],
     }
 
@@ -135,8 +135,14 @@ def _mesh(mesh: TriangleMesh) -> dict[str, Any]:
     }
 
 
+def _kind(kind: PhaseKind) -> dict[str, Any]:
+    return {"label": kind.label, "mark": kind.mark, "colour": kind.colour, "ink": kind.ink}
+
+
 def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
-    return {
+    own = own_kinds(motion.phases, colour[1])
+    numbers = {kind.label: k for k, kind in enumerate(own)}
+    described: dict[str, Any] = {
         "name": motion.name,
         "colourName": colour[0],
         "colour": colour[1],
@@ -153,8 +159,12 @@ def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
         "fitShare": motion.fit_share,
         "furniture": None if motion.furniture is None else motion.furniture.to_dict(),
         # start, end, number of the kind; -1 for free motion
-        "phases": [[b.start, b.end, -1 if b.constraint is None else b.constraint] for b in motion.phases],
+        "phases": [
+            [b.start, b.end, numbers.get(b.name or "", -1 if b.constraint is None else b.constraint)]
+            for b in motion.phases
+        ],
     }
+    return described | ({"phaseKinds": [_kind(k) | {"strength": k.strength} for k in own]} if own else {})
 
 
 def _drawn_points(robot: Robot, looks: Appearance, motions: Sequence[RecordedMotion]) -> Float[np.ndarray, "C 3"]:

@@ -206,8 +206,8 @@ class Chart {
     const t = this.hover ?? this.time, shown = [...this.curves].sort((a, b) => b.solid - a.solid).slice(0, MOST_READ);
     this.readout.replaceChildren();
     if (!shown.length) return;
-    const x = this.x(t), values = shown.map((r) => curveValue(r, Math.min(t, r.duration))), rows = values.map(readable), n = rows.length;
-    const flat = this.bottom - this.top < 24 + READ_ROW * n, cell = 36 + 7.4 * Math.max(...rows.map((row) => row.length)); // side by side where the curves are low
+    const x = this.x(t), values = shown.map((r) => curveValue(r, Math.min(t, r.duration))), n = values.length;
+    const flat = this.bottom - this.top < 24 + READ_ROW * n, rows = values.map((value, i) => readOf(shown[i], t, value, flat)), cell = 36 + 7.4 * Math.max(...rows.map((row) => row.length)); // side by side where the curves are low
     const wide = flat ? 58 + cell * n : Math.max(cell + 8, 68), high = flat ? 22 : 22 + READ_ROW * n;
     const left = x + 12 + wide > this.right ? Math.max(x - 12 - wide, 0) : x + 12, middle = values.reduce((sum, v) => sum + this.y(v), 0) / n;
     const top = middle > (this.top + this.bottom) / 2 ? this.top + 1 : this.bottom - high - 3;
@@ -226,11 +226,17 @@ class Chart {
     const words = new Set(this.rollouts.flatMap((r) => r.status.map(([, word]) => word)));
     const known = Object.keys(STATUS).filter((w) => words.delete(w));
     const used = new Set(this.rollouts.flatMap((r) => r.bands.map((b) => b.kind)));
-    const phases = [...new Set(this.rollouts.flatMap((r) => r.kinds))].filter((kind) => used.has(kind));
+    const phases = [...new Set(this.rollouts.flatMap((r) => (r.hasOwnPhases ? [] : r.kinds)))].filter((kind) => used.has(kind)); // a rollout's own have their words
     if (this.rollouts.some(hasGaps)) phases.push({ ...NO_PHASE, colour: "var(--unclassified)" });
     if (colouring.mode === "fit") phases.splice(0, Infinity, ...fitKey());
     return [...[...known, ...words].map((word) => this.statusStyle(word)), ...phases.map(({ colour, label, mark, ink }) => ({ colour, say: label, mark, ink }))];
   }
+}
+
+// A value, and the rollout's own phase where there is room for its word.
+function readOf(rollout, t, value, flat) {
+  const phase = rollout.hasOwnPhases && !flat && phaseAt(rollout, t);
+  return phase ? `${readable(value)} ${shortName(phase.label)}` : readable(value);
 }
 
 // What the picture shows, for those who cannot see it.
@@ -240,7 +246,7 @@ function inWords(rollouts) {
     return `${name}: lowest manipulability ${readable(curve[i])} at ${curveTimes[i].toFixed(2)} s`;
   };
   const curves = rollouts.filter((r) => r.curve.length).map(least), bands = rollouts.filter((r) => r.bands.length);
-  return [...curves, ...bands.map((r) => `${r.name}: ${r.bands.length} phases`)].join("; ") || "Status over time";
+  return [...curves, ...bands.map((r) => `${r.name}: ${r.hasOwnPhases ? ownPhasesInWords(r) : `${r.bands.length} phases`}`)].join("; ") || "Status over time";
 }
 
 // Index of the last time that is not after t.

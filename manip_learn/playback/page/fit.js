@@ -26,7 +26,7 @@ function fitOf(rollout) {
 
 function colourOfPath(rollout, t) {
   if (colouring.mode === "fit" && rollout.fit) return onScreen(fitColour(valueAt(rollout.fit, t)));
-  return rollout.hasPhases ? onScreen((phaseAt(rollout, t) || NO_PHASE).colour) : rollout.colour;
+  return hasPhaseColours(rollout) ? onScreen((phaseAt(rollout, t) || NO_PHASE).colour) : rollout.colour;
 }
 
 // Spans of a recording and the largest share in each, so that no misfit is lost; NaN where it rests.

@@ -16,6 +16,7 @@ class Legend {
       pick.addEventListener("click", () => onSolid(rollout));
       return { rollout, row, eye, pick, state, mu };
     });
+    element.classList.toggle("parted", rollouts.some((r) => r.hasOwnPhases));
     if (mechanisms.length) {
       const words = Object.assign(document.createElement("p"), { id: "mechanism" });
       for (const { constraint, sentence } of mechanisms)
@@ -31,8 +32,8 @@ class Legend {
       eye.setAttribute("aria-pressed", String(rollout.visible));
       pick.setAttribute("aria-pressed", String(rollout.solid));
       const ended = t > rollout.duration + 1e-9, word = statusAt(rollout, t), phase = phaseAt(rollout, t);
-      row.style.setProperty("--colour", rollout.hasPhases ? (phase || NO_PHASE).colour : rollout.colour);
-      state.textContent = [rollout.hasPhases ? phase && phase.label : rollout.colourName, openInWords(rollout, t), word && sayStatus(word), ended && `ended at ${rollout.duration.toFixed(2)} s`].filter(Boolean).join(" · ");
+      row.style.setProperty("--colour", hasPhaseColours(rollout) ? (phase || NO_PHASE).colour : rollout.colour);
+      state.textContent = [!hasPhaseColours(rollout) && rollout.colourName, phase && phase.label, openInWords(rollout, t), word && sayStatus(word), ended && `ended at ${rollout.duration.toFixed(2)} s`].filter(Boolean).join(" · ");
       if (rollout.curve.length) {
         const value = document.createElement("small");
         value.textContent = "μ";

@@ -1,24 +1,49 @@
-// Phases of recordings: bands in time and along the tip's path, and the mechanism that held the hand.
+// Phases: bands in time and along the tip's path, and the mechanism that held the hand. Those of recordings tell which
+// constraint holds, in its colour; those that a rollout itself has tell how far it is, in the rollout's colour.
 
 const NO_PHASE = { label: "not classified", mark: "", colour: "#cfd6dd", ink: "#000000" };
 const BAND = { tallest: 20, lowest: 3, named: 11, numbered: 12 }; // heights of a row [px], and the least for its texts
-const MAX_NAME = 22;
+const MAX_NAME = 22, APPROACH = "approach";
+const LEADING = { radius: 0.5, dash: 9 }; // the path before the way: its radius and the length of a dash, both in radii of a path
 
 function bandsOf(rollout, kinds) {
   return rollout.phases.map(([start, end, k]) => ({ start, end, kind: k < 0 ? kinds[kinds.length - 1] : kinds[k] }));
 }
 
+// A rollout's own kinds: as much of its colour as their strength, the rest the page's.
+function ownKinds(kinds, rolloutColour) {
+  return kinds.map((kind) => ({
+    ...kind,
+    get colour() { return kind.strength < 1 ? mixed(pageColour("--page"), onScreen(rolloutColour), kind.strength) : onScreen(rolloutColour); },
+    get outline() { return onScreen(rolloutColour); },
+    get ink() { return kind.strength < 1 ? pageColour("--ink") : DARK.matches ? pageColour("--page") : kind.ink; },
+  }));
+}
+
+// Whether the path and the legend have the colours of phases.
+function hasPhaseColours(rollout) { return rollout.hasPhases && !rollout.hasOwnPhases; }
+
+// Whether the hand has taken hold, as far as the rollout's own phases tell.
+function takesHold(rollout, t) {
+  const phase = rollout.hasOwnPhases && phaseAt(rollout, t);
+  return !phase || phase.label !== APPROACH;
+}
+
 // What is known of the moment t; null if the page has no phases, or the recording has ended.
 function phaseAt(rollout, t) {
-  if (!rollout.hasPhases || t > rollout.duration + 1e-9) return null;
+  if (!(rollout.hasPhases || rollout.hasOwnPhases) || t > rollout.duration + 1e-9) return null;
   const band = rollout.bands.find((b) => t >= b.start && (t < b.end || (t <= b.end && b.end >= rollout.duration - 1e-9)));
-  return band ? band.kind : NO_PHASE;
+  return band ? band.kind : rollout.hasOwnPhases ? null : NO_PHASE;
+}
+
+function ownPhasesInWords(rollout) {
+  return rollout.bands.map(({ kind, end }) => `${kind.label} until ${end.toFixed(2)} s`).join(", ");
 }
 
 // Whether a recording has moments without a phase that are long enough to be seen.
 function hasGaps(rollout) {
   const covered = rollout.bands.reduce((sum, b) => sum + b.end - b.start, 0);
-  return rollout.bands.length > 0 && covered < 0.99 * rollout.duration;
+  return !rollout.hasOwnPhases && rollout.bands.length > 0 && covered < 0.99 * rollout.duration;
 }
 
 function shortName(name, most = MAX_NAME) {
@@ -33,6 +58,12 @@ function bandRows(rollouts, room) {
   return rows.filter((r, i) => r.solid || i < fit - 1).slice(0, fit);
 }
 
+// The number or the word on a band so wide; of a word that has no room its first letter.
+function markOn({ mark, outline }, width) {
+  if (!outline) return width >= 16 ? mark : "";
+  return width >= 14 + 7 * mark.length ? mark : width >= 11 ? mark.slice(0, 1) : "";
+}
+
 function drawBands(root, chart, rollout, y, row) {
   const height = Math.max(row - (row > 8 ? 5 : 1), 2), group = svg("g", { class: "bands" }, root);
   svg("line", { x1: chart.x(chart.start), x2: chart.x(rollout.duration), y1: y + height / 2, y2: y + height / 2, stroke: "var(--unclassified)", "stroke-width": 2 }, group);
@@ -44,11 +75,12 @@ function drawBands(root, chart, rollout, y, row) {
   if (colouring.mode === "fit" && rollout.fit) return drawFitRow(group, chart, rollout, y, height);
   for (const { start, end, kind } of rollout.bands) {
     const x = chart.x(start), width = Math.max(chart.x(end) - x, 1.2);
-    const bar = svg("rect", { x, y, width, height, rx: Math.min(2, width / 2), fill: kind.colour }, group);
+    const bar = svg("rect", { x, y, width, height, rx: Math.min(2, width / 2), fill: kind.colour, stroke: kind.outline || "none" }, group);
     const from = (rollout.firstTime + start).toFixed(2), until = (rollout.firstTime + end).toFixed(2);
     svg("title", {}, bar).textContent = `${rollout.name}: ${kind.label}, ${from} s to ${until} s`;
-    if (kind.mark && height >= BAND.numbered && width >= 16)
-      svg("text", { x: x + 9, y: y + height / 2 + 4, "text-anchor": "middle", class: "mark", style: `fill: ${kind.ink}` }, group).textContent = kind.mark;
+    const mark = markOn(kind, width), isWord = kind.outline && mark.length > 1, at = isWord ? 6 : kind.outline ? width / 2 : 9;
+    if (mark && height >= BAND.numbered)
+      svg("text", { x: x + at, y: y + height / 2 + 4, "text-anchor": isWord ? "start" : "middle", class: "mark", style: `fill: ${kind.ink}` }, group).textContent = mark;
   }
 }
 
@@ -57,7 +89,7 @@ function drawSliderBands(element, rollout, duration) {
   const root = svg("svg", { viewBox: "0 0 1000 6", preserveAspectRatio: "none", "aria-hidden": "true" });
   for (const { start, end, kind } of rollout.bands) {
     const x = (1000 * start) / Math.max(duration, 1e-9), width = Math.max((1000 * (end - start)) / Math.max(duration, 1e-9), 1);
-    svg("rect", { x, y: 0, width, height: 6, fill: kind.colour }, root);
+    svg("rect", { x, y: 0, width, height: 6, fill: kind.colour, stroke: kind.outline || "none", "vector-effect": "non-scaling-stroke" }, root);
   }
   element.replaceChildren(root);
 }

@@ -19,9 +19,10 @@ function readable(mu) {
   return Math.abs(mu) >= 1e-3 && Math.abs(mu) < 1e4 ? mu.toPrecision(3) : mu.toExponential(1);
 }
 
-function prepare(rollout, index, kinds) {
+function prepare(rollout, index, phaseKinds) {
+  const own = rollout.phaseKinds && ownKinds(rollout.phaseKinds, rollout.colour), kinds = own || phaseKinds;
   return {
-    ...rollout, kinds, hasPhases: kinds.length > 0, bands: bandsOf(rollout, kinds), index, visible: true, solid: index === 0,
+    ...rollout, kinds, hasPhases: phaseKinds.length > 0, hasOwnPhases: Boolean(own), bands: bandsOf(rollout, kinds), index, visible: true, solid: index === 0,
     keyTimes: decode(rollout.keyTimes, Float64Array), tracks: decode(rollout.tracks, Float64Array),
     path: decode(rollout.path, Float32Array), pathTimes: decode(rollout.pathTimes, Float32Array),
     curve: decode(rollout.curve, Float64Array), curveTimes: decode(rollout.curveTimes, Float64Array),
@@ -164,7 +165,8 @@ class Player {
     else title.textContent = bands ? (fit ? "Motion that breaks the constraint" : "Phases") : "Tracks";
     get("panel").setAttribute("aria-label", curves ? `Manipulability${bands ? ` and ${below}` : ""}` : title.textContent);
     if (!bands) return this.chart.draw();
-    get("chart").style.height = curves ? "clamp(180px, 34vh, 360px)" : `min(38vh, ${44 + BAND.tallest * bands}px)`;
+    if (rollouts.filter((r) => r.hasOwnPhases).length === bands) get("chart").style.height = `calc(clamp(150px, 25vh, 260px) + ${6 + BAND.tallest}px)`; // further rows take from the curves
+    else get("chart").style.height = curves ? "clamp(180px, 34vh, 360px)" : `min(38vh, ${44 + BAND.tallest * bands}px)`;
     this.chart.draw();
   }
 
@@ -250,11 +252,20 @@ class Player {
     this.tracks.setTime(t);
     this.legend.setTime(t, (word) => this.chart.statusStyle(word).say);
     const phase = phaseAt(this.show.solid, t);
-    get("phase").textContent = phase ? `${this.show.solid.name}: ${phase.label}` : "";
-    get("phase").style.setProperty("--colour", phase ? phase.colour : "transparent");
+    this.sayPhase(this.show.solid, phase);
     get("scrub").value = t;
     get("clock").textContent = `${t.toFixed(2)} s`;
     get("scrub").setAttribute("aria-valuetext", this.inWords(t, phase));
+  }
+
+  // Where there is little room, a rollout's own phases go without its name: the legend has it.
+  sayPhase({ name, hasOwnPhases }, phase) {
+    const whose = Object.assign(document.createElement("span"), { className: hasOwnPhases ? "of" : "", textContent: phase ? `${name}: ` : "" });
+    const words = document.createElement("span");
+    words.append(whose, phase ? phase.label : "");
+    get("phase").replaceChildren(words);
+    get("phase").style.setProperty("--colour", phase ? phase.colour : "transparent");
+    get("phase").style.setProperty("--outline", (phase && phase.outline) || "transparent");
   }
 
   // The moment for those who hear it.

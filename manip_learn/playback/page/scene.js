@@ -61,7 +61,8 @@ function shapeGeometry(shape, meshes) {
   return geometry.rotateX(Math.PI / 2); // three.js cylinders stand along y, URDF's along z
 }
 
-function tubeGeometry(points, radius, sides = 8) {
+// Radius: one number, or one for each point. A stretch from a point that `isGap` is left out.
+function tubeGeometry(points, radius, sides = 8, isGap = () => false) {
   const n = points.length / 3, positions = new Float32Array(n * sides * 3), normals = new Float32Array(n * sides * 3);
   const at = (i) => new THREE.Vector3(points[3 * i], points[3 * i + 1], points[3 * i + 2]);
   let side = new THREE.Vector3(0, 0, 1), along = new THREE.Vector3(1, 0, 0);
@@ -76,7 +77,7 @@ function tubeGeometry(points, radius, sides = 8) {
       const a = (2 * Math.PI * k) / sides, j = 3 * (i * sides + k), c = Math.cos(a), s = Math.sin(a);
       for (const [m, axis] of ["x", "y", "z"].entries()) {
         normals[j + m] = c * side[axis] + s * other[axis];
-        positions[j + m] = points[3 * i + m] + radius * normals[j + m];
+        positions[j + m] = points[3 * i + m] + (radius[i] ?? radius) * normals[j + m];
       }
     }
   }
@@ -84,7 +85,8 @@ function tubeGeometry(points, radius, sides = 8) {
   for (let i = 0; i + 1 < n; i++)
     for (let k = 0; k < sides; k++) {
       const a = i * sides + k, b = i * sides + ((k + 1) % sides);
-      index.push(a, a + sides, b, b, a + sides, b + sides);
+      if (isGap(i)) index.push(a, a, a, a, a, a); // nothing, in as many numbers
+      else index.push(a, a + sides, b, b, a + sides, b + sides);
     }
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.BufferAttribute(positions, 3));
@@ -234,6 +236,14 @@ function spaced(path, times, distance) {
   return { points: Float32Array.from(kept.flatMap((i) => [...path.subarray(3 * i, 3 * i + 3)])), times: Float32Array.from(kept, (i) => times[i]) };
 }
 
+// Radii of the path, and where it is interrupted: thin and dashed in the phases that lead to a rollout's way.
+function pathForm(rollout, points, times, radius) {
+  if (!rollout.hasOwnPhases) return { radii: radius };
+  const leads = Array.from(times, (t) => (phaseAt(rollout, t) || { strength: 1 }).strength < 1), far = [0], dash = LEADING.dash * radius;
+  for (let i = 1; i < times.length; i++) far.push(far[i - 1] + Math.hypot(...[0, 1, 2].map((m) => points[3 * i + m] - points[3 * i - 3 + m])));
+  return { radii: leads.map((thin) => (thin ? LEADING.radius * radius : radius)), isGap: (i) => leads[i] && far[i] % (2 * dash) > dash };
+}
+
 // The tip's way: faint as a whole, strong up to now, and a ball where the tip is.
 class TipPath {
   constructor(rollout, radius, parent) {
@@ -242,7 +252,7 @@ class TipPath {
     this.times = times;
     this.group = new THREE.Group();
     this.sides = 8;
-    const geometry = tubeGeometry(points, radius, this.sides), past = geometry.clone();
+    const { radii, isGap } = pathForm(rollout, points, times, radius), geometry = tubeGeometry(points, radii, this.sides, isGap), past = geometry.clone();
     const faint = new THREE.MeshBasicMaterial({ color: colour, toneMapped: false, transparent: true, opacity: 0.28, depthWrite: false, ...behind(rollout.index) });
     const strong = new THREE.MeshStandardMaterial({ color: colour, roughness: 0.6, emissive: colour, emissiveIntensity: 0.25, ...behind(rollout.index) });
     this.rollout = rollout;
@@ -257,7 +267,7 @@ class TipPath {
 
   // Unlit where colours change along the path, so that they are those of the legend.
   recolour() {
-    const varied = this.rollout.hasPhases || (colouring.mode === "fit" && this.rollout.fit);
+    const varied = hasPhaseColours(this.rollout) || (colouring.mode === "fit" && this.rollout.fit);
     if (varied) {
       const colours = pathColours(this.rollout, this.times, this.sides);
       for (const mesh of [this.whole, this.past]) mesh.geometry.setAttribute("color", colours);

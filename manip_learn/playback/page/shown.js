@@ -73,9 +73,9 @@ class Shown {
   // The marks of the constraint that holds now; where none does, those of the one before stay faint.
   setTime(t) {
     for (const r of this.show.rollouts) {
-      const now = Math.min(t, r.duration), k = r.hasPhases ? r.kinds.indexOf(phaseAt(r, now)) : 0;
-      const holds = k >= 0 && k < r.allDrawn.length;
-      if (holds) r.drawn = r.allDrawn[k];
+      const now = Math.min(t, r.duration), k = hasPhaseColours(r) ? r.kinds.indexOf(phaseAt(r, now)) : 0;
+      const known = k >= 0 && k < r.allDrawn.length, holds = known && takesHold(r, now);
+      if (known) r.drawn = r.allDrawn[k];
       for (const drawn of r.allDrawn) if (drawn) drawn.group.visible = drawn === r.drawn;
       if (r.drawn && r.solid && r.visible) r.drawn.setTime(now, holds);
     }
