@@ -201,7 +201,9 @@ def test_damping_only_below_the_threshold(robot_of):
     words = {}
     for elbow in (1.0, 0.3, 0.05, 0.01, 1e-4, 0.0):
         q = np.array([0.2, elbow, 0.0])
-        controller = ResolvedRateController(constraint, Track(lambda t: [0.0, 0.0], gain=1e-2), limits=False)
+        controller = ResolvedRateController(
+            constraint, Track(lambda t: [0.0, 0.0], gain=1e-2), limits=False, threshold=0.05, damping=0.05
+        )
         command = controller(q)
         sigma = np.linalg.svd(constraint(q), compute_uv=False)[-1]
         followed = np.allclose(constraint(q) @ command.velocity, command.task_velocity, rtol=1e-10, atol=0)

@@ -202,7 +202,7 @@ def control(
     controller = ResolvedRateController(
         constraint,
         task,
-        null_policy(policy, task.rows(constraint), robot, gain, rest),
+        null_policy(policy, task, constraint, robot, gain, rest),
         inverse,  # type: ignore[arg-type]  # checked by the controller
         dt=dt,
     )
@@ -310,7 +310,7 @@ def aim_of(constraint: Constraint, task: PointAttractor, rollout: Rollout) -> Ai
 
 
 def null_policy(
-    name: str, constraint: Constraint, robot: Robot, gain: float | None, rest: ArrayLike | None
+    name: str, task: Task, constraint: Constraint, robot: Robot, gain: float | None, rest: ArrayLike | None
 ) -> NullSpacePolicy:
     """A null-space policy by its name on the command line, with its own gain if none is given.
 
@@ -319,7 +319,8 @@ def null_policy(
     """
     given = () if gain is None else (gain,)
     if name == "manipulability":
-        return ManipulabilityAscent(constraint, *given)
+        climbs = isinstance(task, FreeDirection)
+        return task.ascent(*given) if climbs else ManipulabilityAscent(task.rows(constraint), *given)
     if name == "zero":
         return ZeroPolicy(constraint.nv)
     if name == "attractor":

@@ -72,8 +72,7 @@ SCENES = {
         title="a drawer, learnt from 50 guided motions",
         story="The hand is at the shut drawer, in a posture near a singularity of the task, and opens it by 0.3 m "
         "without turning.",
-        # the wrist straight but for a degree; of the 26 starts of 60 that the learnt manipulability helps, one whose
-        # figures are all near the median (benchmarks/opening_drawers.py, seed 7, number 42)
+        # the wrist straight but for a degree (benchmarks/opening_drawers.py, seed 7, number 42)
         start=(0.2182, -1.531, 2.8207, -2.0815, -1.6476, -0.02, 2.0608),
         rest=(-0.13, -0.974, 0.386, 2.142, -0.372, -1.105, 3.227),  # the mean recorded posture
         along=0.3,
@@ -178,6 +177,6 @@ def controllers(robot: Robot, constraint: Constraint, scene: Scene) -> dict[str,
     out = {}
     for name in ("manipulability", "attractor", "zero"):
         task: Task = PointAttractor(scene.target) if scene.along is None else scene.way(constraint)
-        policy = null_policy(name, task.rows(constraint), robot, None, scene.rest)
+        policy = null_policy(name, task, constraint, robot, None, scene.rest)
         out[name] = ResolvedRateController(constraint, task, policy, dt=DT)
     return out

@@ -237,12 +237,16 @@ class ManipulabilityAscent(SampledPolicy):
     the singularity; at it, `SEED_SPEED` along the steepest ascent of mu is left, and the controller adds the motion
     that leaves it (see `singularity`).
 
+    Where a task drives rows beside those that are held, the manipulability that counts is that of both: of the held ones
+    alone it may rise while the driven direction is being lost. `FreeDirection.ascent` climbs that of both.
+
     Args:
         constraint: Whose manipulability is climbed; true or learnt.
         gain: Rate; for grad log mu [rad^2/s].
         logarithmic: False for the paper's raw gradient, which is not bounded.
         max_speed: Largest norm of pi [rad/s]; None for no bound. At a singularity the unbounded gradient has the
-            direction of steepest ascent, also where several directions are lost at once.
+            direction of steepest ascent, also where several directions are lost at once. At 1 rad/s singularities are
+            left more slowly, and a hand is pulled less off what holds it where a spare joint meets its limit.
 
     Raises:
         ConstraintError: `max_speed` is not positive.

@@ -132,7 +132,7 @@ def _score(constraint: Constraint, rollout: Rollout, floor: float) -> float:
 
 
 def _serves(candidate: _Candidate, greedy: _Candidate, task: Task) -> bool:
-    """Whether a candidate's task comes as close to its goal as the greedy law's: on average, in the end, and on a way at
+    """Whether a candidate comes as close to its goal as the greedy law does: on average, in the end, and on a way at
     all times.
     """
     ours, theirs = candidate.rollout.task_error, greedy.rollout.task_error
