@@ -87,7 +87,7 @@ class ResolvedRateController:
         null_policy: NullSpacePolicy | None = None,
         inverse: Inverse = "damped",
         *,
-        threshold: float = 0.01,
+        threshold: float = 0.05,
         damping: float = 0.01,
         limits: bool | Limits = True,
         dt: float = 0.01,

@@ -237,8 +237,8 @@ class ManipulabilityAscent(SampledPolicy):
     the singularity; at it, `SEED_SPEED` along the steepest ascent of mu is left, and the controller adds the motion
     that leaves it (see `singularity`).
 
-    Where a task drives rows beside those that are held, the manipulability that counts is that of both: of the held ones
-    alone it may rise while the driven direction is being lost. `FreeDirection.ascent` climbs that of both.
+    Where a task drives rows beside those that are held, the manipulability that counts is that of both: of the held
+    ones alone it may rise while the driven direction is being lost. `FreeDirection.ascent` climbs that of both.
 
     Args:
         constraint: Whose manipulability is climbed; true or learnt.

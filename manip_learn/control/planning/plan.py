@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
@@ -17,8 +17,8 @@ from manip_learn.control.limits import Limits, check_inside
 from manip_learn.control.paths.path_problem import PathPolicy
 from manip_learn.control.planning.approach import Clearance, clear_path, self_collision
 from manip_learn.control.planning.grasp import GraspCone
-from manip_learn.control.planning.margins import Margins, margins_of
-from manip_learn.control.planning.search import TIE, Ladder, ladder_of, relaxed
+from manip_learn.control.planning.margins import Margins, margins_of, rooms
+from manip_learn.control.planning.search import TIE, TURN, Ladder, ladder_of, relaxed
 from manip_learn.control.planning.stations import FEWEST, MOST, PERIOD, Postures, Stations
 from manip_learn.control.policies import NullSpacePolicy
 from manip_learn.control.rollout import Rollout
@@ -236,6 +236,7 @@ class _Problem:
         self.start = robot.checked_posture(start)
         self.limits, self.dt, self.grasp = limits or Limits(robot), dt, grasp
         self.rng = np.random.default_rng(seed)
+        self.unreached = False  # whether a posture of hold could not be reached from the start
         _check_joints(robot, self.limits)
         self.positions = robot.positions(self.start)
         shapes = self_collision(robot) if collision is True else collision or None
@@ -291,7 +292,7 @@ class _Problem:
             path = self._way(ladder, march, margin)
             if path is None:
                 return None
-            approach = self._approach(path[0])
+            path, approach = self._reached(path)
             if approach is None:
                 continue
             law = self._law(path)
@@ -333,9 +334,26 @@ class _Problem:
     def _is_clear(self, way: Postures) -> bool:
         return all(self.clear(q) for q in way) and all(map(self.clear.of_line, way[:-1], way[1:]))
 
-    def _approach(self, hold: Float[np.ndarray, " nv"]) -> Rollout | None:
+    def _reached(self, path: Postures) -> tuple[Postures, Rollout | None]:
+        """A path and the approach to it, by whole turns of the joints where the limits leave several; None if none is.
+
+        The nearest turns come first where they leave the limits no less room, else that path as it is.
+        """
+        robot, turns = self.robot, self._turns
+        low, high = robot.position_lower, robot.position_upper
+        shift = np.where(turns, TURN * np.round((self.positions - path[0]) / TURN), 0.0)
+        shift = np.where(np.all((path + shift >= low) & (path + shift <= high), axis=0), shift, 0.0)
+        ways = [path, path + shift] if np.any(shift) else [path]
+        if np.min(rooms(self.limits, ways[-1])) >= np.min(rooms(self.limits, path)):
+            ways = ways[::-1]
+        for way in ways:
+            if (approach := self._approach(way[0])) is not None:
+                return way, approach
+        self.unreached = True
+        return path, None
+
+    def _approach(self, goal: Float[np.ndarray, " nv"]) -> Rollout | None:
         """The motion from the start to the posture of hold; None where links are in the way."""
-        goal = self._nearest_turn(hold)
         path = clear_path(self.positions, goal, self.limits, self.clear, self.rng)
         if path is None:
             return None
@@ -348,15 +366,15 @@ class _Problem:
         rollout = rollout.until(float(rollout.time[arrived[0]]))
         return replace(rollout, manipulability=manipulability_batch(self.rows, rollout.q).mu)
 
-    def _nearest_turn(self, q: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
-        """The same posture with joints that have no limits less than half a turn from the start."""
-        wound = ~np.isfinite(self.robot.position_upper - self.robot.position_lower)
-        return np.where(wound, q - 2.0 * np.pi * np.round((q - self.positions) / (2.0 * np.pi)), q)
+    @property
+    def _turns(self) -> Bool[np.ndarray, " nv"]:
+        """Which joints turn."""
+        return np.array([block.kind != "prismatic" for block in self.robot.blocks for _ in block.coordinate_names])
 
     def _law(self, path: Postures) -> ResolvedRateController:
         task = self.motion.with_distance(self.motion.wanted)
         time = self.stations.time[: len(path)] + task.pause
-        policy = PathPolicy(time, path + (self._nearest_turn(path[0]) - path[0]), FOLLOWING, self.robot)
+        policy = PathPolicy(time, path, FOLLOWING, self.robot)
         return self._controller(task, policy)
 
     def _controller(self, task: FreeDirection, policy: NullSpacePolicy) -> ResolvedRateController:
@@ -462,7 +480,8 @@ class _Problem:
         """What keeps the last posture of a path from going on, in words."""
         q, k = path[-1], np.array([len(path) - 1])
         if len(path) == len(self.stations):
-            return "limits of the loop in simulation"
+            between = "links that would touch on the way from the start to where the hand takes hold"
+            return between if self.unreached else "limits of the loop in simulation"
         for i, name in enumerate(self.robot.joint_names):
             for side, limit in (("lower", self.robot.position_lower[i]), ("upper", self.robot.position_upper[i])):
                 if abs(q[i] - limit) < AT_LIMIT:
