@@ -32,6 +32,7 @@ WAY, SPEED, PAUSE = 0.3, 0.1, 0.5  # [m], [m/s], [s] as a gripper takes to close
 SINGULAR = 0.02  # smallest singular value of the rows held and driven, of a start near a singularity [m or 1]
 MARGIN = 0.03  # [rad] of a start from the joint limits
 POLICIES = ("zero", "attractor", "manipulability")
+NO_PLAN = WayDone(WAY, 0.0, "m", None, None, 0.0, 0.0, ("", 0.0), "no plan")
 
 
 @final
@@ -114,6 +115,13 @@ class Bench:
         controller = ml.ResolvedRateController(self.constraint, task, self.policy(policy, task.constraint))
         return simulate_way(self.robot, controller, q)
 
+    def planned(self, q: np.ndarray, keep_orientation: bool) -> WayDone:
+        """One drawer, opened from the posture in which a plan takes hold."""
+        try:
+            return ml.plan(self.constraint, self.motion(keep_orientation), q).outcome
+        except ml.NoPlanError:
+            return NO_PLAN
+
     def policy(self, name: str, rows: ml.Constraint) -> ml.NullSpacePolicy | None:
         """A null-space policy by its name; the ascent climbs the manipulability of rows."""
         if name == "attractor":
@@ -167,8 +175,9 @@ def page(bench: Bench, n: int, seed: int) -> str:
         rng = np.random.default_rng([seed, number])
         starts = [bench.start(rng, study) for _ in range(n)]
         ways = {p: [bench.open(q, p, study.keep_orientation)[1] for q in starts] for p in POLICIES}
+        ways["plan"] = [bench.planned(q, study.keep_orientation) for q in starts]
         without = np.array([opened(way) for way in ways["zero"]])
-        for policy in POLICIES:
+        for policy in ways:
             done = np.array([opened(way) for way in ways[policy]])
             off = np.percentile([1e3 * way.deviation for way in ways[policy]], [50, 90])
             times = [way.seconds for way in ways[policy] if way.seconds is not None]
