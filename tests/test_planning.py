@@ -111,6 +111,8 @@ def test_the_margin_is_that_of_the_motion_as_it_is_executed(drawer: ml.Constrain
 def test_simulate_and_a_servo_loop_run_a_plan(sawyer: ml.Robot, opened: ml.Plan) -> None:
     """Both end where the plan does; a loop that is reset begins with the approach again."""
     again = ml.simulate(sawyer, opened.controller, HARD, float(opened.rollout.time[-1]))
+    n = min(len(again), len(opened.rollout))
+    assert np.max(np.abs(again.q[:n] - opened.rollout.q[:n])) < 0.01  # all the way, to a sample's step
     assert np.max(np.abs(again.q[-1] - opened.rollout.q[-1])) < 1e-3
     loop = ml.ServoLoop(opened.controller, dt=0.002)
     loop.reset(HARD)
@@ -312,9 +314,16 @@ def test_the_slope_of_the_soft_margin_is_that_of_central_differences(panda: ml.R
     assert value <= margins_of(stations, q).margin + 1e-9
 
 
-def test_newton_brings_postures_onto_their_stations_within_the_limits(panda: ml.Robot) -> None:
-    """Those that count as there have the station's pose."""
+@pytest.mark.parametrize("kind", ("line", "firm hinge"))
+def test_newton_brings_postures_onto_their_stations_within_the_limits(panda: ml.Robot, kind: str) -> None:
+    """Those that count as there have the station's pose, that of a hand which turns with a door too."""
     stations, motion = stations_of(panda, PANDA_TIP, READY)
+    if kind == "firm hinge":
+        point = panda.position(READY, PANDA_TIP) + [0.0, 0.4, 0.0]
+        names = ("slide", "slide-1", "slide-2", "turn-1", "turn-2")
+        rows = ml.MechanismRows(panda, PANDA_TIP, names, axis=(0, 0, 1), point=point)
+        motion = ml.motion(ml.Constraint(np.eye(5), rows), turn=-0.7)
+        stations = Stations.of(motion, READY, Limits(panda))
     rng = np.random.default_rng(0)
     q = rng.uniform(panda.position_lower, panda.position_upper, (64, 7))
     k = rng.integers(len(stations), size=64)
