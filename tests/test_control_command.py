@@ -185,3 +185,31 @@ def test_the_demo_opens_the_drawer(run):
     assert planned["plan"]["margin"] > 0.3 and len(planned["plan"]["hold"]) == 7
     code, out, _err = run("demo", "--no-browser")
     assert "opened" in out and "reached" not in out
+
+
+def test_a_plan_on_the_command_line(run, tmp_path):
+    """Its answer says what limits it; what does not go with a plan, or cannot be planned, is a sentence and code 2."""
+    scene = SCENES["sawyer"]
+    robot = ml.load_robot("sawyer")
+    demos = ml.load_demonstrations(shipped_recordings() / scene.recordings, robot)
+    ml.ConstraintLearner(FrameJacobian(robot, scene.frame)).fit(demos).constraint_.save(tmp_path / "drawer.json")
+    way = ("control", "sawyer", "drawer.json", "--along", "0.2", "--direction", "shown")
+    code, out, _err = run(*way, "--plan", "--out", "run.npz", "--json")
+    answer = json.loads(out)
+    assert code == 0 and answer["sentence"] == "opened 0.200 of 0.200 m" and 0.0 < answer["plan"]["margin"] < 1.0
+    rollout = ml.Rollout.load(tmp_path / "run.npz", robot)
+    assert [name for name, _, _ in rollout.phases] == ["approach", "way"]
+    code, out, _err = run(*way, "--plan")
+    assert code == 0 and "plan: take hold" in out and "instead, margin" in out
+    for more, words in (
+        (("--plan", "--policy", "zero"), "leave --policy"),
+        (("--grasp-turns", "2"), "go with --plan"),
+        (("--plan", "--base-within", "-1"), "0 m or more"),
+        (("--plan", "--grasp-angle", "-3"), "from 0 to pi"),
+    ):
+        code, _out, err = run(*way, *more)
+        assert code == 2 and words in err and "Traceback" not in err
+    code, _out, err = run("control", "sawyer", "drawer.json", "--along", "0.9", "--plan")
+    assert code == 2 and "longer than what was shown" in err
+    code, out, _err = run("control", "sawyer", "drawer.json", "--along", "0.1")
+    assert code == 0 and "--direction shown" in out  # pushed in: the recordings opened it

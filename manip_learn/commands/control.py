@@ -188,6 +188,8 @@ def control(
     if rows not in ROWS:
         raise TargetError(f"--rows must be {' or '.join(ROWS)}, not {rows!r}")
     moves = along is not None or turn is not None
+    if planned is not None and (policy != "manipulability" or rest or duration is not None or inverse != "damped"):
+        raise TargetError("a plan has its own null-space motion: leave --policy, --rest, --duration and --inverse out")
     q0, whence = _start(robot, constraint, start, moves or target is not None)
     task: Task = Hold()
     if moves:

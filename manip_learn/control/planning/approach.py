@@ -21,7 +21,7 @@ from manip_learn.robot.robot import Robot
 CLEARANCE = 0.005  # [m] between links: what a servo's lag makes of a path; links that are neighbours come within 2 cm
 STEP = 0.02  # [rad or m] between checks: a hand at 0.25 m moves by the clearance
 REACH = 0.4  # [rad or m] by which a tree grows at once
-TRIES = 1500  # of the trees: half a second of checks
+TRIES = 600  # of the trees: a quarter of a second of checks, for each posture of hold that is tried
 SHORTCUTS = 60
 
 Posture = Float[np.ndarray, " nv"]

@@ -33,6 +33,7 @@ from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.robot import Robot
 
 CANDIDATES = 384  # seeds: with 2,000 the best margin of a drawer rises by less than a hundredth (docs/figures_plan.md)
+LEAST_CANDIDATES = 8  # three stations, three kinds of pull, and the start
 FOLLOWING = 5.0  # [1/s] pull back to the planned postures, half as hard as the task's own feedback
 APPROACH_SHARE = 0.25  # of the velocity limits, on the way to the posture of hold: beside people, as ISO 10218-1
 APART = 0.3  # [rad or m] of the joint that differs most: nearer postures are one and the same choice
@@ -193,6 +194,11 @@ def plan(
         >>> bool(plan.outcome.is_done), plan.way.q.shape[1]
         (True, 7)
     """
+    if candidates < LEAST_CANDIDATES or not (np.isfinite(base_within) and base_within >= 0.0):
+        raise ConfigurationError(
+            f"a plan needs {LEAST_CANDIDATES} candidates or more, and a base_within of 0 m or more: "
+            f"got {candidates!r} and {base_within!r}"
+        )
     said = progress or (lambda _title, _share: None)
     problem = _Problem(constraint, motion, start, seed, grasp, limits, collision, dt)
     problem.check(beyond_shown)
