@@ -124,7 +124,8 @@ class ManipLearnError(Exception):
     def facts(self) -> dict[str, object]:
         """What the sentence says, for programs: values of its attributes that JSON can hold, without the code."""
         kept = {key: value for key, value in vars(self).items() if key != "code" and value is not None}
-        return {key: str(value) if isinstance(value, Path) else value for key, value in kept.items()}
+        plain = {key: value.tolist() if hasattr(value, "tolist") else value for key, value in kept.items()}  # arrays
+        return {key: str(value) if isinstance(value, Path) else value for key, value in plain.items()}
 
 
 class RobotError(ManipLearnError):

@@ -211,5 +211,9 @@ def test_a_plan_on_the_command_line(run, tmp_path):
         assert code == 2 and words in err and "Traceback" not in err
     code, _out, err = run("control", "sawyer", "drawer.json", "--along", "0.9", "--plan")
     assert code == 2 and "longer than what was shown" in err
+    code, out, err = run("control", "sawyer", "drawer.json", "--along", "0.9", "--plan", "--beyond-shown", "--json")
+    error = json.loads(out)["error"]
+    assert code == 2 and error["code"] == "no-plan" and 0.0 < error["largest"] < 0.9 and len(error["posture"]) == 7
+    assert error["stopped_by"] in error["message"]
     code, out, _err = run("control", "sawyer", "drawer.json", "--along", "0.1")
     assert code == 0 and "--direction shown" in out  # pushed in: the recordings opened it
