@@ -217,6 +217,8 @@ def test_orientations_of_a_cone_are_inside_it(rng: np.random.Generator) -> None:
         assert np.all(cone.holds(found, np.repeat(cone.toward(shown)[None], len(found), axis=0)))
         assert np.allclose(found @ found.transpose(0, 2, 1), np.eye(3)) and np.allclose(np.linalg.det(found), 1.0)
     assert np.allclose(ml.GraspCone().orientations(shown, rng)[0], shown)
+    opposite = ml.GraspCone(direction=-shown[:, 2]).orientations(shown, rng)[0]
+    assert np.allclose(opposite[:, 2], -shown[:, 2]) and np.isclose(np.linalg.det(opposite), 1.0)
 
 
 @pytest.mark.parametrize("wrong", ({"axis": (0, 0, 0)}, {"angle": -1.0}, {"turns": 0}, {"direction": (1, 2)}))

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from manip_learn.errors import TargetError
+from manip_learn.robot.rotations import rotation_matrix
 
 SPINS = 24  # of a hand that may turn about its axis by any angle: every 15 degrees
 ROUNDING = 1e-6  # of a cosine: a hand whose axis stands still counts as inside a cone of no width
@@ -96,5 +97,10 @@ class GraspCone:
 
 
 def _least_turn(a: Float[np.ndarray, " 3"], b: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation by the least angle from one direction to another."""
-    return Rotation.align_vectors(b[None], a[None])[0].as_matrix()
+    """The rotation by the least angle from one unit vector to another; one of them where they are opposite."""
+    axis, cosine = np.cross(a, b), float(a @ b)
+    sine = float(np.linalg.norm(axis))
+    if sine < ROUNDING:
+        axis, sine = np.linalg.svd(a[None])[2][1], 1.0
+        return rotation_matrix((0.0 if cosine > 0.0 else np.pi) * axis)
+    return rotation_matrix(np.arctan2(sine, cosine) / sine * axis)
