@@ -18,7 +18,7 @@ from manip_learn.control.paths.path_problem import JointBounds, PathPolicy, Path
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
-from manip_learn.control.tasks import Task
+from manip_learn.control.tasks import FreeDirection, Task
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError
 
 Law = Callable[[NullSpacePolicy], Controller]
@@ -68,8 +68,8 @@ def optimise_path(
 
     Returns:
         The rollout with the highest mean of log mu (bounded near singularities) out of the greedy one and those found,
-        if its distance to the task's goal, both mean and final, is at most 1 % above the greedy one's, and where
-        something holds the hand (the task does not slide) at no time more than a millimetre or a milliradian.
+        if its distance to the task's goal, both mean and final, is at most 1 % above the greedy one's, and, on a
+        way, if the hand is at no time farther from what holds it by more than a millimetre or a milliradian.
 
     Raises:
         MissingExtraError: CasADi is not installed.
@@ -132,15 +132,26 @@ def _score(constraint: Constraint, rollout: Rollout, floor: float) -> float:
 
 
 def _serves(candidate: _Candidate, greedy: _Candidate, task: Task) -> bool:
-    """Whether a candidate comes as close to its goal as the greedy law does: on average, in the end, and on a way at
-    all times.
+    """Whether a candidate comes as close to its goal as the greedy law does: on average and in the end, and, on a
+    way, no farther from what holds the hand.
     """
     ours, theirs = candidate.rollout.task_error, greedy.rollout.task_error
     if np.any(np.isnan(theirs)):
         return True
     allowed = TASK_SLACK * np.array([np.mean(theirs), theirs[-1]]) + TASK_FLOOR
-    strays = not task.slides and np.max(ours - theirs) > TASK_STRAY
+    strays = _farthest_off(task, candidate.rollout) > _farthest_off(task, greedy.rollout) + TASK_STRAY
     return bool(np.mean(ours) <= allowed[0] and ours[-1] <= allowed[1] and not strays)
+
+
+def _farthest_off(task: Task, rollout: Rollout) -> float:
+    """Largest distance of the hand from what holds it on a way [m or rad]; 0 for other tasks."""
+    if not isinstance(task, FreeDirection):
+        return 0.0
+    way, farthest = 0.0, 0.0
+    for q in rollout.q:
+        way = task.progress_near(q, way)
+        farthest = max(farthest, task.deviation(q, way))
+    return farthest
 
 
 def _posture(constraint: Constraint, q0: ArrayLike) -> Float[np.ndarray, " n"]:
