@@ -30,15 +30,20 @@ def main() -> None:
 
     start = [1.2, -1.57, 0, 0, 0, 0, 0]
     task = ml.motion(constraint, along=0.3, direction=[-1, -0.5, 0])  # the hand goes to the drawer and opens it
-    climb = ml.ManipulabilityAscent(task.constraint)
-    controller = ml.ResolvedRateController(constraint, task=task, null_policy=climb)
+    controller = ml.ResolvedRateController(constraint, task=task, null_policy=task.ascent())
     rollout = ml.simulate(robot, controller, start, duration=task.duration_from(start), dt=0.01)
     plain = ml.ResolvedRateController(constraint, task=task)
     without = ml.simulate(robot, plain, start, duration=task.duration_from(start), dt=0.01)
 
-    page = ml.replay(
-        robot, {"climbing": rollout, "plain": without}, html="replay.html", open_browser=not arguments.headless
-    )
+    climbing = rollout
+
+    plan = ml.plan(constraint, task, start, seed=0)
+    print(plan)  # what limits it; plan.others says why other postures are worse
+    rollout = ml.simulate(robot, plan.controller, start, duration=plan.rollout.time[-1], dt=0.01)
+
+    shown = {"plan": plan.rollout, "climbing": climbing, "plain": without}
+    page = ml.replay(robot, shown, html="replay.html", open_browser=not arguments.headless)
+    print(f"plan: {rollout.status_counts}")
     print(f"{page.html}: {page.bytes / 1e6:.1f} MB")
 
 

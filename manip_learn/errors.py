@@ -323,7 +323,15 @@ class NoPlanError(ManipLearnError):
 
     code = "no-plan"
 
-    def __init__(self, message: str, *, largest: float, posture: Any, stopped_by: str, helps: Iterable[str] = ()):
+    def __init__(
+        self,
+        message: str,
+        *,
+        largest: float = 0.0,
+        posture: Any = None,
+        stopped_by: str = "",
+        helps: Iterable[str] = (),
+    ):
         super().__init__(message)
         self.largest, self.posture, self.stopped_by, self.helps = largest, posture, stopped_by, tuple(helps)
 

@@ -52,9 +52,9 @@ class GroupedCommand(TyperCommand):
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Arguments, then options of the command, the controller, of reading, of the robot, and of the output."""
-        shared = {
-            flag: heading for name, heading in SET_HEADINGS.items() for flag in inspect.signature(SETS[name]).parameters
-        }
+        own_flags = {parameter.name for parameter in self.get_params(ctx)}
+        sets = {heading: set(inspect.signature(SETS[name]).parameters) for name, heading in SET_HEADINGS.items()}
+        shared = {flag: heading for heading, flags in sets.items() if flags <= own_flags for flag in flags}
         sections: dict[str, list[Any]] = {
             title: [] for title in ("Arguments", HEADINGS.get(self.name or "", "Options"), *HEADINGS_AFTER)
         }

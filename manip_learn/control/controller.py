@@ -57,7 +57,8 @@ class ResolvedRateController:
         inverse: `"damped"` for a real arm; `"exact"` or `"truncated"` (Matlab's tolerance) as in the paper.
         threshold: Singular value of A at which damping sets in, in the constraint's units (m or 1).
         damping: Damping factor at a singular value of 0; within limits a larger one for a task that presses into the
-            singularity (see `stable_damping`).
+            singularity (see `stable_damping`). None for the task's own: 0.05, and 0.01 where something holds the hand,
+            which must not stray from it.
         limits: `True` for the robot's own (see `Limits` for the accelerations); a `Limits`; `False` ignores the
             joint limits and scales nothing (the paper's law as printed).
         dt: Time for which a command is held [s], unless the call says otherwise.
@@ -88,7 +89,7 @@ class ResolvedRateController:
         inverse: Inverse = "damped",
         *,
         threshold: float = 0.05,
-        damping: float = 0.01,
+        damping: float | None = None,
         limits: bool | Limits = True,
         dt: float = 0.01,
         robot: Robot | None = None,
@@ -97,10 +98,11 @@ class ResolvedRateController:
         _check_order(constraint, task, null_policy)
         if inverse not in ("exact", "truncated", "damped"):
             raise ConstraintError(f"inverse must be 'exact', 'truncated' or 'damped', not {inverse!r}")
+        self.task: Task = task or Hold()
+        self._damping_given, damping = damping, self.task.damping if damping is None else damping
         for name, value in (("threshold", threshold), ("damping", damping), ("dt", dt)):
             if not (np.isfinite(value) and value > 0.0):
                 raise ConstraintError(f"{name} must be a positive number, got {value!r}")
-        self.task: Task = task or Hold()
         self.learnt = constraint
         self.constraint = constraint = self.task.rows(constraint)
         self.null_policy: NullSpacePolicy = null_policy or ZeroPolicy(constraint.nv)
@@ -177,7 +179,7 @@ class ResolvedRateController:
         for before, after in ((self.constraint, rows), (self.learnt, constraint)):
             if before is not after:
                 policy = climbing(policy, before, after)
-        settings = {"threshold": self.threshold, "damping": self.damping, "dt": self.dt, "solver": self.solver}
+        settings = {"threshold": self.threshold, "damping": self._damping_given, "dt": self.dt, "solver": self.solver}
         limits = self.limits or False
         return ResolvedRateController(
             constraint, task, policy, self.inverse, limits=limits, robot=self.robot, **settings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, final
 
 import numpy as np
@@ -99,7 +100,7 @@ class Plan:
         """Approach and way, one after the other; its phases are the approach, the hold and the way."""
         return self.approach.followed_by(self.way)
 
-    def save(self, path: Any) -> Any:
+    def save(self, path: str | Path) -> Path:
         """Write approach and way as one file; formats and errors as for `Rollout.save`."""
         return self.rollout.save(path)
 

@@ -23,6 +23,9 @@ class Task(ABC):
     slides: bool = True
     # whether the task's time stands still while a `ServoLoop` does, and goes on as the commanded posture does
     waits: bool = False
+    # default damping at a singular value of 0 [m or 1]: with less an arm that presses into the end of its reach turns to
+    # and fro before it rests (tests/test_closed_loops.py)
+    damping: float = 0.05
     # whether b is the mean one of the time for which it is held: `velocity_and_jacobian` then gets that as well [s]
     sampled: bool = False
 
