@@ -14,6 +14,7 @@ from controller_cases import plain_urdf
 from when_cases import PAUSE, Case
 
 import manip_learn as ml
+from manip_learn.control.planning.approach import self_collision
 from manip_learn.control.way import AT_REST, DONE, SLACK, STRAY, WayDone, simulate_way
 
 GAIN, DURATION, THERE = 2.0, 5.0, 1e-3  # [1/s] and [s] of reaching, and what may be missing of it [m or rad]
@@ -150,9 +151,10 @@ def _plan(case: Case, number: int, q: np.ndarray, name: str, dt: float) -> tuple
     plan = getattr(ml, "plan", None)
     if plan is None:
         raise LookupError("this version of manip_learn plans no ways")
-    task = case.motion(number)
+    task, links = case.motion(number), self_collision(case.constraint.robot)
+    touching = links is not None and bool(links.closer_than(q, 0.0))  # starts are drawn without regard to links
     try:
-        way = plan(case.constraint, task, q, seed=0).way
+        way = plan(case.constraint, task, q, seed=0, collision=not touching).way
     except ml.NoPlanError:
         return None
     return way.q[-1], judged(task, way.time, way.q, way.u, 0.0)
@@ -194,11 +196,7 @@ def peer_rows(case: Case) -> np.ndarray:
 
 
 def run_peer(peer: str, python: str, cases: list[Case], dt: float) -> list[Score]:
-    """All starts of a cell by a peer, in an environment of its own.
-
-    Raises:
-        subprocess.CalledProcessError: It failed.
-    """
+    """All starts of a cell by a peer, in an environment of its own; where it ends in an error none counts as done."""
     with tempfile.TemporaryDirectory() as folder:
         asked, answer = Path(folder) / "asked.npz", Path(folder) / "answer.npz"
         _write(cases, asked, dt)
@@ -206,7 +204,10 @@ def run_peer(peer: str, python: str, cases: list[Case], dt: float) -> list[Score
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         environment.pop("PYTHONPATH", None)
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
-        subprocess.run(command, check=True, env=environment, **quiet)
+        ended = subprocess.run(command, check=False, env=environment, **quiet)
+        if ended.returncode:
+            why = (ended.stderr.strip().splitlines() or ["no words"])[-1]
+            return [NOTHING._replace(why=f"error: {why:.80}")] * len(cases)
         with np.load(answer) as content:
             paths = list(zip(content[f"{peer}|q"], content[f"{peer}|u"], strict=True))
     return [_judged_peer(case, q, u, dt) for case, (q, u) in zip(cases, paths, strict=True)]
