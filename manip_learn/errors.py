@@ -124,8 +124,7 @@ class ManipLearnError(Exception):
     def facts(self) -> dict[str, object]:
         """What the sentence says, for programs: values of its attributes that JSON can hold, without the code."""
         kept = {key: value for key, value in vars(self).items() if key != "code" and value is not None}
-        plain = {key: value.tolist() if hasattr(value, "tolist") else value for key, value in kept.items()}  # arrays
-        return {key: str(value) if isinstance(value, Path) else value for key, value in plain.items()}
+        return {key: str(value) if isinstance(value, Path) else value for key, value in kept.items()}
 
 
 class RobotError(ManipLearnError):
@@ -334,6 +333,10 @@ class NoPlanError(ManipLearnError):
     ):
         super().__init__(message)
         self.largest, self.posture, self.stopped_by, self.helps = largest, posture, stopped_by, tuple(helps)
+
+    def facts(self) -> dict[str, object]:
+        """The same with the posture as a list."""
+        return super().facts() | ({} if self.posture is None else {"posture": list(map(float, self.posture))})
 
 
 class ExperimentError(ManipLearnError):
