@@ -148,13 +148,10 @@ def _path(case: Case, number: int, q: np.ndarray, name: str, dt: float) -> tuple
 
 
 def _plan(case: Case, number: int, q: np.ndarray, name: str, dt: float) -> tuple[np.ndarray, Part] | None:
-    plan = getattr(ml, "plan", None)
-    if plan is None:
-        raise LookupError("this version of manip_learn plans no ways")
     task, links = case.motion(number), self_collision(case.constraint.robot)
     touching = links is not None and bool(links.closer_than(q, 0.0))  # starts are drawn without regard to links
     try:
-        way = plan(case.constraint, task, q, seed=0, collision=not touching).way
+        way = ml.plan(case.constraint, task, q, seed=0, collision=not touching).way
     except ml.NoPlanError:
         return None
     return way.q[-1], judged(task, way.time, way.q, way.u, 0.0)

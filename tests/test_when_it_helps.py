@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -113,25 +112,15 @@ def test_any_joint_path_is_judged_as_a_simulated_way_is() -> None:
 
 
 def test_a_plan_is_judged_by_its_way_and_missed_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`ml.plan(constraint, motion, start, seed=0).way` counts; `ml.NoPlanError` is a way that was not done."""
-    case, asked = door(), []
+    """The way of `ml.plan` counts; `ml.NoPlanError` is a way that was not done."""
+    case = door()
+    with_plan = when_runs.run(case, "plan", 0.01)
+    assert with_plan.done and with_plan.deviation < 2e-3
 
-    class NoPlanError(Exception):
-        """As the library's."""
+    def none(*_arguments: object, **_settings: object) -> None:
+        raise ml.NoPlanError("no plan")
 
-    def plan(constraint: ml.Constraint, motion: ml.FreeDirection, start: np.ndarray, seed: int) -> SimpleNamespace:
-        asked.append((motion.wanted, start, seed))
-        if len(asked) > 1:
-            raise NoPlanError
-        law = ml.ResolvedRateController(constraint, motion, ml.ManipulabilityAscent(motion.constraint))
-        return SimpleNamespace(way=simulate_way(constraint.robot, law, start)[0])
-
-    monkeypatch.setattr(ml, "plan", plan, raising=False)
-    monkeypatch.setattr(ml, "NoPlanError", NoPlanError, raising=False)
-    with_plan, learnt = when_runs.run(case, "plan", 0.01), when_runs.run(case, "learnt", 0.01)
-    assert with_plan.done and learnt.done
-    assert with_plan.deviation == pytest.approx(learnt.deviation, rel=0.5)
-    assert asked[0][0] == case.strokes[0].distance and np.array_equal(asked[0][1], case.start) and asked[0][2] == 0
+    monkeypatch.setattr(ml, "plan", none)
     assert when_runs.run(case, "plan", 0.01) == when_runs.NOTHING
     number = when_it_helps.numbers_of(when_it_helps.Cell(*DOOR), when_it_helps.options(["--plans", "4"]), {})["plan"]
     assert number == 4
