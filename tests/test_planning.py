@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import chain_urdf
 
 import manip_learn as ml
 from manip_learn.commands.demo import SCENES
@@ -170,6 +171,24 @@ def test_an_arm_of_three_joints_and_one_of_six(panda: ml.Robot) -> None:
     rail = line(ur5, "tool0")
     plan = ml.plan(rail, ml.motion(rail, along=0.3, keep_orientation=True), [0.0, -1.3, 1.7, -1.9, -1.4, 0.0])
     assert plan.outcome.is_done and not plan.outcome.strays
+
+
+def test_joints_without_limits_take_the_short_way(tmp_path: Path) -> None:
+    """As configurations too, whose angles jump by a turn: plans with every seed, none that runs against its joints."""
+    turns, bends = ("continuous", "1 0 0"), ("revolute", "0 1 0")
+    kinds = [("continuous", "0 0 1"), bends, turns, bends, turns, bends, turns]
+    places = ("0 0 0.3", "0 0 0.1", "0.3 0 0", "0.1 0 0", "0.3 0 0", "0.1 0 0", "0.1 0 0")
+    text = chain_urdf("arm", [(*kind, place, "0 0 0") for kind, place in zip(kinds, places, strict=True)])
+    for axis in ("0 0 1", "1 0 0"):
+        text = text.replace(f'"{axis}"/></joint>', f'"{axis}"/><limit velocity="2" effort="10"/></joint>')
+    (tmp_path / "arm.urdf").write_text(text)
+    robot = ml.load_robot(tmp_path / "arm.urdf")
+    start = robot.configuration(np.array([3.0, -0.9, 2.9, 1.4, -3.0, 0.8, 3.1]))
+    rail = line(robot, "tip")
+    for seed in range(3):
+        plan = ml.plan(rail, ml.motion(rail, along=0.2, keep_orientation=True), start, seed=seed)
+        assert plan.margin > 0.2 and plan.approach.q.shape[1] == robot.nq > robot.nv
+        assert np.all(np.abs(plan.approach.u) <= 0.3 * robot.velocity_limit)
 
 
 def test_a_way_too_fast_for_the_joints_takes_longer(panda: ml.Robot) -> None:
@@ -349,7 +368,7 @@ def test_the_ladder_finds_the_path_whose_least_margin_is_largest() -> None:
     least, mu = rng.uniform(0.1, 0.9, (P, len(stations))), rng.normal(size=(P, len(stations)))
     allowed = rng.uniform(size=least.shape) > 0.2
     ladder = Ladder(stations, q, np.tile(np.eye(3), (P, 1, 1)), np.zeros(P, dtype=int), allowed, least, mu)
-    margins = ladder.margins_from_the_end(last)[:, 0]
+    margins = ladder.margins_to(last)
     best = np.full(P, -np.inf)
     for path in product(range(P), repeat=last + 1):
         k = np.arange(last + 1)
@@ -369,7 +388,7 @@ def test_relaxing_a_path_keeps_it_on_the_way_and_loses_no_margin(panda: ml.Robot
     rng = np.random.default_rng(0)
     ladder = ladder_of(stations, motion.constraint, READY, 96, rng, stations.grasp[None])
     last = len(stations) - 1
-    margins = ladder.margins_from_the_end(last)[:, 0]
+    margins = ladder.margins_to(last)
     first = int(np.argmax(margins))
     path = ladder.postures(ladder.path(first, last, margins[first] - 0.01))
     better = relaxed(stations, path, ladder.grasp[first])

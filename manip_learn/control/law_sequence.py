@@ -74,7 +74,7 @@ class LawSequence:
 
         The manipulability is always that of the way's rows.
         """
-        if t <= self._begun < math.inf and self._begun < self._latest:
+        if t <= self._begun < self._latest:
             self.reset()
         self._begun, self._latest = min(self._begun, t), t
         late = t - self._begun - self.duration

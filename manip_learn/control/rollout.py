@@ -130,7 +130,8 @@ class Rollout:
     def followed_by(self, other: Rollout) -> Rollout:
         """This motion and another one of the same robot that begins where it ends, as one; the phases of both."""
         shift = float(self.time[-1])
-        joined = {name: np.concatenate([getattr(self, name)[:-1], getattr(other, name)]) for name in _CURVES[1:5]}
+        arrays = ("q", "u", "manipulability", "task_error")
+        joined = {name: np.concatenate([getattr(self, name)[:-1], getattr(other, name)]) for name in arrays}
         time = np.concatenate([self.time[:-1], other.time + shift])
         phases = (*self.phases, *((name, start + shift, end + shift) for name, start, end in other.phases))
         status = (*self.status[:-1], *other.status)

@@ -126,7 +126,7 @@ def simulate_way(
     length = nominal + SLACK if duration is None else duration
     while True:
         rollout = simulate(robot, controller, q0, length, dt, progress=progress)
-        places = _places(task, rollout)
+        places = places_of(task, rollout)
         end = _end(task, rollout.time[len(rollout) - len(places) :], places)
         if end is not None or duration is not None or length >= LONGEST * nominal:
             break
@@ -137,7 +137,7 @@ def simulate_way(
     return rollout, _way_done(task, rollout, places, robot)
 
 
-def _places(task: FreeDirection, rollout: Rollout) -> Float[np.ndarray, " k"]:
+def places_of(task: FreeDirection, rollout: Rollout) -> Float[np.ndarray, " k"]:
     """How far the way had come at each sample since it began [m or rad]; those before are not among them."""
     begins = task.way_begins
     first = len(rollout) if begins is None else int(np.searchsorted(rollout.time, begins - 1e-9))
@@ -165,7 +165,6 @@ def _end(task: FreeDirection, time: Float[np.ndarray, " k"], places: Float[np.nd
 def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " k"], robot: Robot) -> WayDone:
     """What became of the way."""
     first, there = len(rollout) - len(places), _there(task, places)
-    off = [task.deviation(q, s) for q, s in zip(rollout.q[first:], places, strict=True)]
     done = float(places[-1]) if len(places) else 0.0
     shares = np.max(np.abs(rollout.u) / robot.velocity_limit, axis=0)
     fastest = int(np.argmax(shares))
@@ -176,25 +175,43 @@ def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, "
         task.unit,
         float(rollout.time[first]) if len(places) else None,
         float(rollout.time[first + there[0]] - rollout.time[first]) if is_done else None,
-        max(off, default=0.0),
+        farthest_off(task, rollout, places),
         float(np.min(rollout.manipulability[min(first, len(rollout) - 1) :])),
         (robot.joint_names[fastest], float(shares[fastest])),
         None if is_done else _reason(task, rollout, robot),
     )
 
 
+def joint_at_limit(robot: Robot, positions: Float[np.ndarray, " nv"]) -> str | None:
+    """The first joint that stands at a position limit, in words; None if none does."""
+    for i, name in enumerate(robot.joint_names):
+        for side, limit in (("lower", robot.position_lower[i]), ("upper", robot.position_upper[i])):
+            if abs(positions[i] - limit) < AT_LIMIT:
+                return f"joint {name!r} at its {side} limit of {limit:.4g} {robot.joint_units[i]}"
+    return None
+
+
+def farthest_off(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " k"]) -> float:
+    """Largest distance of the hand from what holds it on the way [m or rad]; 0 if it did not come to the way.
+
+    Args:
+        task: The way.
+        rollout: Its rollout.
+        places: How far the way had come, at the last samples.
+    """
+    first = len(rollout) - len(places)
+    return max((task.deviation(q, s) for q, s in zip(rollout.q[first:], places, strict=True)), default=0.0)
+
+
 def _reason(task: FreeDirection, rollout: Rollout, robot: Robot) -> str:
     """What stops the arm at the end of a rollout, in words."""
     last = rollout.status[-max(1, len(rollout) // 20) :]
-    at_end = robot.positions(rollout.q[-1])
-    units = ["m" if block.kind == "prismatic" else "rad" for block in robot.blocks for _ in block.coordinate_names]
     short = "" if task.way_begins is not None else "on its way to the mechanism: "
     blocked = {Status.STALLED, Status.POSITION_LIMITED, Status.REROUTED, Status.OUTSIDE_LIMITS, Status.NULL_SCALED}
     if blocked.intersection(last):
-        for i, name in enumerate(robot.joint_names):
-            for side, limit in (("lower", robot.position_lower[i]), ("upper", robot.position_upper[i])):
-                if abs(at_end[i] - limit) < AT_LIMIT:
-                    return f"{short}joint {name!r} at its {side} limit of {limit:.4g} {units[i]}"
+        joint = joint_at_limit(robot, robot.positions(rollout.q[-1]))
+        if joint is not None:
+            return short + joint
     if {Status.SINGULAR, Status.DAMPED, Status.STALLED}.intersection(last):
         return f"{short}a singularity, or the end of the arm's reach"
     return f"{short}the time: still moving after {rollout.time[-1]:.4g} s"

@@ -16,7 +16,7 @@ MAX_CONSTRAINTS = 1000  # a larger number is a mistake, not a constraint
 FREE_COLOUR = "#8a95a0"
 WAY = "way"  # the phase of a rollout in which the hand moves along its mechanism
 LEADING = {"approach": 0.18, "hold": 0.4}  # phases before it, and how much of the rollout's colour they have
-MAX_NAME = 40
+MAX_NAME = 40  # [characters] of a phase: what a band has room for
 _CONSTRAINT_COLOURS = tuple(value for name, value in COLOURS.items() if name != "grey")
 
 

@@ -156,6 +156,11 @@ class Robot:
             return self._frames[name]
         raise UnknownNameError("frame", str(name), self.frame_names, f"robot {self.name!r}")
 
+    @property
+    def joint_units(self) -> tuple[str, ...]:
+        """Unit of each joint position, `"rad"` or `"m"`; one per velocity."""
+        return tuple("m" if b.kind == "prismatic" else "rad" for b in self.blocks for _ in b.coordinate_names)
+
     def joint_index(self, name: str) -> int:
         """Tangent coordinate of the joint of that name.
 

@@ -14,12 +14,14 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.command import Controller
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.paths.path_problem import JointBounds, PathPolicy, PathProblem
+from manip_learn.control.paths.path_problem import JointBounds, PathPolicy, PathProblem, check_joints_add_up
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection, Task
-from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError
+from manip_learn.control.way import farthest_off, places_of
+from manip_learn.errors import ConfigurationError, MissingExtraError
+from manip_learn.robot.batch.postures import unwound
 
 Law = Callable[[NullSpacePolicy], Controller]
 FLOOR_RATIO = 1e-2  # mu below this part of its median over random postures counts as singular
@@ -116,7 +118,7 @@ def _optimised(problem: PathProblem, starts: list[_Candidate]) -> list[PathPolic
     time = np.arange(problem.knots + 1) * problem.h
     for candidate in starts:
         rollout = candidate.rollout
-        positions = _unwound(problem.constraint, rollout, problem.start)
+        positions = rollout.q if robot is None else unwound(robot, rollout.q)
         at_knots = np.array([np.interp(time[1:], rollout.time, column) for column in positions.T]).T
         solution = solve(problem, problem.packed(at_knots), MOST_ITERATIONS, TOLERANCE)
         q = problem.postures(solution.x)
@@ -139,19 +141,13 @@ def _serves(candidate: _Candidate, greedy: _Candidate, task: Task) -> bool:
     if np.any(np.isnan(theirs)):
         return True
     allowed = TASK_SLACK * np.array([np.mean(theirs), theirs[-1]]) + TASK_FLOOR
-    strays = _farthest_off(task, candidate.rollout) > _farthest_off(task, greedy.rollout) + TASK_STRAY
+    strays = _strays(task, candidate.rollout) > _strays(task, greedy.rollout) + TASK_STRAY
     return bool(np.mean(ours) <= allowed[0] and ours[-1] <= allowed[1] and not strays)
 
 
-def _farthest_off(task: Task, rollout: Rollout) -> float:
+def _strays(task: Task, rollout: Rollout) -> float:
     """Largest distance of the hand from what holds it on a way [m or rad]; 0 for other tasks."""
-    if not isinstance(task, FreeDirection):
-        return 0.0
-    way, farthest = 0.0, 0.0
-    for q in rollout.q:
-        way = task.progress_near(q, way)
-        farthest = max(farthest, task.deviation(q, way))
-    return farthest
+    return farthest_off(task, rollout, places_of(task, rollout)) if isinstance(task, FreeDirection) else 0.0
 
 
 def _posture(constraint: Constraint, q0: ArrayLike) -> Float[np.ndarray, " n"]:
@@ -165,14 +161,6 @@ def _posture(constraint: Constraint, q0: ArrayLike) -> Float[np.ndarray, " n"]:
 
 def _positions(constraint: Constraint, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nv"]:
     return q if constraint.robot is None else constraint.robot.positions(q)
-
-
-def _unwound(constraint: Constraint, rollout: Rollout, start: np.ndarray) -> Float[np.ndarray, "T nv"]:
-    """Joint positions of a rollout without jumps by full turns."""
-    if rollout.q.shape[1] == start.shape[0]:
-        return rollout.q
-    positions = np.array([_positions(constraint, q) for q in rollout.q])
-    return np.unwrap(positions, axis=0)
 
 
 def _random_postures(constraint: Constraint, start: np.ndarray, rng: np.random.Generator) -> Float[np.ndarray, "m nv"]:
@@ -200,10 +188,5 @@ def _check(constraint: Constraint, knots: int, duration: float, dt: float) -> No
         raise ConfigurationError(f"duration and dt must be positive numbers of seconds, got {duration!r} and {dt!r}")
     if not 3 <= knots <= round(duration / dt):
         raise ConfigurationError(f"knots must be between 3 and the {round(duration / dt)} steps, got {knots}")
-    robot = constraint.robot
-    unsuited = () if robot is None else tuple(b for b in robot.blocks if b.kind in ("floating", "planar", "other"))
-    if unsuited:
-        raise FeatureError(
-            f"joint {unsuited[0].name!r} is {unsuited[0].kind}: paths are optimised for revolute, continuous and "
-            "prismatic joints only; load the robot with a fixed base"
-        )
+    if constraint.robot is not None:
+        check_joints_add_up(constraint.robot, "paths are optimised")

@@ -13,6 +13,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.policies import NullSpacePolicy
 from manip_learn.control.tasks import Task
+from manip_learn.errors import FeatureError
 from manip_learn.robot.robot import Robot
 
 SLOWNESS = 1.0  # cost of a knot at which the task stands still, in units of log mu: a factor e of manipulability
@@ -262,6 +263,24 @@ class PathProblem:
         cross_left = (cross[0][n:] - n, cross[1][n:])
         places = [blocks, (k * n + i, (k + 1) * n + j), (z, z + 2 * n), cross, cross_left]
         return Triplets(np.concatenate([p[0] for p in places]), np.concatenate([p[1] for p in places]))
+
+
+def check_joints_add_up(robot: Robot, what: str) -> None:
+    """Refuse robots whose joint positions do not add up.
+
+    Args:
+        robot: The robot.
+        what: What is done for other joints, in words.
+
+    Raises:
+        FeatureError: A floating or planar joint, or one of several coordinates; names the first.
+    """
+    unsuited = next((b for b in robot.blocks if b.kind in ("floating", "planar", "other")), None)
+    if unsuited is not None:
+        raise FeatureError(
+            f"joint {unsuited.name!r} is {unsuited.kind}: {what} for revolute, continuous and prismatic joints only; "
+            "load the robot with a fixed base"
+        )
 
 
 @final

@@ -22,7 +22,7 @@ CLEARANCE = 0.005  # [m] between links: what a servo's lag makes of a path; link
 STEP = 0.02  # [rad or m] between checks: a hand at 0.25 m moves by the clearance
 REACH = 0.4  # [rad or m] by which a tree grows at once
 TRIES = 600  # of the trees: a quarter of a second of checks, for each posture of hold that is tried
-SHORTCUTS = 60
+SHORTCUTS = 60  # pairs of a path's postures that are tried: of ten postures there are 36
 
 Posture = Float[np.ndarray, " nv"]
 
@@ -50,15 +50,8 @@ class Clearance:
 
     def __init__(self, collision: SelfCollision | None, robot: Robot, known: list[Posture]):
         self._collision, self._robot = collision, robot
-        near = [CLEARANCE, *(0.5 * self.distance(q) for q in known)]
-        self.least = max(0.0, min(near))
-
-    def distance(self, q: Posture) -> float:
-        """Between the two links that are nearest to each other [m], where that is below the clearance."""
-        if self._collision is None:
-            return np.inf
-        found = self._collision.closer_than(self._robot.configuration(q), 2.0 * CLEARANCE)
-        return min((p.distance for p in found), default=np.inf)
+        nearest = [] if collision is None else [collision.nearest(robot.configuration(q)) for q in known]
+        self.least = max(0.0, min([CLEARANCE, *(0.5 * pair.distance for pair in nearest if pair is not None)]))
 
     def near(self, q: Posture, distance: float | None = None) -> tuple[str, str] | None:
         """Two links that are nearer to each other than a distance [m], by default that asked for; None if none are."""

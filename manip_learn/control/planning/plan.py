@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
@@ -15,7 +15,7 @@ from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.law_sequence import ARRIVED, LawSequence
 from manip_learn.control.limits import Limits, check_inside
-from manip_learn.control.paths.path_problem import PathPolicy
+from manip_learn.control.paths.path_problem import PathPolicy, check_joints_add_up
 from manip_learn.control.planning.approach import Clearance, clear_path, self_collision
 from manip_learn.control.planning.grasp import GraspCone
 from manip_learn.control.planning.margins import Margins, margins_of, rooms
@@ -24,12 +24,14 @@ from manip_learn.control.planning.stations import FEWEST, MOST, PERIOD, Postures
 from manip_learn.control.policies import NullSpacePolicy
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
+from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.joint_motion import JointMotion, every_joint
 from manip_learn.control.tasks.motion import FreeDirection
-from manip_learn.control.way import AT_LIMIT, WayDone, simulate_way
+from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
 from manip_learn.errors import ConfigurationError, FeatureError, NoPlanError, TargetError, advice, an
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import html_card
+from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.robot import Robot
 
@@ -72,9 +74,8 @@ class Plan:
         hold: Joint positions in which the hand takes hold [rad or m].
         approach: From the start to that posture, as simulated.
         way: The motion itself, as simulated, from the time when the hand has taken hold.
-        margin: Least share of its own limits that the way leaves: of the joints' ranges and speeds and of the speed
-            that the weakest direction could have (see `docs/control.md`); negative only where that direction is
-            slower than the way, which then happens not to need it.
+        margin: Least share of its own limits that the way leaves, at most 1: of the joints' ranges, of their speeds,
+            of the speed that the weakest direction could have (`manip_learn.control.planning.margins` has the formula).
         margins: The same in parts, with where and which joint.
         outcome: What became of the way: how far, how straight, how fast.
         others: Other postures in which the hand could take hold, and why they were not chosen, best first.
@@ -107,11 +108,10 @@ class Plan:
     @property
     def sentence(self) -> str:
         """What is planned, in words."""
-        unit, size = ("m", 1.0) if self.outcome.unit == "m" else ("degrees", float(np.degrees(1.0)))
         far = float(np.max(np.abs(self.approach.q[-1] - self.approach.q[0]), initial=0.0))
         moved = "take hold as it stands" if far < ARRIVED else f"take hold after {self.approach.time[-1]:.1f} s"
         return (
-            f"{moved}, then {abs(size * self.outcome.done):.3g} {unit} in {self.outcome.seconds:.3g} s; "
+            f"{moved}, then {way_in_words(self.outcome.done, self.outcome.unit)} in {self.outcome.seconds:.3g} s; "
             f"margin {self.margin:.0%}: {self.margins.limited_by(self.outcome.unit)}"
         )
 
@@ -207,10 +207,13 @@ def plan(
     ladder = problem.ladder(candidates)
     if problem.slow_down(ladder):
         ladder = problem.ladder(candidates)
-    found = problem.best(ladder, said) or problem.best(ladder.where(problem.clear), said) or problem.as_it_stands()
+    found = problem.best(ladder, said)
     if found is None:
-        said("looking for what would help", 0.6)
-        raise problem.refusal(ladder, candidates, base_within)
+        clear = ladder.where(problem.clear)
+        found = (problem.best(clear, said) if problem.touched else None) or problem.as_it_stands()
+        if found is None:
+            said("looking for what would help", 0.6)
+            raise problem.refusal(ladder.reached(), clear, candidates, base_within)
     said("planned", 1.0)
     return found
 
@@ -243,6 +246,7 @@ class _Problem:
         self.start = robot.checked_posture(start)
         self.limits, self.dt, self.grasp = limits or Limits(robot), dt, grasp
         self.rng = np.random.default_rng(seed)
+        self.touched = False  # whether links touch on a way that was found
         self.unreached = False  # whether a posture of hold could not be reached from the start
         _check_joints(robot, self.limits)
         self.positions = robot.positions(self.start)
@@ -259,9 +263,7 @@ class _Problem:
             raise TargetError(f"at the start the links {touching[0]!r} and {touching[1]!r} touch: start elsewhere")
         shown, wanted = self.motion.longest_shown, abs(self.motion.wanted)
         if shown is not None and wanted > shown and not beyond_shown:
-            far, most = (f"{wanted:.3g} m", f"{shown:.3g} m")
-            if self.motion.unit == "rad":
-                far, most = f"{np.degrees(wanted):.3g} degrees", f"{np.degrees(shown):.3g} degrees"
+            far, most = (way_in_words(way, self.motion.unit) for way in (wanted, shown))
             raise TargetError(
                 f"the way of {far} is longer than what was shown ({most}): ask for no more"
                 + advice(", or plan {}", "with beyond_shown=True", "it with --beyond-shown")
@@ -282,7 +284,7 @@ class _Problem:
 
     def slow_down(self, ladder: Ladder) -> bool:
         """Give the way more time, where no posture is found from which the joints are fast enough for it."""
-        margin = float(np.max(ladder.margins_from_the_end(len(self.stations) - 1)[:, 0], initial=-np.inf))
+        margin = float(np.max(ladder.whole, initial=-np.inf))
         if not -np.inf < margin < -TIE:
             return False
         times = SPARE * (1.0 - margin)
@@ -298,21 +300,24 @@ class _Problem:
             said("simulating the best of them", 0.3 + 0.08 * number)
             path = self._way(ladder, march, margin)
             if path is None:
+                self.touched = True
                 return None
-            path, approach = self._reached(path)
-            if approach is None:
+            reached = self._reached(path)
+            if reached is None:
                 continue
-            law = self._law(path)
+            path, to_hold, approach = reached
+            law = self._law(self.motion, self.stations.time, path)
             way, outcome = simulate_way(self.robot, law, approach.q[-1], self.dt)
             if outcome.is_done and not outcome.strays:
                 margins = margins_of(self.stations, path)
                 others = self._others(ladder, choices, march)
-                return self._plan(path[0], approach, way, margins, outcome, others, law, len(choices))
+                sequence = LawSequence(to_hold, law)
+                return self._plan(sequence, path[0], approach, way, margins, outcome, others, len(choices))
         return None
 
     def _choices(self, ladder: Ladder) -> list[tuple[int, float]]:
         """Numbers and margins of the marches from which the whole way is possible, best first, each apart."""
-        margins = ladder.margins_from_the_end(len(self.stations) - 1)[:, 0]
+        margins = ladder.whole
         out: list[tuple[int, float]] = []
         for march in np.argsort(-margins, kind="stable").tolist():
             if not np.isfinite(margins[march]):
@@ -332,63 +337,54 @@ class _Problem:
         if self.grasp is None:
             return True
         stations = self.stations
-        hands, toward = (
-            stations.hand.pose(way)[:, :3, :3],
-            stations.turns[: len(way)] @ self.grasp.toward(stations.grasp),
-        )
-        return bool(np.all(self.grasp.holds(hands, toward)))
+        toward = stations.turns[: len(way)] @ self.grasp.toward(stations.grasp)
+        return bool(np.all(self.grasp.holds(stations.hand.pose(way)[:, :3, :3], toward)))
 
     def _is_clear(self, way: Postures) -> bool:
         return all(self.clear(q) for q in way) and all(map(self.clear.of_line, way[:-1], way[1:]))
 
-    def _reached(self, path: Postures) -> tuple[Postures, Rollout | None]:
-        """A path and the approach to it, by whole turns of the joints where the limits leave several; None if none is.
+    def _reached(self, path: Postures) -> tuple[Postures, ResolvedRateController, Rollout] | None:
+        """A path, the law that leads to it and its rollout; by whole turns of joints where the limits leave several.
 
         The nearest turns come first where they leave the limits no less room, else that path as it is.
         """
-        robot, turns = self.robot, self._turns
-        low, high = robot.position_lower, robot.position_upper
-        shift = np.where(turns, TURN * np.round((self.positions - path[0]) / TURN), 0.0)
-        shift = np.where(np.all((path + shift >= low) & (path + shift <= high), axis=0), shift, 0.0)
+        robot = self.robot
+        shift = np.where(np.array(robot.joint_units) == "rad", TURN * np.round((self.positions - path[0]) / TURN), 0.0)
+        moved = path + shift
+        shift[np.any((moved < robot.position_lower) | (moved > robot.position_upper), axis=0)] = 0.0
         ways = [path, path + shift] if np.any(shift) else [path]
         if np.min(rooms(self.limits, ways[-1])) >= np.min(rooms(self.limits, path)):
             ways = ways[::-1]
         for way in ways:
             if (approach := self._approach(way[0])) is not None:
-                return way, approach
+                return way, *approach
         self.unreached = True
-        return path, None
+        return None
 
-    def _approach(self, goal: Float[np.ndarray, " nv"]) -> Rollout | None:
-        """The motion from the start to the posture of hold; None where links are in the way."""
+    def _approach(self, goal: Float[np.ndarray, " nv"]) -> tuple[ResolvedRateController, Rollout] | None:
+        """The motion from the start to the posture of hold, and its law; None where links are in the way."""
         path = clear_path(self.positions, goal, self.limits, self.clear, self.rng)
         if path is None:
             return None
         task = JointMotion(self.robot, path, APPROACH_SHARE * self.limits.velocity)
-        self._approach_law = ResolvedRateController(every_joint(self.robot), task, limits=self.limits, dt=self.dt)
-        rollout = simulate(self.robot, self._approach_law, self.start, task.duration + 1.0, self.dt)
+        law = ResolvedRateController(every_joint(self.robot), task, limits=self.limits, dt=self.dt)
+        rollout = simulate(self.robot, law, self.start, task.duration + 1.0, self.dt)
         arrived = np.flatnonzero((rollout.task_error < ARRIVED) & (rollout.time >= task.duration))
         if not len(arrived):
             return None
         rollout = rollout.until(float(rollout.time[arrived[0]]))
-        return replace(rollout, manipulability=manipulability_batch(self.rows, rollout.q).mu)
+        return law, replace(rollout, manipulability=manipulability_batch(self.rows, rollout.q).mu)
 
-    @property
-    def _turns(self) -> Bool[np.ndarray, " nv"]:
-        """Which joints turn."""
-        return np.array([block.kind != "prismatic" for block in self.robot.blocks for _ in block.coordinate_names])
+    def _law(self, motion: FreeDirection, time: Float[np.ndarray, " k"], path: Postures) -> ResolvedRateController:
+        """What does a motion with its spare joints along postures at times since the way began [s]."""
+        return self._controller(motion, PathPolicy(motion.pause + time, path, FOLLOWING, self.robot))
 
-    def _law(self, path: Postures) -> ResolvedRateController:
-        task = self.motion.with_distance(self.motion.wanted)
-        time = self.stations.time[: len(path)] + task.pause
-        policy = PathPolicy(time, path, FOLLOWING, self.robot)
-        return self._controller(task, policy)
-
-    def _controller(self, task: FreeDirection, policy: NullSpacePolicy) -> ResolvedRateController:
+    def _controller(self, motion: FreeDirection, policy: NullSpacePolicy | None) -> ResolvedRateController:
+        task = motion.with_distance(motion.wanted)  # which remembers its own start
         return ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
 
     def _others(self, ladder: Ladder, choices: list[tuple[int, float]], chosen: int) -> tuple[Choice, ...]:
-        """Why other choices are worse, the start itself among them."""
+        """Why the best of the other choices are worse."""
         last = len(self.stations) - 1
         out = []
         for march, margin in [c for c in choices if c[0] != chosen][:OTHERS]:
@@ -401,44 +397,48 @@ class _Problem:
         if self.motion.hold(self.start) > 0.0 or self.grasp is not None:
             return None
         for policy in (self.motion.ascent(), None):
-            law = self._controller(self.motion.with_distance(self.motion.wanted), policy)  # type: ignore[arg-type]
+            law = self._controller(self.motion, policy)
             way, outcome = simulate_way(self.robot, law, self.start, self.dt)
-            approach = self._approach(self.positions)
-            if not outcome.is_done or outcome.strays or outcome.begins is None or approach is None:
+            if not outcome.is_done or outcome.strays or outcome.begins is None:
                 continue
-            if not all(self.clear(self.robot.positions(q)) for q in way.q):
+            joints, reached = unwound(self.robot, way.q), self._approach(self.positions)
+            if reached is None or not all(map(self.clear, joints)):
                 continue
             time = outcome.begins + self.stations.time * (outcome.seconds or 0.0) / self.stations.time[-1]
-            joints = np.array([self.robot.positions(q) for q in way.q])
             path = np.array([np.interp(time, way.time, column) for column in joints.T]).T
             margins = margins_of(self.stations, path)
-            return self._plan(self.positions, approach, way, margins, outcome, (), law, 0)
+            sequence = LawSequence(reached[0], law)
+            return self._plan(sequence, self.positions, reached[1], way, margins, outcome, (), 0)
         return None
 
     def _plan(
         self,
+        laws: LawSequence,
         hold: Float[np.ndarray, " nv"],
         approach: Rollout,
         way: Rollout,
         margins: Margins,
         outcome: WayDone,
         others: tuple[Choice, ...],
-        law: ResolvedRateController,
         compared: int,
     ) -> Plan:
-        sequence = LawSequence(self._approach_law, law)
         held, end = outcome.begins or 0.0, float(way.time[-1])
         approach = replace(approach, phases=(("approach", 0.0, float(approach.time[-1])),))
         way = replace(way, phases=(*((("hold", 0.0, held),) if held else ()), ("way", held, end)))
-        numbers = margins.margin, margins, outcome, others, sequence, compared, self.notes
+        numbers = margins.margin, margins, outcome, others, laws, compared, self.notes
         return Plan(self.robot, hold, approach, way, *numbers)
 
     # ---- where there is no plan -----------------------------------------------------------------------------------
 
-    def refusal(self, ladder: Ladder, candidates: int, base_within: float) -> NoPlanError:
-        """How much of the way can be done, what stops it, and what would help."""
-        could, ladder = ladder.reached(), ladder.where(self.clear)
-        unit, size = ("m", 1.0) if self.motion.unit == "m" else ("degrees", float(np.degrees(1.0)))
+    def refusal(self, could: int, ladder: Ladder, candidates: int, base_within: float) -> NoPlanError:
+        """How much of the way can be done, what stops it, and what would help.
+
+        Args:
+            could: The last station to which a path leads if links may touch.
+            ladder: Nodes at which no links touch.
+            candidates: As for `plan`.
+            base_within: As for `plan`.
+        """
         helps = self._helps(candidates, base_within)
         more = "".join(f"; {sentence}" for sentence in helps)
         last = ladder.reached()
@@ -450,15 +450,15 @@ class _Problem:
                 stopped_by="the end of the arm's reach",
                 helps=helps,
             )
-        margins = ladder.margins_from_the_end(last)[:, 0]
+        margins = ladder.margins_to(last)
         march = int(np.argmax(margins))
         path = ladder.postures(ladder.path(march, last, margins[march] - TIE))
         largest, stopped_by = self._largest(path)
         if last < could:
             stopped_by = f"links that would touch ({self._touching(ladder, last)})"
         return NoPlanError(
-            f"no plan for {abs(size * self.motion.wanted):.3g} {unit}: {abs(size * largest):.3g} {unit} at most, "
-            f"stopped by {stopped_by}{more}",
+            f"no plan for {way_in_words(self.motion.wanted, self.motion.unit)}: "
+            f"{way_in_words(largest, self.motion.unit)} at most, stopped by {stopped_by}{more}",
             largest=abs(largest),
             posture=path[0] if largest else None,
             stopped_by=stopped_by,
@@ -474,7 +474,7 @@ class _Problem:
             time, there, _ = task.table(self.start, PERIOD, FEWEST, MOST)
             done = np.abs(self.stations.distance[: len(path)])
             knots = np.array([np.interp(np.abs(there), done, column) for column in path.T]).T
-            law = self._controller(task, PathPolicy(task.pause + time, knots, FOLLOWING, self.robot))
+            law = self._law(task, time, knots)
             outcome = simulate_way(self.robot, law, self.robot.configuration(path[0]), self.dt)[1]
             if outcome.is_done and not outcome.strays:
                 return distance, stopped_by
@@ -489,10 +489,8 @@ class _Problem:
         if len(path) == len(self.stations):
             between = "links that would touch on the way from the start to where the hand takes hold"
             return between if self.unreached else "limits of the loop in simulation"
-        for i, name in enumerate(self.robot.joint_names):
-            for side, limit in (("lower", self.robot.position_lower[i]), ("upper", self.robot.position_upper[i])):
-                if abs(q[i] - limit) < AT_LIMIT:
-                    return f"joint {name!r} at its {side} limit of {limit:.4g}"
+        if (joint := joint_at_limit(self.robot, q)) is not None:
+            return joint
         A = self.stations.matrices(q[None], k)[0]
         left, sigma, _ = np.linalg.svd(A, full_matrices=False)
         x, y, z, rx, ry, rz = left[:, -1] @ self.stations.rows[k[0]]
@@ -519,22 +517,20 @@ class _Problem:
 
     def _helps(self, candidates: int, base_within: float) -> tuple[str, ...]:
         """Other grasps and other places of the base from which the whole way could be done."""
-        last, out = len(self.stations) - 1, []
+        out = []
 
-        def does(stations: Stations, grasp: GraspCone | None = None) -> int | None:
-            ladder = self.ladder(candidates // 2, stations, grasp)
-            margins = ladder.margins_from_the_end(last)[:, 0]
-            return int(np.argmax(margins)) if np.any(np.isfinite(margins)) else None
+        def does(stations: Stations, grasp: GraspCone | None = None) -> bool:
+            return bool(np.any(np.isfinite(self.ladder(candidates // 2, stations, grasp).whole)))
 
         if self.stations.holds_orientation:
-            if does(self.stations.free_to_turn()) is not None:
+            if does(self.stations.free_to_turn()):
                 out.append("a hand that may turn on the way could do it")
-            if self.grasp is None and does(self.stations, GraspCone(turns=None)) is not None:
+            if self.grasp is None and does(self.stations, GraspCone(turns=None)):
                 out.append("a hand that takes hold turned about its z axis could do it (grasp=GraspCone(turns=None))")
         for radius in base_within * np.arange(1, PLACES + 1) / PLACES if base_within > 0.0 else ():
             for angle in 2.0 * np.pi * np.arange(SENSES) / SENSES:
                 shift = radius * np.array([np.cos(angle), np.sin(angle), 0.0])
-                if does(self.stations.seen_from(shift)) is not None:
+                if does(self.stations.seen_from(shift)):
                     out.append(f"the base moved by ({shift[0]:.2f}, {shift[1]:.2f}) m could do it")
                     return tuple(out)
         return tuple(out)
@@ -542,12 +538,7 @@ class _Problem:
 
 def _check_joints(robot: Robot, limits: Limits) -> None:
     """Refuse robots whose margins are not defined."""
-    unsuited = [b for b in robot.blocks if b.kind in ("floating", "planar", "other")]
-    if unsuited:
-        raise FeatureError(
-            f"joint {unsuited[0].name!r} is {unsuited[0].kind}: a way is planned for revolute, continuous and "
-            "prismatic joints; load the robot with a fixed base"
-        )
+    check_joints_add_up(robot, "a way is planned")
     endless = np.flatnonzero(~np.isfinite(limits.velocity))
     if len(endless):
         raise ConfigurationError(

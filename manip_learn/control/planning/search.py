@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -22,12 +23,12 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.planning.margins import node_margins, rooms
 from manip_learn.control.planning.stations import Postures, Stations
+from manip_learn.control.policies import ASCENT_GAIN
 
 SEED_STEPS, MARCH_STEPS = 40, 4  # of Newton's method: from anywhere, and from a station to the next
 SELF_MOTION = 0.25  # [rad or m] of the largest joint's step along the self-motion: a circle of it has 25 such steps
 SHARE = 0.125  # of the seeds: those along the self-motion of the start
 PULL = 0.3  # share of the joints' speeds that spare joints may use while the way is marched along
-ASCENT = 3.0  # [1/s] gain of the pull up the manipulability, as that of `ManipulabilityAscent`
 TIE = 0.01  # margins nearer to each other than a hundredth of the limits are alike: the manipulability decides
 TURN = 2.0 * np.pi
 JUMP = 0.5  # [rad or m] of a joint from one station to the next: a longer step is another branch of the kinematics
@@ -64,16 +65,20 @@ class Ladder:
             allowed[p, k] = clear(self.q[p, k])
         return replace(self, allowed=allowed)
 
-    def margins_from_the_end(self, last: int) -> Float[np.ndarray, "P L"]:
-        """The largest least margin with which each node goes on to a station; minus infinity where none does."""
-        out = np.full(self.least.shape, -np.inf)
-        out[:, last] = np.where(self.allowed[:, last], self.least[:, last], -np.inf)
+    @cached_property
+    def whole(self) -> Float[np.ndarray, " P"]:
+        """`margins_to` the end of the way."""
+        return self.margins_to(len(self.stations) - 1)
+
+    def margins_to(self, last: int) -> Float[np.ndarray, " P"]:
+        """The largest least margin of a path from each march's first node to a station; -inf where there is none."""
+        ahead = np.where(self.allowed[:, last], self.least[:, last], -np.inf)
         for k in range(last - 1, -1, -1):
-            i, j, edge = self._edges(k, self.allowed[:, k], np.isfinite(out[:, k + 1]))
-            if len(i) and len(j):
-                on = np.minimum(edge, out[j, k + 1])
-                out[i, k] = np.minimum(self.least[i, k], on.max(axis=1))
-        return out
+            i, j, edge = self._edges(k, self.allowed[:, k], np.isfinite(ahead))
+            on = np.minimum(edge, ahead[j]).max(axis=1, initial=-np.inf)
+            ahead = np.full(len(self.q), -np.inf)
+            ahead[i] = np.minimum(self.least[i, k], on)
+        return ahead
 
     def reached(self) -> int:
         """The last station to which a path leads from the first; -1 where no posture takes hold."""
@@ -139,8 +144,7 @@ class Ladder:
     def _wound(self) -> Bool[np.ndarray, " nv"]:
         """Joints that turn without limits."""
         robot = self.stations.limits.robot
-        turns = [block.kind != "prismatic" for block in robot.blocks for _ in block.coordinate_names]
-        return np.array(turns) & ~np.isfinite(robot.position_upper - robot.position_lower)
+        return (np.array(robot.joint_units) == "rad") & ~np.isfinite(robot.position_upper - robot.position_lower)
 
 
 def ladder_of(
@@ -189,25 +193,22 @@ def _seeds(
     random = rng.uniform(low, high, (number, len(start)))
     station = np.array([0, len(stations) // 2, len(stations) - 1])[np.arange(number) % 3]
     walked = max(1, round(SHARE * number))
-    random[:walked] = start + np.cumsum(_along_self_motion(stations, start, walked, rng), axis=0)
-    random[0], station[:walked] = start, 0
+    random[1:walked], station[:walked] = _along_self_motion(stations, start, walked, rng)[1:], 0
+    random[0] = start
     family = np.arange(number) // 3 % n_grasps
     family[:walked] = 0
     return random, station, family
 
 
 def _along_self_motion(stations: Stations, start: np.ndarray, number: int, rng: np.random.Generator) -> Postures:
-    """Steps in directions that leave the hand where it is, half of them one way and half of them back the other."""
+    """Postures in a row along a direction that leaves the hand where it is, half of them one way, half the other."""
     A = stations.matrices(start[None], np.zeros(1, dtype=int))[0]
     direction = rng.normal(size=len(start))
     direction -= np.linalg.pinv(A) @ (A @ direction)
     size = np.max(np.abs(direction))
     step = SELF_MOTION * direction / size if size > 1e-9 else np.zeros_like(start)
-    steps = np.repeat(step[None], number, axis=0)
     half = number // 2
-    steps[half:] *= -1.0
-    steps[half : half + 1] *= half  # back to the start first
-    return steps
+    return start + np.concatenate([np.arange(1, half + 1), -np.arange(number - half)])[:, None] * step
 
 
 def _distinct(
@@ -252,7 +253,7 @@ def _pulls(stations: Stations, rows: Constraint, q: Postures, kind: Int[np.ndarr
             off = np.where(np.isfinite(high - low), (2.0 * q[middle] - low - high) / (high - low), 0.0)
         out[middle] = -most * off**3
     if climbs.any():
-        slope = ASCENT * manipulability_batch(rows, q[climbs]).log_gradient
+        slope = ASCENT_GAIN * manipulability_batch(rows, q[climbs]).log_gradient
         out[climbs] = slope * np.minimum(1.0, np.min(most / np.maximum(np.abs(slope), 1e-12), axis=1))[:, None]
     return out
 

@@ -70,7 +70,6 @@ class Stations:
 
     Attributes:
         limits: Of the joints.
-        features: Those of the motion; they have a frame.
         time: shape (L,), since the way began [s].
         distance: shape (L,), along the way [m or rad].
         places: shape (L, 3), where the hand's origin should be [m].
@@ -81,7 +80,6 @@ class Stations:
     """
 
     limits: Limits
-    features: FeatureMap
     time: Float[np.ndarray, " L"]
     distance: Float[np.ndarray, " L"]
     places: Float[np.ndarray, "L 3"]
@@ -110,7 +108,7 @@ class Stations:
         rows = motion.constraint.selection @ _weights(features, goals)
         needs = _needs(time, goals[:, :3, 3], turns, rows)
         places = goals[:, :3, 3].copy()
-        return Stations(limits, features, time, distance, places, turns, rows, needs, goals[0, :3, :3].copy(), hand)
+        return Stations(limits, time, distance, places, turns, rows, needs, goals[0, :3, :3].copy(), hand)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -176,16 +174,14 @@ class Stations:
         todo = np.arange(len(q))
         for step in range(steps + 1):
             k = station[todo]
-            pose, J = self.hand.pose(q[todo]), self.hand.jacobian(q[todo])
-            W = self.rows[k]
-            error = np.einsum("nsk,nk->ns", W, self._twist_to(pose, k, grasp[todo]))
+            error = np.einsum("nsk,nk->ns", self.rows[k], self._twist_to(self.hand.pose(q[todo]), k, grasp[todo]))
             far = np.sqrt(np.sum(error * error, axis=1))
             there[todo] = far < ON
             if step == steps or np.all(there[todo]):
                 break
             late = far >= ON
-            todo, far = todo[late], far[late]
-            q[todo] = _stepped(q[todo], (W @ J)[late], error[late], far, (low, high))
+            todo = todo[late]
+            q[todo] = _stepped(q[todo], self.matrices(q[todo], k[late]), error[late], far[late], (low, high))
         return q, there
 
     def _twist_to(
@@ -249,7 +245,7 @@ def _weights(features: FeatureMap, goals: Float[np.ndarray, "L 4 4"]) -> Float[n
     """What the features' rows make of the hand's twist (v, w) at each goal."""
     if isinstance(features, WeighedVelocity):
         return features.weights(goals[:, :3, 3])[0]
-    chosen = features.padded(np.eye(features.n_rows)) if isinstance(features, FrameJacobian) else _of_relative(features)
+    chosen = np.eye(6)[[AXES.index(name) for name in features.row_names]]
     if not (isinstance(features, FrameJacobian) and features.reference == "local"):
         return np.broadcast_to(chosen, (len(goals), *chosen.shape))
     own = np.zeros((len(goals), 6, 6))
@@ -269,7 +265,3 @@ def _poses_of(
     poses = np.repeat(here, len(goals), axis=0)
     poses[:, [AXES.index(name) for name in features.row_names], 3] = np.array(goals)
     return time, distance, poses
-
-
-def _of_relative(features: FeatureMap) -> Float[np.ndarray, "p 6"]:
-    return np.eye(6)[[AXES.index(name) for name in features.row_names]]

@@ -16,6 +16,11 @@ from manip_learn.constraint.constraint import Constraint
 Unit = Literal["m", "rad"]
 
 
+def way_in_words(way: float, unit: Unit) -> str:
+    """The size of a way, e.g. `"0.3 m"` or `"60 degrees"`."""
+    return f"{abs(way):.3g} m" if unit == "m" else f"{math.degrees(abs(way)):.3g} degrees"
+
+
 @final
 class Setpoint(NamedTuple):
     """Where a motion should be: how far from its start [m or rad], how fast, and how large its rate may be."""
@@ -98,6 +103,15 @@ def nearest_turn(angle: float, near: float) -> float:
     return angle + 2.0 * math.pi * round((near - angle) / (2.0 * math.pi))
 
 
+def _shown_postures(constraint: Constraint) -> Float[np.ndarray, "n m"] | None:
+    """Postures in which a constraint was shown, as far as it keeps them; None if it keeps none of its robot."""
+    robot, shown = constraint.robot, constraint.provenance.get("postures")
+    if robot is None or not shown:
+        return None
+    postures = np.array(shown, dtype=np.float64)
+    return postures if postures.ndim == 2 and postures.shape[1] in (robot.nq, robot.nv) else None
+
+
 ONE_WAY = 0.5  # share of what lies to one side of where recordings begin, from which on that is the way shown
 
 
@@ -107,9 +121,8 @@ def shown_sense(constraint: Constraint, motion: DrivenMotion) -> float:
     Whether a person who opened a drawer shut it again does not matter; where the recordings went to both sides, the
     way is not known.
     """
-    shown, of = (constraint.provenance.get(name) for name in ("postures", "posture_trajectories"))
-    robot = constraint.robot
-    if robot is None or not shown or not of or len(of) != len(shown) or len(shown[0]) not in (robot.nq, robot.nv):
+    shown, of = _shown_postures(constraint), constraint.provenance.get("posture_trajectories")
+    if shown is None or not of or len(of) != len(shown):
         return 0.0
     ways, numbers = [], np.array(of)
     for number in np.unique(numbers):
@@ -148,11 +161,8 @@ class ShownPlaces:
 
         A hand that is fixed to the mechanism carries the mechanism's place with it, so that only a loose grip has one.
         """
-        mechanism, shown = constraint.mechanism, constraint.provenance.get("postures")
-        if mechanism is None or mechanism.grip != "loose" or mechanism.orientation != "free" or not shown:
-            return None
-        robot, postures = constraint.robot, np.array(shown, dtype=np.float64)
-        if robot is None or postures.ndim != 2 or postures.shape[1] not in (robot.nq, robot.nv):
+        mechanism, postures = constraint.mechanism, _shown_postures(constraint)
+        if mechanism is None or mechanism.grip != "loose" or mechanism.orientation != "free" or postures is None:
             return None
         lever = 1.0 if motion.unit == "m" else max(mechanism.radius or 0.0, GRIP)
         return ShownPlaces(motion, postures, lever, constraint.n_constraints)

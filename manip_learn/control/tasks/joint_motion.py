@@ -83,22 +83,19 @@ class JointMotion(Task):
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " nv"]:
         """b of every joint."""
-        if t <= self._begun < math.inf and self._begun < self._latest:
+        if t <= self._begun < self._latest:
             self.reset()
         self._begun, self._latest = min(self._begun, t), t
         goal, rate = self.at(t - self._begun)
-        return rate + self.gain * self._left(q, goal)
+        return rate + self.gain * self._robot.difference(q, goal)
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """How far the joints are from the last posture [rad or m]."""
-        return float(np.linalg.norm(self._left(q, self._last)))
+        return float(np.linalg.norm(self._robot.difference(q, self._last)))
 
     def goal(self) -> Float[np.ndarray, " nv"]:
         """The last posture."""
         return self._last.copy()
-
-    def _left(self, q: ArrayLike, goal: np.ndarray) -> Float[np.ndarray, " nv"]:
-        return goal - self._robot.positions(q)
 
     def __repr__(self) -> str:
         return f"JointMotion({len(self._profiles)} legs, {self.duration:.3g} s)"

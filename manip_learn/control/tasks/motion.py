@@ -183,9 +183,7 @@ class FreeDirection(Task):
             fewest: Number of entries at least.
             most: And at most.
         """
-        origin = self._motion.origin(start) if self._given is None else self._given
-        if self._shown is not None:
-            origin = self._shown.nearest(origin, self.wanted)
+        _, origin = self._origins(start)
         number = min(max(math.ceil(self._profile.duration / period) + 1, fewest), most)
         time = np.linspace(0.0, self._profile.duration, number)
         distance = np.array([self._profile.at(t)[0] for t in time.tolist()])
@@ -210,15 +208,15 @@ class FreeDirection(Task):
 
     def with_distance(self, distance: float) -> FreeDirection:
         """The same motion by another distance [m or rad], from a start of its own."""
-        other = copy.copy(self)
-        other._profile = replace(self._profile, distance=_number("distance", distance, positive=False))
-        other.reset()
-        return other
+        return self._with_profile(replace(self._profile, distance=_number("distance", distance, positive=False)))
 
     def slowed(self, times: float) -> FreeDirection:
         """The same motion in so many times its time, from a start of its own."""
+        return self._with_profile(replace(self._profile, speed=self._profile.peak / times))
+
+    def _with_profile(self, profile: MotionProfile) -> FreeDirection:
         other = copy.copy(self)
-        other._profile = replace(self._profile, speed=self._profile.peak / times)
+        other._profile = profile
         other.reset()
         return other
 
@@ -300,11 +298,14 @@ class FreeDirection(Task):
         after = t - (begun if self._way_begun is None else self._way_begun)
         return origin, Setpoint(*self._profile.at(after), self._profile.speed)
 
+    def _origins(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Origins of the motion where the hand is, or was said to be, and where it takes hold."""
+        start = self._motion.origin(q) if self._given is None else self._given
+        return start, start if self._shown is None else self._shown.nearest(start, self.wanted)
+
     def _begin(self, q: ArrayLike, t: float) -> tuple[float, np.ndarray]:
         """The start, and where the way begins: at the mechanism if that is elsewhere."""
-        start = origin = self._motion.origin(q) if self._given is None else self._given
-        if self._shown is not None:
-            origin = self._shown.nearest(start, self.wanted)
+        start, origin = self._origins(q)
         far = apart(start, origin)
         if far > TAKEN:
             self._approach = MotionProfile(far, APPROACH_SPEED, self._profile.ramp)

@@ -55,6 +55,17 @@ def positions_of(robot: Robot, postures: Float[np.ndarray, "n width"]) -> Float[
     return out
 
 
+def unwound(robot: Robot, postures: Float[np.ndarray, "n width"]) -> Float[np.ndarray, "n nv"]:
+    """Joint positions of a motion, without jumps by full turns where a configuration has none.
+
+    Args:
+        robot: The robot.
+        postures: Configurations or joint positions, in order of time.
+    """
+    positions = positions_of(robot, postures)
+    return positions if postures.shape[1] == robot.nv else np.unwrap(positions, axis=0)
+
+
 def _check_units(robot: Robot, table: np.ndarray) -> None:
     for block in robot.blocks:
         if block.kind != "continuous":
