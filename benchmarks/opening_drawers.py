@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
+from pages import put
 from scipy.optimize import least_squares
 
 import manip_learn as ml
@@ -247,13 +248,7 @@ def main() -> None:
     if given.physics:
         print(side_forces(Bench()))
         return
-    table = page(Bench(), given.starts, given.seed)
-    if given.out is None:
-        print(table)
-        return
-    head, _, rest = given.out.read_text().partition("<!-- table -->\n")
-    _, _, tail = rest.partition("<!-- end -->")
-    given.out.write_text(f"{head}<!-- table -->\n{table}\n<!-- end -->{tail}")
+    put(page(Bench(), given.starts, given.seed), given.out)
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
+from pages import put
 
 import manip_learn as ml
 from manip_learn.control.planning.approach import self_collision
@@ -108,7 +109,7 @@ def exhaustive(case: Case, rng: np.random.Generator) -> bool | None:
 def row(name: str, keep_orientation: bool, starts: int, seed: int, report: bool) -> str:
     """One line of the table."""
     counts = {"zero": 0, "mu": 0, "plan": 0, "lost": 0, "beyond": 0, "none": 0}
-    times, margins, off, bad = [], [], [], 0
+    times, margins, bad = [], [], 0
     for i in range(starts):
         rng = np.random.default_rng([seed, i, keep_orientation])
         one = case(name, keep_orientation, rng)
@@ -118,7 +119,6 @@ def row(name: str, keep_orientation: bool, starts: int, seed: int, report: bool)
             plan = ml.plan(one.constraint, one.motion, one.start)
             times.append(time.perf_counter() - began)
             margins.append(plan.margin)
-            off.append(1e3 * plan.outcome.deviation)
             bad += not sound(one, plan)
             counts["plan"] += 1
         except ml.NoPlanError:
@@ -132,10 +132,10 @@ def row(name: str, keep_orientation: bool, starts: int, seed: int, report: bool)
             say(name, keep_orientation, i + 1, counts, f"{np.median(times or [0]):.2f} s")
     grip = "keeps its orientation" if keep_orientation else "may turn"
     possible = counts["plan"] + counts["beyond"]
+    took = f"{np.median(margins):.2f} | {np.median(times):.2f}, {np.max(times):.2f}" if times else "|"
     return (
         f"| {name} | {grip} | {counts['zero']} | {counts['mu']} | **{counts['plan']}** | {counts['beyond']} | "
-        f"{starts - possible} ({counts['none']}) | {counts['lost']} | {bad} | {np.median(margins):.2f} | "
-        f"{np.median(times):.2f}, {np.max(times):.2f} |"
+        f"{starts - possible} ({counts['none']}) | {counts['lost']} | {bad} | {took} |"
     )
 
 
@@ -237,13 +237,7 @@ def main() -> None:
     if given.margins or given.physics:
         print((by_candidates if given.margins else in_physics)(given.starts, given.seed))
         return
-    lines = table(given.arms, given.starts, given.seed)
-    if given.out is None:
-        print(lines)
-        return
-    head, _, rest = given.out.read_text().partition("<!-- table -->\n")
-    _, _, tail = rest.partition("<!-- end -->")
-    given.out.write_text(f"{head}<!-- table -->\n{lines}\n<!-- end -->{tail}")
+    put(table(given.arms, given.starts, given.seed), given.out)
 
 
 if __name__ == "__main__":

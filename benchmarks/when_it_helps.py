@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from pages import put
 from peer_controllers import interpreter
 from when_cases import ARMS, GRIPS, KINDS, TASKS, cases_of, exists, robot_of, smallest
 from when_runs import PEERS, POLICIES, Score, run, run_peer
@@ -302,12 +303,7 @@ def main() -> None:
     if given.json is not None:
         written(found, sigma, given.json)
     text = "\n".join([table(found, sigma), *(f"\nSKIPPED {peer}: {reason}" for peer, reason in missing.items())])
-    if given.out is None:
-        print(text)
-        return
-    head, _, rest = given.out.read_text(encoding="utf-8").partition("<!-- table -->\n")
-    _, _, tail = rest.partition("<!-- end -->")
-    given.out.write_text(f"{head}<!-- table -->\n{text}\n<!-- end -->{tail}", encoding="utf-8")
+    put(text, given.out)
 
 
 if __name__ == "__main__":

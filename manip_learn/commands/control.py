@@ -201,23 +201,17 @@ def control(
     elif target is not None:
         task = PointAttractor(target, task_gain, speed, driven="all" if rows == "all" else "held")
         task.displacement(task.rows(constraint), q0)  # a wrong size is refused before the simulation
-    controller = ResolvedRateController(
-        constraint,
-        task,
-        null_policy(policy, task, constraint, robot, gain, rest),
-        inverse,  # type: ignore[arg-type]  # checked by the controller
-        dt=dt,
-    )
-    way, found = None, None
+    found, way = None, None
     if planned is not None:
         found, rollout, way = follow(planned, constraint, task, q0, dt, progress)
-    elif isinstance(task, FreeDirection):
-        rollout, way = simulate_way(robot, controller, q0, dt, duration, progress=progress)
     else:
-        if duration is None:  # an attraction leaves e^(-gain t) of the way
-            far = 2.0 * controller.task_error(q0) / tolerance if tolerance > 0.0 else 1.0
-            duration = max(5.0, math.log(max(far, 1.0)) / task_gain if task_gain > 0.0 else 5.0)
-        rollout = simulate(robot, controller, q0, duration, dt, progress=progress)
+        null_motion = null_policy(policy, task, constraint, robot, gain, rest)
+        law = ResolvedRateController(constraint, task, null_motion, inverse, dt=dt)  # type: ignore[arg-type]
+        if isinstance(task, FreeDirection):
+            rollout, way = simulate_way(robot, law, q0, dt, duration, progress=progress)
+        else:
+            length = _long_enough(law.task_error(q0), tolerance, task_gain) if duration is None else duration
+            rollout = simulate(robot, law, q0, length, dt, progress=progress)
     aim = aim_of(constraint, task, rollout) if isinstance(task, PointAttractor) else None
     verb = verb_of(constraint, rollout, way)
     done = Controlled(
@@ -262,6 +256,12 @@ def follow(
     )
     begins = float(found.approach.time[-1]) + (found.outcome.begins or 0.0)
     return found, found.rollout, replace(found.outcome, begins=begins)
+
+
+def _long_enough(error: float, tolerance: float, gain: float) -> float:
+    """How long an attraction takes to leave half a tolerance of a distance, five seconds at least [s]."""
+    far = 2.0 * error / tolerance if tolerance > 0.0 else 1.0  # it leaves e^(-gain t) of the way
+    return max(5.0, math.log(max(far, 1.0)) / gain if gain > 0.0 else 5.0)
 
 
 def _hint(task: Task, direction: list[float] | str | None) -> str:
