@@ -1,9 +1,9 @@
 """mink: the rows as a task of its own kind, damping, position and velocity limits."""
 
 import mink
-import mujoco
 import numpy as np
 from driving import drive
+from mink_solver import solver
 
 
 class Rows(mink.Task):
@@ -26,20 +26,7 @@ class Rows(mink.Task):
 
 def make(arm, case):
     """Joint velocity by mink."""
-    model = mujoco.MjModel.from_xml_path(arm.urdf)
-    configuration = mink.Configuration(model)
-    tasks = [Rows(arm, case), mink.DampingTask(model, cost=1e-3)]
-    speeds = dict(zip(arm.names, arm.velocity.tolist(), strict=True))
-    limits = [mink.ConfigurationLimit(model), mink.VelocityLimit(model, speeds)]
-    order = [int(model.joint(n).qposadr[0]) for n in arm.names]
-
-    def step(q):
-        full = np.empty(model.nq)
-        full[order] = q
-        configuration.update(full)
-        return mink.solve_ik(configuration, tasks, arm.dt, solver="daqp", limits=limits)[order]
-
-    return step
+    return solver(arm, Rows(arm, case))
 
 
 drive("mink", {"mink": make})

@@ -1,8 +1,8 @@
 """mink along a way: rows of the hand's pose as a task of its own kind, damping, position and velocity limits."""
 
 import mink
-import mujoco
 import numpy as np
+from mink_solver import solver
 from way_driving import drive, pose_error
 
 
@@ -26,20 +26,12 @@ class Rows(mink.Task):
 
 def make(arm, case):
     """Joint velocity by mink."""
-    model = mujoco.MjModel.from_xml_path(arm.urdf)
-    configuration = mink.Configuration(model)
     rows = Rows(arm, case)
-    tasks = [rows, mink.DampingTask(model, cost=1e-3)]
-    speeds = dict(zip(arm.names, arm.velocity.tolist(), strict=True))
-    limits = [mink.ConfigurationLimit(model), mink.VelocityLimit(model, speeds)]
-    order = [int(model.joint(n).qposadr[0]) for n in arm.names]
+    solve = solver(arm, rows)
 
     def step(q, pose):
         rows.pose = pose
-        full = np.empty(model.nq)
-        full[order] = q
-        configuration.update(full)
-        return mink.solve_ik(configuration, tasks, arm.dt, solver="daqp", limits=limits)[order]
+        return solve(q)
 
     return step
 
