@@ -34,9 +34,10 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 ROBOTS = Path(__file__).resolve().parents[1] / "robots"
 
 
-def pytest_collection_finish(session: pytest.Session) -> None:
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop(session: pytest.Session) -> None:
     """Compile the control step before the first test that uses it, whose limit of time is not meant for that."""
-    if find_spec("numba") is None or "PYTEST_XDIST_WORKER" in os.environ:
+    if session.config.option.collectonly or find_spec("numba") is None or "PYTEST_XDIST_WORKER" in os.environ:
         return
     if any(_compiles(item) for item in session.items):
         constraint = ml.Constraint(np.eye(2), ml.FrameJacobian(load_robot("planar3"), "tip", "x y"))
