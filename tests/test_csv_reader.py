@@ -177,6 +177,7 @@ def test_a_joint_may_be_called_like_a_velocity(tmp_path: Path) -> None:
 
 
 @given(st.text(alphabet="time,joint123_velocity;\t\n\r 0.5e-+#%\"'\u00e4\x00", max_size=200))
+@pytest.mark.fuzz
 def test_any_text_is_read_or_refused(content: str) -> None:
     """For any content of a text file, the result is a recording or a one-line error."""
     import tempfile
