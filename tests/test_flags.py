@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 
 import pytest
 from library_source import Source, library
@@ -61,19 +62,24 @@ def reached(command: str) -> set[str]:
 
 # the program itself, and what writes a command line of `learn` for a page; a test of the page runs that line
 WRITERS = ("cli.py", "commands/typed_command.py", "playback/recording_choice.py")
-NAMED = [
-    (source.relative, line, flag, advised, source.name)
-    for source in SOURCES.values()
-    if source.relative not in WRITERS
-    for text, line, advised in texts(source)
-    for flag in FLAG.findall(COMMAND_LINE.sub("", text))
-    if flag not in FOREIGN
-]
+
+
+@cache
+def named_flags() -> list[tuple[str, int, str, bool, str]]:
+    """(path, line, flag, whether it is advised, name of the file) of every flag in a text of the library."""
+    return [
+        (source.relative, line, flag, advised, source.name)
+        for source in SOURCES.values()
+        if source.relative not in WRITERS
+        for text, line, advised in texts(source)
+        for flag in FLAG.findall(COMMAND_LINE.sub("", text))
+        if flag not in FOREIGN
+    ]
 
 
 def test_flags_are_found():
     """The collection itself: it sees the flags that every reader of recordings advises."""
-    assert {"--rename", "--lock", "--time-unit", "--frame", "--xacro"} <= {flag for _, _, flag, _, _ in NAMED}
+    assert {"--rename", "--lock", "--time-unit", "--frame", "--xacro"} <= {flag for _, _, flag, _, _ in named_flags()}
 
 
 # the demo's robot, frame and recordings come with the package, so it cannot say what `learn` says about them
@@ -85,7 +91,7 @@ def test_every_flag_that_a_command_may_name_exists(command: str):
     files = reached(command)
     wrong = [
         f"{file}:{line}: {flag}"
-        for file, line, flag, advised, name in NAMED
+        for file, line, flag, advised, name in named_flags()
         if (flag not in every) or (name in files and not advised and flag not in own)
     ]
     assert not wrong, "\n".join(wrong)

@@ -45,7 +45,6 @@ class TestPink:
     @pytest.fixture(autouse=True)
     def interop(self):
         pytest.importorskip("pink", reason="Pink tasks need the extra 'pink'")
-        pytest.importorskip("quadprog", reason="Pink tasks need the extra 'pink'")
         from manip_learn.control.interop import pink_tasks
 
         self.pink_tasks = pink_tasks
@@ -54,9 +53,7 @@ class TestPink:
         import pink
 
         configuration = pink.Configuration(model, model.createData(), q)
-        return pink.solve_ik(
-            configuration, tasks, DT, solver="quadprog", damping=0.0, limits=[], constraints=constraints
-        )
+        return pink.solve_ik(configuration, tasks, DT, solver="daqp", damping=0.0, limits=[], constraints=constraints)
 
     def test_same_velocity_as_ours(self, robot_of):
         """A hard constraint and a policy give u = A^+ b + N pi to 1e-9."""
