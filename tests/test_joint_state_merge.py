@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manip_learn.recordings.readers.joint_state_merge import (
+from manip_learn.recordings.readers.rosbag_reader import (
     JointGroup,
+    JointStateStream,
     MergedStates,
     MergeError,
     joint_groups,
     merge,
     topics_of_joints,
 )
-from manip_learn.recordings.readers.joint_state_streams import JointStateStream
 
 MS = 1_000_000  # [ns]
 START = 1_700_000_000_123_456_789  # [ns] an integer that float64 cannot hold

@@ -15,7 +15,7 @@ import pytest
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings.readers import parser_process
 from manip_learn.recordings.readers.parser_process import parsed_recordings
-from manip_learn.recordings.readers.parser_request import ParserRequest, RobotOutline
+from manip_learn.recordings.readers.read_request import ParserRequest, RobotOutline
 
 REQUEST = ParserRequest(RobotOutline(("a", "b"), ("b",), (-1.0, -np.inf), (1.0, np.inf)), chosen=frozenset({3, 1}))
 PARSER = """
@@ -143,7 +143,7 @@ sys.path.insert(0, sys.argv[1])
 from pathlib import Path
 from manip_learn.recordings.readers import parser_process
 from manip_learn.recordings.readers.parser_process import parsed_recordings
-from manip_learn.recordings.readers.parser_request import ParserRequest, RobotOutline
+from manip_learn.recordings.readers.read_request import ParserRequest, RobotOutline
 request = ParserRequest(RobotOutline((), (), (), ()))
 list(parsed_recordings("odd_parser", Path(sys.argv[2]), request))
 print("reading", flush=True)

@@ -12,7 +12,7 @@ import pytest
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.readers.joint_state_layout import cdr_layout, ros1_layout
+from manip_learn.recordings.readers.bag_file import cdr_layout, ros1_layout
 from manip_learn.robot import Robot, load_robot
 
 pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")

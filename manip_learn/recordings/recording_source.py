@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Unpack, final
 
 from manip_learn.recordings.load_demonstrations import Paths, ReadOptions, open_recordings, read_recordings
-from manip_learn.recordings.readers.file_format import LEROBOT, FileFormat
-from manip_learn.recordings.readers.json_file import read_json
-from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER, open_dataset
-from manip_learn.recordings.readers.lerobot_episodes import episode_number, separate_files
+from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER, episode_number, open_dataset, separate_files
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording_files import RecordingFile
+from manip_learn.recordings.readers.recording import read_json
+from manip_learn.recordings.readers.recording_files import LEROBOT, FileFormat, RecordingFile
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource
 from manip_learn.robot import Robot

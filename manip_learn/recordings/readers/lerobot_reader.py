@@ -6,6 +6,7 @@ LeRobot does not store units, so the caller must state them.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
@@ -13,10 +14,15 @@ from typing import Any, final
 import numpy as np
 
 from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError, advice, counted
-from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER, LeRobotDataset, open_dataset
-from manip_learn.recordings.readers.lerobot_episodes import episode_number
-from manip_learn.recordings.readers.lerobot_state import StateFeature, state_feature
-from manip_learn.recordings.readers.parser_request import ParserRequest
+from manip_learn.recordings.readers.lerobot_dataset import (
+    DATASET_HEADER,
+    LeRobotDataset,
+    StateFeature,
+    episode_number,
+    open_dataset,
+    state_feature,
+)
+from manip_learn.recordings.readers.read_request import ParserRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, reason
 
 try:
@@ -204,29 +210,22 @@ def _joined(parts: list[Episode]) -> Episode:
 
 def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: ParserRequest) -> Iterator[Episode]:
     """Runs of samples with the same episode number, batch by batch; only the needed columns are read."""
-    try:
-        with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
-            there = parquet.schema_arrow.names
-            if feature.position not in there:
-                raise _refusal(
-                    file, "no-state", f"there is no column {feature.position!r}, there is {', '.join(there[:12])}"
-                )
-            columns = [c for c in (feature.position, feature.velocity, feature.effort, *STAMPS) if c in there]
-            stated, found = parquet.metadata.num_rows, 0
-            _refuse_bomb(file, stated)
-            for batch in parquet.iter_batches(batch_size=BATCH, columns=columns):
-                found += batch.num_rows
-                yield from _split(file, batch, dataset, feature, request)
-            groups = sum(parquet.metadata.row_group(i).num_rows for i in range(parquet.num_row_groups))
-            if not found == stated == groups:
-                text = f"{counted(found, 'sample')} are there, it states {stated}, in parts {groups}: download it again"
-                raise _refusal(file, "lost-samples", text)
-    except RecordingError:
-        raise
-    except (pa.ArrowException, *DAMAGE) as error:
-        raise _refusal(
-            file, "damaged", f"the Parquet file cannot be read ({reason(error)}): download or write it again"
-        ) from error
+    with opened_parquet(file) as parquet:
+        there = parquet.schema_arrow.names
+        if feature.position not in there:
+            raise _refusal(
+                file, "no-state", f"there is no column {feature.position!r}, there is {', '.join(there[:12])}"
+            )
+        columns = [c for c in (feature.position, feature.velocity, feature.effort, *STAMPS) if c in there]
+        stated, found = parquet.metadata.num_rows, 0
+        _refuse_bomb(file, stated)
+        for batch in parquet.iter_batches(batch_size=BATCH, columns=columns):
+            found += batch.num_rows
+            yield from _split(file, batch, dataset, feature, request)
+        groups = sum(parquet.metadata.row_group(i).num_rows for i in range(parquet.num_row_groups))
+        if not found == stated == groups:
+            text = f"{counted(found, 'sample')} are there, it states {stated}, in parts {groups}: download it again"
+            raise _refusal(file, "lost-samples", text)
 
 
 def _refuse_bomb(file: Path, n_rows: int) -> None:
@@ -302,3 +301,45 @@ def _matrix(file: Path, batch: Any, name: str) -> np.ndarray:
 
 def _refusal(path: Path, code: str, text: str) -> RecordingError:
     return RecordingError(f"{path.name}: {text}", code=code, path=path)
+
+
+@contextmanager
+def opened_parquet(file: Path) -> Iterator[Any]:
+    """A `pyarrow.parquet.ParquetFile` with its checksums tested, closed at the end.
+
+    Raises:
+        RecordingError: Damaged, found when it is opened or while it is read.
+    """
+    try:
+        with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
+            yield parquet
+    except (pa.ArrowException, *DAMAGE) as error:
+        raise RecordingError(
+            f"{file.name}: the Parquet file cannot be read ({reason(error)}): download or write it again",
+            code="damaged",
+            path=file,
+        ) from error
+
+
+def parquet_rows(file: Path, columns: tuple[str, ...], *, ends_only: bool) -> Iterator[dict[str, Any]]:
+    """Some columns of a Parquet file, row by row; a column that is missing is left out.
+
+    Args:
+        file: The file.
+        columns: Names. A file without the first one, the number of the episode, is one episode: 0.
+        ends_only: Only the first and the last value of the first column, or nothing if it has none.
+
+    Raises:
+        RecordingError: Damaged.
+    """
+    with opened_parquet(file) as parquet:
+        there = [c for c in columns if c in parquet.schema_arrow.names]
+        if columns[0] not in there:
+            yield from () if ends_only else ({columns[0]: 0},)
+        elif ends_only:
+            column = parquet.read(columns=[columns[0]]).column(0)
+            if len(column) and not column.null_count:
+                yield from ({columns[0]: int(column[i].as_py())} for i in (0, len(column) - 1))
+        else:
+            for batch in parquet.iter_batches(columns=there):
+                yield from batch.to_pylist()

@@ -43,7 +43,7 @@ def serve(job: dict[str, Any], answers: IO[bytes]) -> None:
     from pathlib import Path
 
     from manip_learn.errors import MissingExtraError, RecordingError, advice_for_command
-    from manip_learn.recordings.readers.parser_request import ParserRequest
+    from manip_learn.recordings.readers.read_request import ParserRequest
 
     request = None if job["request"] is None else ParserRequest.of_words(job["request"])
     advice = contextlib.nullcontext() if job["flags"] is None else advice_for_command(job["flags"])
@@ -51,7 +51,7 @@ def serve(job: dict[str, Any], answers: IO[bytes]) -> None:
         with advice:
             module = importlib.import_module(job["module"])
             if request is None:
-                rows = module.parquet_rows(Path(job["path"]), tuple(job["columns"]))
+                rows = module.parquet_rows(Path(job["path"]), tuple(job["columns"]), ends_only=job["ends"])
                 while batch := list(itertools.islice(rows, ROWS)):
                     say(answers, {"kind": "rows", "rows": batch})
             else:

@@ -1,4 +1,4 @@
-"""Foreign formats, parsed in a child process that may crash, hang or run out of memory."""
+"""What a parsing process answers, read from its pipe for no longer than it may take."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import contextlib
 import json
 import math
 import os
+import selectors
 import signal
 import subprocess
 import sys
@@ -19,9 +20,70 @@ from typing import Any, final
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError, command_flags
-from manip_learn.recordings.readers.answer_pipe import AnswerPipe
-from manip_learn.recordings.readers.parser_request import ParserRequest
+from manip_learn.recordings.readers.read_request import ParserRequest
 from manip_learn.recordings.readers.recording import Recording, reason
+
+PIECE = 1 << 20  # bytes that are asked for at a time
+
+
+@final
+class AnswerPipe:
+    """Lines and numbers of bytes from a pipe, each with a deadline: no thread has to watch the clock.
+
+    What is not there in time raises a TimeoutError.
+
+    Args:
+        descriptor: Of the pipe's end that is read; nobody else reads from it.
+    """
+
+    def __init__(self, descriptor: int):
+        self._descriptor = descriptor
+        self._held = bytearray()
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(descriptor, selectors.EVENT_READ)
+
+    def line(self, deadline: float) -> bytes:
+        """The next line, with its end; what there was of it if the pipe was closed before.
+
+        Args:
+            deadline: On the clock of `time.monotonic` [s].
+        """
+        start = 0
+        while (end := self._held.find(b"\n", start)) < 0:
+            start = len(self._held)
+            if not self._more(deadline):
+                return self._taken(start)
+        return self._taken(end + 1)
+
+    def content(self, size: int, deadline: float) -> bytes:
+        """So many bytes, fewer if the pipe was closed before.
+
+        Args:
+            size: How many.
+            deadline: On the clock of `time.monotonic` [s].
+        """
+        while len(self._held) < size and self._more(deadline):
+            pass
+        return self._taken(min(size, len(self._held)))
+
+    def close(self) -> None:
+        """Forget the pipe, which its owner closes."""
+        self._selector.close()
+
+    def _more(self, deadline: float) -> bool:
+        """Wait for bytes; False if the pipe is closed."""
+        remaining = deadline - time.monotonic()
+        if remaining <= 0.0 or not self._selector.select(remaining):
+            raise TimeoutError
+        piece = os.read(self._descriptor, PIECE)
+        self._held += piece
+        return bool(piece)
+
+    def _taken(self, size: int) -> bytes:
+        taken = bytes(memoryview(self._held)[:size])
+        del self._held[:size]
+        return taken
+
 
 CHILD = Path(__file__).with_name("parser_child.py")
 MEMORY, MEMORY_PER_BYTE = 2_000_000_000, 8  # [bytes], and per byte of the file
@@ -29,6 +91,7 @@ SECONDS, BYTES_PER_SECOND = 8.0, 1_000_000  # of processor time, and more for la
 SILENCE = 10.0  # times as long on the clock, for slow disks and busy machines
 START_SECONDS = 60.0  # for the libraries to be loaded
 FINISH_SECONDS, MOST_SKIPPED = 0.5, 20  # of a job whose further answers nobody wants
+PARQUET = "manip_learn.recordings.readers.lerobot_reader"
 PARTS = ("recording", "rows")
 
 Answer = tuple[dict[str, Any], dict[str, Any]]  # words, and arrays by name
@@ -56,14 +119,14 @@ def parsed_recordings(module: str, path: Path, request: ParserRequest) -> Iterat
         yield Recording(path=path if told == job["path"] else Path(told), **fields, **arrays)
 
 
-def parsed_rows(module: str, path: Path, columns: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """Some columns of a Parquet file, row by row.
+def parsed_rows(path: Path, columns: tuple[str, ...], *, ends_only: bool = False) -> Iterator[dict[str, Any]]:
+    """Some columns of a Parquet file, row by row, as `parquet_rows` gives them.
 
     Raises:
         RecordingError: As `parsed_recordings`.
         MissingExtraError: The parser's library is not installed.
     """
-    job = {"module": module, "path": os.path.abspath(path), "request": None, "columns": columns}
+    job = {"module": PARQUET, "path": os.path.abspath(path), "request": None, "columns": columns, "ends": ends_only}
     for words, _ in _answers(path, job):
         yield from words.get("rows", ())
 

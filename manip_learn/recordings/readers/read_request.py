@@ -1,17 +1,319 @@
-"""What the caller asked for when recordings are read."""
+"""What the caller asked for when recordings are read, and what of it they had a use for."""
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal, final, get_args
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal, final, get_args
 
-from manip_learn.errors import RecordingError, spoken
-from manip_learn.recordings.readers.episode_selection import EpisodeSelection
-from manip_learn.recordings.readers.option_uses import OptionUses, UnmatchedOption, as_written
-from manip_learn.recordings.readers.parser_request import ParserRequest, RobotOutline
-from manip_learn.robot import Robot
+from manip_learn.errors import RecordingError, advice, closest_names, spoken
+
+if TYPE_CHECKING:  # the process that parses foreign formats is without robots, which take long to load
+    from manip_learn.robot.robot import Robot
+
+MOST_SEEN = 10_000  # names kept for near matches
+
+
+def flag_of(option: str) -> str:
+    """The flag of the command line for a keyword of `load_demonstrations`."""
+    return {"ignore_columns": "--ignore-column", "topics": "--topic"}.get(option, "--" + option.replace("_", "-"))
+
+
+def as_written(option: str) -> str:
+    """A keyword of `load_demonstrations` as the caller writes it: in Python, or on the command line."""
+    return spoken(option, flag_of(option))
+
+
+@final
+class UnmatchedOption(str):
+    """A sentence about an option that matched nothing in the files that were read; it travels among their notes.
+
+    Of recordings that are read in several parts, an option is a mistake only if it matched nothing in any of them.
+
+    Attributes:
+        option: The option with its value, the same in every part.
+    """
+
+    option: str
+
+    def __new__(cls, option: str, sentence: str) -> UnmatchedOption:
+        """The sentence, and the option that it is about."""
+        self = super().__new__(cls, sentence)
+        self.option = option
+        return self
+
+    def __reduce__(self) -> tuple[type[UnmatchedOption], tuple[str, str]]:
+        return UnmatchedOption, (self.option, str(self))
+
+
+@final
+class OptionUses:
+    """What was used of the options while recordings were read, and the names that were seen."""
+
+    def __init__(self) -> None:
+        self._used: dict[str, set[str]] = {}
+        self._seen: dict[str, None] = {}
+
+    def see(self, *names: str) -> None:
+        """Names of columns, joints or arrays in a file."""
+        if len(self._seen) < MOST_SEEN:
+            self._seen.update(dict.fromkeys(names))
+
+    def renamed(self, name: str, rename: Mapping[str, str]) -> str:
+        """The name in a file after renaming."""
+        self.see(name)
+        if name in rename:
+            self.use("rename", name)
+        return rename.get(name, name)
+
+    def use(self, option: str, *names: str) -> None:
+        """An option was used; of options that list names, these."""
+        self._used.setdefault(option, set()).update(names)
+
+    def as_words(self) -> dict[str, Any]:
+        """As JSON can write it."""
+        return {"used": {option: sorted(names) for option, names in self._used.items()}, "seen": list(self._seen)}
+
+    def add_words(self, words: dict[str, Any]) -> None:
+        """What was used and seen elsewhere, from what `as_words` gave."""
+        for option, names in words["used"].items():
+            self.use(option, *names)
+        self.see(*words["seen"])
+
+    def unmatched(
+        self,
+        *,
+        rename: Mapping[str, str],
+        ignore_columns: Sequence[str],
+        topics: Sequence[str] | None,
+        joint_names: Sequence[str] | None,
+        rate: float | None,
+        time_unit: str | None,
+        feature: str | None,
+        columns: Sequence[str] | None,
+    ) -> list[UnmatchedOption]:
+        """A sentence for each option that matched nothing."""
+        names = [
+            (name, f"rename={{{name!r}: {new!r}}}", f"--rename {name}={new}")
+            for name, new in rename.items()
+            if name not in self._used.get("rename", ())
+        ]
+        names += [
+            (name, f"ignore_columns=[{name!r}]", f"--ignore-column {name}")
+            for name in ignore_columns
+            if name not in self._used.get("ignore_columns", ())
+        ]
+        said = [UnmatchedOption(python, advice("{}: ", python, flag) + self._no(name)) for name, python, flag in names]
+        flags = " ".join(f"--topic {topic}" for topic in topics or ())
+        given = {
+            "topics": (topics, f"topics={list(topics or ())}", flags),
+            "joint_names": (joint_names, f"joint_names={list(joint_names or ())}", "--joint-names"),
+            "rate": (rate, f"rate={rate}", f"--rate {rate}"),
+            "time_unit": (time_unit, f"time_unit={time_unit!r}", f"--time-unit {time_unit}"),
+            "columns": (columns, f"columns={columns}", " ".join(f"--columns '{p}'" for p in columns or ())),
+            "feature": (feature, f"feature={feature!r}", f"--feature {feature}"),
+        }
+        for option, (value, python, flag) in given.items():
+            if value is not None and option not in self._used:
+                said.append(UnmatchedOption(python, advice("{}: ", python, flag) + f"{WHY[option]}: leave it out"))
+        return said
+
+    def _no(self, name: str) -> str:
+        near = [n for n in closest_names(name, self._seen) if n != name]
+        hint = f"did you mean {', '.join(map(repr, near))}?" if near else f"there is {self._shown()}"
+        return f"nothing in the recordings is called {name!r}; {hint}"
+
+    def _shown(self) -> str:
+        names = list(self._seen)
+        return (", ".join(map(repr, names[:12])) or "nothing") + (" ..." if len(names) > 12 else "")
+
+
+WHY = {
+    "topics": "topics are read from ROS bags, and none of the recordings is one",
+    "joint_names": "the recordings name their columns or joints themselves, so these names are not used",
+    "columns": "patterns are those of columns of text tables, and none of the recordings is one",
+    "rate": "the recordings have time stamps, so the rate is not used",
+    "feature": "features are those of LeRobot data sets, and none of the recordings is one",
+    "time_unit": "the recordings are of formats that state the unit of their time stamps",
+}
+
+
+def refuse_unmatched(notes: Iterable[str], n_parts: int = 1) -> list[str]:
+    """The notes without sentences about options that matched in some part.
+
+    Raises:
+        RecordingError: An option that matched nothing in any part.
+    """
+    kept: list[str] = []
+    unmatched: dict[str, list[UnmatchedOption]] = {}
+    for note in notes:
+        if isinstance(note, UnmatchedOption):
+            unmatched.setdefault(note.option, []).append(note)
+        else:
+            kept.append(note)
+    for sentences in unmatched.values():
+        if len(sentences) >= n_parts:
+            raise RecordingError(str(sentences[0]), code="option")
+    return kept
+
+
+ITEM = re.compile(r"\s*(?:(\d{1,9})|(\d{1,9})?\s*:\s*(\d{1,9})?)\s*")
+SHOWN = 4  # numbers in a message
+
+
+@final
+@dataclass(frozen=True)
+class EpisodeSelection:
+    """Numbers and half-open ranges of numbers, as Python counts: 0:50 is 0 to 49.
+
+    Attributes:
+        items: First number and the one after the last, None for no end; one pair per item.
+    """
+
+    items: tuple[tuple[int, int | None], ...]
+
+    @staticmethod
+    def of(episodes: str | int | Iterable[int]) -> EpisodeSelection:
+        """From text such as `0:50,60,75`, `10:` or `:5`, or from numbers.
+
+        Raises:
+            RecordingError: Anything else.
+        """
+        if isinstance(episodes, int) and not isinstance(episodes, bool):
+            episodes = [episodes]
+        if isinstance(episodes, str):
+            items = [_item(part, episodes) for part in episodes.split(",")]
+        else:
+            given = list(episodes) if isinstance(episodes, Iterable) else []
+            numbers = [n for n in given if isinstance(n, int) and not isinstance(n, bool) and n >= 0]
+            if not numbers or len(numbers) < len(given):
+                raise _refused(episodes)
+            items = [(n, n + 1) for n in numbers]
+        return EpisodeSelection(tuple(items))
+
+    def __str__(self) -> str:
+        return ",".join(str(a) if b == a + 1 else f"{a}:{'' if b is None else b}" for a, b in self.items)
+
+    def of_known(self, known: Sequence[int], where: str) -> frozenset[int]:
+        """The selected ones among the numbers that exist.
+
+        Raises:
+            RecordingError: An item selects nothing; names the nearest numbers.
+        """
+        chosen: set[int] = set()
+        for first, end in self.items:
+            found = {n for n in known if n >= first and (end is None or n < end)}
+            if not found:
+                near = sorted(sorted(known, key=lambda n: abs(n - first))[:SHOWN])
+                item = EpisodeSelection(((first, end),))
+                raise RecordingError(
+                    f"{where}: no episode is selected by {str(item)!r}; there are {len(known)}, numbered "
+                    f"{min(known)} to {max(known)}; the nearest: {', '.join(map(str, near))}",
+                    code="no-episode",
+                )
+            chosen |= found
+        return frozenset(chosen)
+
+
+def _item(part: str, text: str) -> tuple[int, int | None]:
+    found = ITEM.fullmatch(part)
+    if found is None:
+        raise _refused(text)
+    number, first, end = found.groups()
+    if number is not None:
+        return int(number), int(number) + 1
+    return int(first or 0), None if end is None else int(end)
+
+
+def _refused(given: object) -> RecordingError:
+    return RecordingError(
+        f"{advice('{}', 'episodes', '--episodes')} must be numbers and ranges such as '0:50,60,75' (counted from 0; "
+        f"0:50 is 0 to 49), got {given!r}",
+        code="option",
+    )
+
+
+@final
+@dataclass(frozen=True)
+class RobotOutline:
+    """What a parser must know about a robot.
+
+    Attributes:
+        joint_names: In the robot's order.
+        continuous: Joints that turn without end.
+        position_lower: Per joint [rad or m].
+        position_upper: Per joint [rad or m].
+    """
+
+    joint_names: tuple[str, ...]
+    continuous: tuple[str, ...]
+    position_lower: tuple[float, ...]
+    position_upper: tuple[float, ...]
+
+    def joint_index(self, name: str) -> int:
+        """Place of a joint."""
+        return self.joint_names.index(name)
+
+
+@final
+@dataclass(frozen=True)
+class ParserRequest:
+    """Options of a `ReadRequest` that a parser needs; see there.
+
+    Attributes:
+        robot: Its joints.
+        units: Unit of angles.
+        rename: Name in the file -> name of a joint.
+        joint_names: Names of the columns.
+        topics: Topics of a bag.
+        rate: Samples per second [Hz].
+        chosen: Numbers of the episodes to read.
+        feature: Feature of a LeRobot data set that holds the joint positions.
+        uses: Which options were used.
+    """
+
+    robot: RobotOutline
+    units: str | None = None
+    rename: Mapping[str, str] = field(default_factory=dict)
+    joint_names: tuple[str, ...] | None = None
+    topics: tuple[str, ...] | None = None
+    rate: float | None = None
+    chosen: frozenset[int] | None = None
+    feature: str | None = None
+    uses: OptionUses = field(default_factory=OptionUses, compare=False)
+
+    def renamed(self, name: str) -> str:
+        """The name after renaming."""
+        return self.uses.renamed(name, self.rename)
+
+    def as_words(self) -> dict[str, Any]:
+        """As JSON can write it."""
+        words = asdict(replace(self, uses=None))  # type: ignore[arg-type]
+        del words["uses"]
+        words["chosen"] = None if self.chosen is None else sorted(self.chosen)
+        return words
+
+    @staticmethod
+    def of_words(words: dict[str, Any]) -> ParserRequest:
+        """From what `as_words` gave."""
+        values = {k: tuple(v) if isinstance(v, list) else v for k, v in words.items()}
+        robot = {k: tuple(v) for k, v in words["robot"].items()}
+        chosen = words["chosen"]
+        return ParserRequest(
+            **{**values, "robot": RobotOutline(**robot), "chosen": None if chosen is None else frozenset(chosen)}
+        )
+
+
+@functools.lru_cache(maxsize=8)
+def unmoved_joint_names(robot: Robot) -> tuple[str, ...]:
+    """Joints of the description that are no degrees of freedom: locked, fixed and mimic joints."""
+    frames = robot.pinocchio_model.frames
+    fixed = [f.name for f in frames if f.type.name in ("FIXED_JOINT", "JOINT")]
+    return tuple(n for n in (*fixed, *(m.joint for m in robot.mimics)) if n not in robot.joint_names)
+
 
 Units = Literal["radians", "degrees", "normalised"]
 TimeUnit = Literal["s", "ms", "us", "ns"]

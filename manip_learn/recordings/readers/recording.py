@@ -1,7 +1,10 @@
-"""One recording as it stands in a file, before it is matched to a robot."""
+"""One recording as it stands in a file, before it is matched to a robot, and what every reader asks of a file."""
 
 from __future__ import annotations
 
+import json
+import re
+import stat
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -84,3 +87,51 @@ def float_array(values: np.ndarray) -> Float[np.ndarray, "..."]:
     """The values as native float64 in C order; what is not a number becomes NaN, which validation finds."""
     with np.errstate(invalid="ignore", over="ignore"):  # signalling NaN in damaged files
         return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def natural_order(name: str) -> tuple[tuple[int, int, str], ...]:
+    """Sort key that puts `demo_2` before `demo_10`."""
+    parts = re.findall(r"\d+|\D+", name)
+    # CPython refuses to convert thousands of digits
+    return tuple((0, int(p), "") if p.isdecimal() and len(p) < 400 else (1, 0, p) for p in parts)
+
+
+def check_regular(path: Path) -> None:
+    """Refuse what is neither a file nor there.
+
+    Raises:
+        RecordingError: Missing, not readable, a pipe, a device.
+    """
+    try:
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode):
+            raise RecordingError(
+                f"{path}: this is not a regular file; give a recording or a folder of recordings",
+                code="not-a-file",
+                path=path,
+            )
+        with path.open("rb"):
+            pass
+    except FileNotFoundError as error:
+        raise RecordingError(
+            f"{path}: there is no such file: check the path", code="missing-file", path=path
+        ) from error
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{path}: cannot be opened: {reason(error)}", code="unreadable", path=path) from error
+
+
+def read_json(path: Path, most_bytes: int = 10_000_000) -> object:
+    """A small JSON file.
+
+    Raises:
+        RecordingError: Too large or not JSON.
+    """
+    check_regular(path)
+    if path.stat().st_size > most_bytes:
+        raise RecordingError(
+            f"{path}: larger than {most_bytes:,} bytes, which no such file should be", code="too-large", path=path
+        )
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"{path}: not valid JSON: {reason(error)}", code="damaged", path=path) from error

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError, advice
-from manip_learn.recordings.readers.natural_order import natural_order
-from manip_learn.recordings.readers.parser_request import ParserRequest
-from manip_learn.recordings.readers.recording import Recording, float_array, reason
+from manip_learn.recordings.readers.read_request import ParserRequest
+from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, reason
 
 try:
     import h5py
