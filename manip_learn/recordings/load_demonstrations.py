@@ -186,7 +186,7 @@ def _recordings(file: RecordingFile, request: ReadRequest) -> Iterator[Recording
         header = file_header(file.path) if file.path.is_dir() else None
         if header is not None:
             check_robot(file.path, header, request.robot)
-        return parsed_recordings(file.format.module, file.path, request.for_parser())
+        return parsed_recordings(file.format.module, file.path, request)
     return file.format.reader()(file.path, request)
 
 

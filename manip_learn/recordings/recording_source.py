@@ -10,7 +10,7 @@ from typing import Unpack, final
 from manip_learn.recordings.load_demonstrations import Paths, ReadOptions, open_recordings, read_recordings
 from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER, episode_number, open_dataset, separate_files
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import read_json
+from manip_learn.recordings.readers.recording import read_json, size_on_disk
 from manip_learn.recordings.readers.recording_files import LEROBOT, FileFormat, RecordingFile
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource
@@ -121,11 +121,5 @@ def _in_parts(files: list[RecordingFile]) -> list[list[RecordingFile]]:
             parts.append([])
             size = 0
         parts[-1].append(file)
-        size += _bytes(file.path)
+        size += size_on_disk(file.path)
     return parts
-
-
-def _bytes(path: Path) -> int:
-    if path.is_dir():
-        return sum(inner.stat().st_size for inner in path.rglob("*") if inner.is_file())
-    return path.stat().st_size

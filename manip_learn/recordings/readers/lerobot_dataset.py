@@ -11,6 +11,7 @@ from typing import Any, final
 
 from manip_learn.errors import RecordingError, UnknownNameError, advice, closest_names
 from manip_learn.recordings.readers.parser_process import parsed_rows
+from manip_learn.recordings.readers.read_request import first_names
 from manip_learn.recordings.readers.recording import natural_order, read_json, reason
 
 DATASET_HEADER = "meta/manip_learn.json"  # of a data set that this library wrote, beside LeRobot's own metadata
@@ -134,7 +135,7 @@ def state_feature(path: Path, features: Mapping[str, Any] | None, asked: str | N
         kind = features[wanted].get("dtype") if isinstance(features[wanted], dict) else features[wanted]
         raise RecordingError(
             f"{path}: the feature {wanted!r} holds {kind}, joint positions are a vector of numbers; such are "
-            f"{_shown(vectors)}",
+            f"{(first_names(vectors) or 'none')}",
             code="no-state",
             path=path,
         )
@@ -149,18 +150,16 @@ def _missing(wanted: str, asked: str | None, vectors: Sequence[str], likely: Seq
         return f"{text}; {_near(asked, vectors)}"
     if likely:
         flag = advice(": read it with {}", f"feature={likely[0]!r}", f"--feature {likely[0]}")
-        return f"{text}, joint positions seem to be in {_shown(likely)}{flag}"
+        return f"{text}, joint positions seem to be in {first_names(likely)}{flag}"
     hint = advice("; if one of them holds joint positions, pass {}", "feature=NAME", "--feature NAME")
-    return f"{text} (joint positions), there is {_shown(vectors)}{hint}"
+    return f"{text} (joint positions), there is {(first_names(vectors) or 'none')}{hint}"
 
 
 def _near(asked: str, vectors: Sequence[str]) -> str:
     near = closest_names(asked, vectors)
-    return f"did you mean {_shown(near)}?" if near else f"vectors of numbers are {_shown(vectors)}"
-
-
-def _shown(names: Sequence[str]) -> str:
-    return (", ".join(map(repr, names[:12])) or "none") + (" ..." if len(names) > 12 else "")
+    return (
+        f"did you mean {first_names(near)}?" if near else f"vectors of numbers are {(first_names(vectors) or 'none')}"
+    )
 
 
 def _is_vector(feature: Any) -> bool:

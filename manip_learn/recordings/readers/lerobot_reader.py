@@ -22,7 +22,7 @@ from manip_learn.recordings.readers.lerobot_dataset import (
     open_dataset,
     state_feature,
 )
-from manip_learn.recordings.readers.read_request import ParserRequest
+from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, reason
 
 try:
@@ -50,7 +50,7 @@ class Episode:
     effort: np.ndarray | None = None
 
 
-def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
+def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """One recording per episode; one episode in memory at a time.
 
     Raises:
@@ -78,7 +78,7 @@ def _other_features(feature: StateFeature) -> list[str]:
     return [f"read from {feature.position}; also like joint positions, not used: {', '.join(feature.others)}{how}"]
 
 
-def _recording(dataset: LeRobotDataset, request: ParserRequest, names: tuple[str, ...], episode: Episode) -> Recording:
+def _recording(dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], episode: Episode) -> Recording:
     position = [i for i, n in enumerate(names) if not n.endswith(".vel")]
     velocity = [i for i, n in enumerate(names) if n.endswith(".vel")]
     position_names = tuple(_joint_name(names[i], request) for i in position)
@@ -112,14 +112,14 @@ def _recording(dataset: LeRobotDataset, request: ParserRequest, names: tuple[str
     )
 
 
-def _joint_name(name: str, request: ParserRequest) -> str:
+def _joint_name(name: str, request: ReadRequest) -> str:
     wanted = request.renamed(name)
     if wanted in request.robot.joint_names:
         return wanted
     return request.renamed(wanted.removesuffix(".pos").removesuffix(".vel"))
 
 
-def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ParserRequest) -> tuple[np.ndarray, list[str]]:
+def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ReadRequest) -> tuple[np.ndarray, list[str]]:
     """Positions with the gripper's 0 .. 100 in the unit of the other motors."""
     robot = request.robot
     if GRIPPER not in names or GRIPPER not in robot.joint_names or request.units == "radians":
@@ -135,7 +135,7 @@ def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ParserReque
     return positions, ["the gripper's 0 .. 100 is spread over its joint limits"]
 
 
-def _names(dataset: LeRobotDataset, feature: StateFeature, request: ParserRequest, width: int) -> tuple[str, ...]:
+def _names(dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest, width: int) -> tuple[str, ...]:
     names = request.joint_names or feature.names
     request.uses.use("joint_names")
     if names is None:
@@ -155,7 +155,7 @@ def _names(dataset: LeRobotDataset, feature: StateFeature, request: ParserReques
 
 
 def _refuse_unknown_units(
-    dataset: LeRobotDataset, request: ParserRequest, names: tuple[str, ...], state: np.ndarray
+    dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], state: np.ndarray
 ) -> None:
     if request.units is not None:
         return
@@ -178,7 +178,7 @@ def _refuse_unknown_units(
     )
 
 
-def _episodes(dataset: LeRobotDataset, feature: StateFeature, request: ParserRequest) -> Iterator[Episode]:
+def _episodes(dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest) -> Iterator[Episode]:
     """Episodes of all files, or the chosen ones; one may go on in the next file."""
     open_parts: list[Episode] = []
     for file in dataset.files:
@@ -208,7 +208,7 @@ def _joined(parts: list[Episode]) -> Episode:
     )
 
 
-def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: ParserRequest) -> Iterator[Episode]:
+def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest) -> Iterator[Episode]:
     """Runs of samples with the same episode number, batch by batch; only the needed columns are read."""
     with opened_parquet(file) as parquet:
         there = parquet.schema_arrow.names
@@ -238,7 +238,7 @@ def _refuse_bomb(file: Path, n_rows: int) -> None:
 
 
 def _split(
-    file: Path, batch: Any, dataset: LeRobotDataset, feature: StateFeature, request: ParserRequest
+    file: Path, batch: Any, dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest
 ) -> Iterator[Episode]:
     state = _matrix(file, batch, feature.position)
     velocity, effort = (
@@ -254,7 +254,7 @@ def _split(
             yield Episode(int(episode[a]), time[a:b], state[a:b], *beside)
 
 
-def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ParserRequest) -> np.ndarray:
+def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest) -> np.ndarray:
     if "timestamp" in batch.schema.names:
         return _vector(file, batch, "timestamp")
     rate = request.rate or dataset.fps

@@ -6,8 +6,8 @@ import functools
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, final, get_args
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast, final, get_args
 
 from manip_learn.errors import RecordingError, advice, closest_names, spoken
 
@@ -15,6 +15,11 @@ if TYPE_CHECKING:  # the process that parses foreign formats is without robots, 
     from manip_learn.robot.robot import Robot
 
 MOST_SEEN = 10_000  # names kept for near matches
+
+
+def first_names(names: Sequence[str], most: int = 12) -> str:
+    """Names in quotes, the first of them where they are many; empty without any."""
+    return ", ".join(map(repr, names[:most])) + (" ..." if len(names) > most else "")
 
 
 def flag_of(option: str) -> str:
@@ -83,61 +88,33 @@ class OptionUses:
             self.use(option, *names)
         self.see(*words["seen"])
 
-    def unmatched(
-        self,
-        *,
-        rename: Mapping[str, str],
-        ignore_columns: Sequence[str],
-        topics: Sequence[str] | None,
-        joint_names: Sequence[str] | None,
-        rate: float | None,
-        time_unit: str | None,
-        feature: str | None,
-        columns: Sequence[str] | None,
-    ) -> list[UnmatchedOption]:
-        """A sentence for each option that matched nothing."""
-        names = [
-            (name, f"rename={{{name!r}: {new!r}}}", f"--rename {name}={new}")
-            for name, new in rename.items()
-            if name not in self._used.get("rename", ())
-        ]
-        names += [
-            (name, f"ignore_columns=[{name!r}]", f"--ignore-column {name}")
-            for name in ignore_columns
-            if name not in self._used.get("ignore_columns", ())
-        ]
-        said = [UnmatchedOption(python, advice("{}: ", python, flag) + self._no(name)) for name, python, flag in names]
-        flags = " ".join(f"--topic {topic}" for topic in topics or ())
-        given = {
-            "topics": (topics, f"topics={list(topics or ())}", flags),
-            "joint_names": (joint_names, f"joint_names={list(joint_names or ())}", "--joint-names"),
-            "rate": (rate, f"rate={rate}", f"--rate {rate}"),
-            "time_unit": (time_unit, f"time_unit={time_unit!r}", f"--time-unit {time_unit}"),
-            "columns": (columns, f"columns={columns}", " ".join(f"--columns '{p}'" for p in columns or ())),
-            "feature": (feature, f"feature={feature!r}", f"--feature {feature}"),
-        }
-        for option, (value, python, flag) in given.items():
-            if value is not None and option not in self._used:
-                said.append(UnmatchedOption(python, advice("{}: ", python, flag) + f"{WHY[option]}: leave it out"))
-        return said
+    def without_use(self, option: str, names: Iterable[str]) -> list[str]:
+        """Of the names that an option lists, those that nothing in the files was called."""
+        return [n for n in names if n not in self._used.get(option, ())]
 
-    def _no(self, name: str) -> str:
+    def was_used(self, option: str) -> bool:
+        """True if the files had a use for an option."""
+        return option in self._used
+
+    def no(self, name: str) -> str:
+        """The sentence that nothing is called so, with near matches."""
         near = [n for n in closest_names(name, self._seen) if n != name]
-        hint = f"did you mean {', '.join(map(repr, near))}?" if near else f"there is {self._shown()}"
+        hint = (
+            f"did you mean {', '.join(map(repr, near))}?"
+            if near
+            else f"there is {first_names(list(self._seen)) or 'nothing'}"
+        )
         return f"nothing in the recordings is called {name!r}; {hint}"
 
-    def _shown(self) -> str:
-        names = list(self._seen)
-        return (", ".join(map(repr, names[:12])) or "nothing") + (" ..." if len(names) > 12 else "")
 
-
+# options that only some formats have a use for, and why the recordings had none
 WHY = {
     "topics": "topics are read from ROS bags, and none of the recordings is one",
     "joint_names": "the recordings name their columns or joints themselves, so these names are not used",
-    "columns": "patterns are those of columns of text tables, and none of the recordings is one",
     "rate": "the recordings have time stamps, so the rate is not used",
-    "feature": "features are those of LeRobot data sets, and none of the recordings is one",
     "time_unit": "the recordings are of formats that state the unit of their time stamps",
+    "columns": "patterns are those of columns of text tables, and none of the recordings is one",
+    "feature": "features are those of LeRobot data sets, and none of the recordings is one",
 }
 
 
@@ -236,75 +213,33 @@ def _refused(given: object) -> RecordingError:
     )
 
 
+class Block(NamedTuple):
+    """A joint and its kind."""
+
+    name: str
+    kind: str
+
+
 @final
 @dataclass(frozen=True)
 class RobotOutline:
-    """What a parser must know about a robot.
+    """What the parser of a foreign format knows about a robot, under the names of `Robot`.
 
     Attributes:
         joint_names: In the robot's order.
-        continuous: Joints that turn without end.
+        blocks: Those of joints that turn without end.
         position_lower: Per joint [rad or m].
         position_upper: Per joint [rad or m].
     """
 
     joint_names: tuple[str, ...]
-    continuous: tuple[str, ...]
+    blocks: tuple[Block, ...]
     position_lower: tuple[float, ...]
     position_upper: tuple[float, ...]
 
     def joint_index(self, name: str) -> int:
         """Place of a joint."""
         return self.joint_names.index(name)
-
-
-@final
-@dataclass(frozen=True)
-class ParserRequest:
-    """Options of a `ReadRequest` that a parser needs; see there.
-
-    Attributes:
-        robot: Its joints.
-        units: Unit of angles.
-        rename: Name in the file -> name of a joint.
-        joint_names: Names of the columns.
-        topics: Topics of a bag.
-        rate: Samples per second [Hz].
-        chosen: Numbers of the episodes to read.
-        feature: Feature of a LeRobot data set that holds the joint positions.
-        uses: Which options were used.
-    """
-
-    robot: RobotOutline
-    units: str | None = None
-    rename: Mapping[str, str] = field(default_factory=dict)
-    joint_names: tuple[str, ...] | None = None
-    topics: tuple[str, ...] | None = None
-    rate: float | None = None
-    chosen: frozenset[int] | None = None
-    feature: str | None = None
-    uses: OptionUses = field(default_factory=OptionUses, compare=False)
-
-    def renamed(self, name: str) -> str:
-        """The name after renaming."""
-        return self.uses.renamed(name, self.rename)
-
-    def as_words(self) -> dict[str, Any]:
-        """As JSON can write it."""
-        words = asdict(replace(self, uses=None))  # type: ignore[arg-type]
-        del words["uses"]
-        words["chosen"] = None if self.chosen is None else sorted(self.chosen)
-        return words
-
-    @staticmethod
-    def of_words(words: dict[str, Any]) -> ParserRequest:
-        """From what `as_words` gave."""
-        values = {k: tuple(v) if isinstance(v, list) else v for k, v in words.items()}
-        robot = {k: tuple(v) for k, v in words["robot"].items()}
-        chosen = words["chosen"]
-        return ParserRequest(
-            **{**values, "robot": RobotOutline(**robot), "chosen": None if chosen is None else frozenset(chosen)}
-        )
 
 
 @functools.lru_cache(maxsize=8)
@@ -318,6 +253,8 @@ def unmoved_joint_names(robot: Robot) -> tuple[str, ...]:
 Units = Literal["radians", "degrees", "normalised"]
 TimeUnit = Literal["s", "ms", "us", "ns"]
 
+# options that the parser of a foreign format is told
+PARSED = ("units", "joint_names", "topics", "rate", "feature")
 SECONDS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -397,16 +334,28 @@ class ReadRequest:
 
     def unmatched(self) -> list[UnmatchedOption]:
         """A sentence for each option that the recordings read so far had no use for."""
-        return self.uses.unmatched(
-            rename=self.rename,
-            ignore_columns=self.ignore_columns,
-            topics=self.topics,
-            joint_names=self.joint_names,
-            rate=self.rate,
-            time_unit=self.time_unit,
-            feature=self.feature,
-            columns=self.columns or None,
-        )
+        names = [
+            (name, f"rename={{{name!r}: {self.rename[name]!r}}}", f"--rename {name}={self.rename[name]}")
+            for name in self.uses.without_use("rename", self.rename)
+        ]
+        names += [
+            (name, f"ignore_columns=[{name!r}]", f"--ignore-column {name}")
+            for name in self.uses.without_use("ignore_columns", self.ignore_columns)
+        ]
+        said = [(python, flag, self.uses.no(name)) for name, python, flag in names]
+        topics, patterns = self.topics or (), self.columns
+        flags = {
+            "topics": " ".join(f"--topic {topic}" for topic in topics),
+            "joint_names": "--joint-names",
+            "columns": " ".join(f"--columns '{p}'" for p in patterns),
+        }
+        for option, why in WHY.items():
+            value = getattr(self, option)
+            if value not in (None, ()) and not self.uses.was_used(option):
+                listed = list(value) if option in ("topics", "joint_names") else value
+                flag = flags.get(option, f"{flag_of(option)} {value}")
+                said.append((f"{option}={listed!r}", flag, f"{why}: leave it out"))
+        return [UnmatchedOption(python, advice("{}: ", python, flag) + text) for python, flag, text in said]
 
     def ignores(self, *names: str) -> bool:
         """True if a column with these names (in the file, and after renaming) is not to be read."""
@@ -416,26 +365,34 @@ class ReadRequest:
             self.uses.use("ignore_columns", name)
         return bool(asked)
 
-    def for_parser(self) -> ParserRequest:
-        """What a parser in another process needs of it."""
+    @property
+    def continuous(self) -> frozenset[str]:
+        """Joints that turn without end."""
+        return frozenset(b.name for b in self.robot.blocks if b.kind == "continuous")
+
+    def as_words(self) -> dict[str, Any]:
+        """What the parser of a foreign format needs of it, as JSON can write it."""
         robot = self.robot
-        outline = RobotOutline(
-            joint_names=robot.joint_names,
-            continuous=tuple(b.name for b in robot.blocks if b.kind == "continuous"),
-            position_lower=tuple(map(float, robot.position_lower)),
-            position_upper=tuple(map(float, robot.position_upper)),
-        )
-        return ParserRequest(
-            robot=outline,
-            units=self.units,
-            rename=dict(self.rename),
-            joint_names=self.joint_names,
-            topics=self.topics,
-            rate=self.rate,
-            chosen=self.chosen,
-            feature=self.feature,
-            uses=self.uses,
-        )
+        outline = {
+            "joint_names": robot.joint_names,
+            "blocks": [(name, "continuous") for name in self.continuous],
+            "position_lower": tuple(map(float, robot.position_lower)),
+            "position_upper": tuple(map(float, robot.position_upper)),
+        }
+        chosen = None if self.chosen is None else sorted(self.chosen)
+        return {name: getattr(self, name) for name in PARSED} | {
+            "rename": dict(self.rename),
+            "robot": outline,
+            "chosen": chosen,
+        }
+
+    @staticmethod
+    def of_words(words: dict[str, Any]) -> ReadRequest:
+        """From what `as_words` gave; the robot is an outline of itself."""
+        parts = {name: tuple(values) for name, values in words["robot"].items()}
+        outline = RobotOutline(**parts | {"blocks": tuple(Block(*b) for b in parts["blocks"])})
+        chosen = None if words["chosen"] is None else frozenset(words["chosen"])
+        return ReadRequest(**words | {"robot": cast("Robot", outline), "chosen": chosen})
 
 
 def _check_choice(option: str, value: object, allowed: tuple[object, ...]) -> None:

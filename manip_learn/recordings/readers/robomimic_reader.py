@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError, advice
-from manip_learn.recordings.readers.read_request import ParserRequest
+from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, reason
 
 try:
@@ -27,7 +27,7 @@ EFFORTS = ("robot0_joint_effort", "robot0_joint_torque", "robot0_joint_torques")
 ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200  # bytes, and how much smaller packed
 
 
-def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
+def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """One recording per demonstration; one in memory at a time.
 
     Raises:
@@ -153,7 +153,7 @@ def _matrix(path: Path, dataset: Any, where: str) -> np.ndarray:
     return float_array(dataset[()])
 
 
-def _names(path: Path, request: ParserRequest) -> tuple[str, ...]:
+def _names(path: Path, request: ReadRequest) -> tuple[str, ...]:
     if request.joint_names is None:
         raise _refusal(
             path,
@@ -169,7 +169,7 @@ def _names(path: Path, request: ParserRequest) -> tuple[str, ...]:
     return request.joint_names
 
 
-def _rate(path: Path, data: Any, request: ParserRequest) -> tuple[float, str]:
+def _rate(path: Path, data: Any, request: ReadRequest) -> tuple[float, str]:
     if request.rate is not None:
         request.uses.use("rate")
         return request.rate, f"no time stamps in the file: {request.rate:g} samples per second, as asked"

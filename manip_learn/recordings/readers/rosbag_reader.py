@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from manip_learn.errors import RecordingError, advice, closest_names, counted
 from manip_learn.recordings.readers.bag_file import JOINT_STATE, BagFile, JointStateLayout, open_bag
-from manip_learn.recordings.readers.read_request import ParserRequest
+from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording
 
 BATCH = 16_384
@@ -400,7 +400,7 @@ def _covered(stamps: Int[np.ndarray, " T"], own: Int[np.ndarray, " S"]) -> Bool[
     return (stamps >= own[0]) & (stamps <= own[-1]) & close
 
 
-def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
+def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """The one recording of a bag; time counts from the first sample.
 
     Raises:
@@ -420,7 +420,7 @@ def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
             return
         groups, said = joint_groups(streams, chosen)
         notes += said
-        merged = merge(groups, frozenset(request.robot.continuous))
+        merged = merge(groups, request.continuous)
     except MergeError as error:
         raise RecordingError(f"{path.name}: {error}", code=error.code, path=path) from error
     notes += merged.notes
@@ -443,7 +443,7 @@ def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
     )
 
 
-def _topics(bag: BagFile, request: ParserRequest) -> tuple[str, ...]:
+def _topics(bag: BagFile, request: ReadRequest) -> tuple[str, ...]:
     if not bag.joint_topics:
         there = ", ".join(f"{t} ({k})" for t, k in list(bag.topics.items())[:8]) or "no topics"
         raise RecordingError(
@@ -465,7 +465,7 @@ def _topics(bag: BagFile, request: ParserRequest) -> tuple[str, ...]:
     return request.topics
 
 
-def _renamed(stream: JointStateStream, request: ParserRequest) -> JointStateStream:
+def _renamed(stream: JointStateStream, request: ReadRequest) -> JointStateStream:
     return replace(stream, names=tuple(request.renamed(n) for n in stream.names))
 
 

@@ -388,7 +388,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     header = file_header(path)
     notes = () if header is None else check_robot(path, header, request.robot)
     if header is not None and header.kind == "recording" and _is_mcap(path):
-        for recording in parsed_recordings(BAG_PARSER, path, request.for_parser()):
+        for recording in parsed_recordings(BAG_PARSER, path, request):
             yield replace(recording, trusted=True)
         return
     motion = read_saved(path)
