@@ -11,7 +11,7 @@ from typing import Any, Literal, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import RecordingError
+from manip_learn.recordings.readers.recording import refusal
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import Robot
 from manip_learn.robot.identity import RobotIdentity, names_from
@@ -226,9 +226,3 @@ def joint_positions(
     raise refusal(
         path, "shape", f"q has {q.shape[1]} columns for {len(names)} joint names: one column per joint is needed"
     )
-
-
-def refusal(path: Path, code: str, text: str, **where: Any) -> RecordingError:
-    """The error that refuses a file."""
-    line = where.get("line")
-    return RecordingError(f"{path.name}{'' if line is None else f':{line}'}: {text}", code=code, path=path, **where)

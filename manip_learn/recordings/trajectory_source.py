@@ -176,27 +176,7 @@ class ListedTrajectories(TrajectorySource):
     def alone(self, index: int) -> TrajectorySource:
         """The trajectories of one run, without the others."""
         notes: list[str] = []
-        return ListedPart(tuple(self.part(index, notes)), tuple(notes))
-
-
-@final
-class ListedPart(TrajectorySource):
-    """Trajectories that stay together."""
-
-    def __init__(self, trajectories: tuple[Trajectory, ...], notes: tuple[str, ...]):
-        self._trajectories = trajectories
-        self._notes = notes
-
-    @property
-    def n_parts(self) -> int:
-        """One."""
-        return 1
-
-    def part(self, index: int, notes: list[str] | None = None) -> Iterable[Trajectory]:
-        """All trajectories."""
-        if notes is not None:
-            notes += self._notes
-        return self._trajectories
+        return ListedTrajectories(tuple(self.part(index, notes)), tuple(notes))
 
 
 @final

@@ -22,6 +22,7 @@ from rosbags.rosbag1.reader import Header, RecordType, read_uint32
 from ruamel.yaml import YAML
 
 from manip_learn.errors import RecordingError
+from manip_learn.recordings.readers.recording import refusal
 from manip_learn.recordings.writers.joint_state_messages import (
     CHANNEL,
     CHUNK,
@@ -43,10 +44,8 @@ def most_bytes(packed: int) -> int:
 
 def bomb(path: Path, evidence: str) -> RecordingError:
     """The refusal of a file that unpacks to far too much."""
-    return RecordingError(
-        f"{path.name}: {evidence}: no recorded motion packs so well; if it is real, unpack it yourself first",
-        code="bomb",
-        path=path,
+    return refusal(
+        path, "bomb", f"{evidence}: no recorded motion packs so well; if it is real, unpack it yourself first"
     )
 
 
@@ -158,9 +157,7 @@ def ros1_counts(path: Path, topics: dict[int, str]) -> Counter[str]:
 
 
 def _damaged_bag(path: Path, text: str) -> RecordingError:
-    return RecordingError(
-        f"{path.name}: the bag is damaged: {text}; `rosbag reindex` keeps what is left", code="damaged", path=path
-    )
+    return refusal(path, "damaged", f"the bag is damaged: {text}; `rosbag reindex` keeps what is left")
 
 
 def sqlite_counts(path: Path, shown: Path, *, alone: bool) -> Counter[str]:
@@ -200,11 +197,10 @@ def sqlite_counts(path: Path, shown: Path, *, alone: bool) -> Counter[str]:
 
 
 def _damaged_database(path: Path, text: str) -> RecordingError:
-    return RecordingError(
-        f"{path.name}: the database is damaged: {text}; `sqlite3 {path.name} .recover` and `ros2 bag reindex` keep "
-        "what is left",
-        code="damaged",
-        path=path,
+    return refusal(
+        path,
+        "damaged",
+        f"the database is damaged: {text}; `sqlite3 {path.name} .recover` and `ros2 bag reindex` keep what is left",
     )
 
 
@@ -225,11 +221,11 @@ def refuse_other_counts(path: Path, found: Counter[str], stated: dict[str, int],
     """
     for topic, n in stated.items():
         if found[topic] != n:
-            raise RecordingError(
-                f"{path.name}: {found[topic]} messages of {topic} are there, {source} states {n}: the bag is damaged "
+            raise refusal(
+                path,
+                "lost-messages",
+                f"{found[topic]} messages of {topic} are there, {source} states {n}: the bag is damaged "
                 "or a part of it is missing; copy it again, or run `ros2 bag reindex` to use what is left",
-                code="lost-messages",
-                path=path,
             )
 
 
@@ -242,12 +238,12 @@ def refuse_side_files(path: Path) -> None:
     for end in SIDE_FILES:
         side = path.with_name(path.name + end)
         if side.is_file() and side.stat().st_size:
-            raise RecordingError(
-                f"{path.name}: in a copy of the folder, put the last messages into the database: sqlite3 {path.name} "
+            raise refusal(
+                path,
+                "unfinished",
+                f"in a copy of the folder, put the last messages into the database: sqlite3 {path.name} "
                 "'PRAGMA wal_checkpoint(TRUNCATE); SELECT count(*) FROM messages;', then run `ros2 bag reindex` on the "
                 f"folder. The recorder was killed, and they are in {side.name} only ({side.stat().st_size:,} bytes)",
-                code="unfinished",
-                path=path,
             )
 
 
@@ -410,9 +406,8 @@ def _compare(path: Path, found: McapContents) -> None:
 
 
 def _damaged_mcap(path: Path, text: str) -> RecordingError:
-    return RecordingError(
-        f"{path.name}: the MCAP file is damaged: {text}; `mcap recover` (or `ros2 bag reindex` for the folder) keeps "
-        "what is left",
-        code="damaged",
-        path=path,
+    return refusal(
+        path,
+        "damaged",
+        f"the MCAP file is damaged: {text}; `mcap recover` (or `ros2 bag reindex` for the folder) keeps what is left",
     )

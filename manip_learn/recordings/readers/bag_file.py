@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from manip_learn.errors import MissingExtraError, RecordingError
-from manip_learn.recordings.readers.recording import reason
+from manip_learn.recordings.readers.recording import reason, refusal
 from manip_learn.recordings.writers.joint_state_messages import JOINT_STATE
 
 MOST_JOINTS = 10_000
@@ -59,19 +59,8 @@ class JointStateLayout:
         parts = np.ascontiguousarray(messages[:, self.stamp_at : self.stamp_at + 8]).view(self.order + "u4")
         return parts[:, 0].astype(np.int64) * 1_000_000_000 + parts[:, 1].astype(np.int64)
 
-    def positions(self, messages: UInt8[np.ndarray, "N size"]) -> Float[np.ndarray, "N n"] | None:
-        """Joint positions."""
-        return self._numbers(messages, self.position_at)
-
-    def velocities(self, messages: UInt8[np.ndarray, "N size"]) -> Float[np.ndarray, "N n"] | None:
-        """Joint velocities; None if the messages have none."""
-        return self._numbers(messages, self.velocity_at)
-
-    def efforts(self, messages: UInt8[np.ndarray, "N size"]) -> Float[np.ndarray, "N n"] | None:
-        """Joint efforts; None if the messages have none."""
-        return self._numbers(messages, self.effort_at)
-
-    def _numbers(self, messages: UInt8[np.ndarray, "N size"], at: int | None) -> Float[np.ndarray, "N n"] | None:
+    def numbers(self, messages: UInt8[np.ndarray, "N size"], at: int | None) -> Float[np.ndarray, "N n"] | None:
+        """One number per joint from an offset on; None if the messages have none."""
         if at is None:
             return None
         block = np.ascontiguousarray(messages[:, at : at + 8 * len(self.names)])
@@ -335,11 +324,11 @@ def open_bag(path: Path) -> Iterator[BagFile]:
     except RecordingError:
         raise
     except (*DAMAGE, _zstd_error()) as error:
-        raise RecordingError(
-            f"{path.name}: the bag cannot be read ({reason(error)}): repair it (`rosbag reindex`, `ros2 bag reindex`, "
+        raise refusal(
+            path,
+            "damaged",
+            f"the bag cannot be read ({reason(error)}): repair it (`rosbag reindex`, `ros2 bag reindex`, "
             "`mcap recover`) or record it again",
-            code="damaged",
-            path=path,
         ) from error
 
 
@@ -387,7 +376,7 @@ def _ros1(path: Path, stack: contextlib.ExitStack) -> BagFile:
 def _folder(path: Path, stack: contextlib.ExitStack) -> BagFile:
     metadata = path / "metadata.yaml"
     if metadata.stat().st_size > LARGEST_METADATA:
-        raise RecordingError(f"{metadata}: larger than {LARGEST_METADATA:,} bytes", code="too-large", path=metadata)
+        raise refusal(metadata, "too-large", f"larger than {LARGEST_METADATA:,} bytes", in_full=True)
     contents: dict[Path, McapContents] = {}
     for file in path.iterdir():
         if file.suffix == ".zstd":

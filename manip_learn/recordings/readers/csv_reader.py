@@ -28,7 +28,7 @@ from manip_learn.recordings.readers.column_patterns import (
     numbered_advice,
 )
 from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest, unmoved_joint_names
-from manip_learn.recordings.readers.recording import Recording, reason
+from manip_learn.recordings.readers.recording import Recording, reason, refusal
 from manip_learn.recordings.writers.write_motion import EFFORT_SUFFIX, VELOCITY_SUFFIX
 
 LONGEST_LINE = 1_000_000
@@ -113,20 +113,20 @@ def sniff_dialect(path: Path, names: tuple[str, ...] | None = None) -> CsvDialec
         if len(commented) == len(fields) and not all(NUMBER.fullmatch(n) for n in commented):
             return CsvDialect(encoding, dialect.delimiter, tuple(commented), number - 1, commented_header=True)
         if names is None:
-            raise RecordingError(
-                f"{path.name}:{number}: the first line holds numbers ({line.strip()[:60]!r}), a header is needed: "
+            raise refusal(
+                path,
+                "no-header",
+                f"the first line holds numbers ({line.strip()[:60]!r}), a header is needed: "
                 "'time' and one joint name per column, since columns are matched by name"
                 + advice("; write it, or pass {}", "joint_names=['time', ...]", "--joint-names time,NAME,..."),
-                code="no-header",
-                path=path,
                 line=number,
             )
         if len(names) != len(fields):
-            raise RecordingError(
-                f"{path.name}:{number}: this row has {len(fields)} fields and {len(names)} column names were given "
+            raise refusal(
+                path,
+                "shape",
+                f"this row has {len(fields)} fields and {len(names)} column names were given "
                 f"({', '.join(names)}): give one for each, 'time' among them",
-                code="shape",
-                path=path,
                 line=number,
             )
         return CsvDialect(encoding, dialect.delimiter, names, number - 1, named_by_caller=True)
@@ -144,10 +144,8 @@ def _first_line(file: IO[str], path: Path) -> tuple[int, str, str]:
         if not is_skipped(line):
             return number, line, comment
         comment = line if line.strip() else comment
-    raise RecordingError(
-        f"{path.name}: the file is empty: a header with 'time' and the joint names, and rows of numbers are needed",
-        code="empty",
-        path=path,
+    raise refusal(
+        path, "empty", "the file is empty: a header with 'time' and the joint names, and rows of numbers are needed"
     )
 
 
@@ -165,22 +163,17 @@ def _split_comment(comment: str) -> list[str]:
 
 def line_too_long(path: Path, line: int) -> RecordingError:
     """The refusal of a line beyond a million characters."""
-    return RecordingError(
-        f"{path.name}:{line}: this line has more than {LONGEST_LINE:,} characters; a table with one sample per line "
-        "is needed",
-        code="line-too-long",
-        path=path,
+    return refusal(
+        path,
+        "line-too-long",
+        f"this line has more than {LONGEST_LINE:,} characters; a table with one sample per line is needed",
         line=line,
     )
 
 
 def not_text(path: Path, error: UnicodeError) -> RecordingError:
     """The refusal of bytes that are no text."""
-    return RecordingError(
-        f"{path.name}: this is not UTF-8 text ({reason(error)}): save the table as plain UTF-8 text",
-        code="encoding",
-        path=path,
-    )
+    return refusal(path, "encoding", f"this is not UTF-8 text ({reason(error)}): save the table as plain UTF-8 text")
 
 
 # what belongs to a message or a data frame, not to the motion
@@ -332,11 +325,11 @@ def _refuse_changing_names(path: Path, dialect: CsvDialect, columns: list[int]) 
     for row in _rows(path, dialect):
         joints = [row[i] for i in columns]
         if first is not None and joints != first:
-            raise RecordingError(
-                f"{path.name}: the joints that the rows name change ({', '.join(first[:3])} ..., then "
+            raise refusal(
+                path,
+                "unsteady-names",
+                f"the joints that the rows name change ({', '.join(first[:3])} ..., then "
                 f"{', '.join(joints[:3])} ...): export one publisher's messages only",
-                code="unsteady-names",
-                path=path,
             )
         first = joints
 
@@ -354,7 +347,7 @@ def _refuse_repeated(path: Path, dialect: CsvDialect, names: list[str | None], t
 
 
 def _header_error(path: Path, dialect: CsvDialect, code: str, text: str) -> RecordingError:
-    return RecordingError(f"{path.name}:{dialect.header_line}: {text}", code=code, path=path, line=dialect.header_line)
+    return refusal(path, code, text, line=dialect.header_line)
 
 
 # columns that belong to a joint but are not needed here
@@ -380,11 +373,11 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
     notes += columns.notes
     if cut and len(table) < 2:
-        raise RecordingError(
-            f"{path.name}: there is {len(table)} row of numbers beside the last line, which has no line end and may be "
+        raise refusal(
+            path,
+            "too-short",
+            f"there is {len(table)} row of numbers beside the last line, which has no line end and may be "
             "cut off; at least 2 are needed" + advice("; {} reads it", "last_line='keep'", "--last-line keep"),
-            code="too-short",
-            path=path,
         )
     if cut:
         notes.append(
@@ -439,9 +432,7 @@ def _table(path: Path, dialect: CsvDialect, used: list[int], request: ReadReques
             if first is None:
                 cut = " with a line end" if dialect.without_cut_line else ""
                 cut += advice(" ({} reads one without)", "last_line='keep'", "--last-line keep") if cut else ""
-                raise RecordingError(
-                    f"{path.name}: there is a header but no row of numbers{cut}", code="too-short", path=path
-                )
+                raise refusal(path, "too-short", f"there is a header but no row of numbers{cut}")
             return np.loadtxt(
                 _chained(first, lines),
                 delimiter=dialect.delimiter,
@@ -482,11 +473,11 @@ def _checked_lines(file: IO[str], path: Path, dialect: CsvDialect) -> Iterator[s
     for number, line in _numbered_lines(file, path, dialect):
         fields = len(line.split()) if delimiter is None else line.count(delimiter) + 1
         if fields != width:
-            raise RecordingError(
-                f"{path.name}:{number}: this row has {fields} fields, the header has {width} "
+            raise refusal(
+                path,
+                "ragged",
+                f"this row has {fields} fields, the header has {width} "
                 f"({DELIMITER_WORDS[delimiter]}-separated): {line.strip()[:60]!r}",
-                code="ragged",
-                path=path,
                 line=number,
             )
         if comma_possible and "," in line:
@@ -502,11 +493,11 @@ def _checked_lines(file: IO[str], path: Path, dialect: CsvDialect) -> Iterator[s
 
 
 def _mixed_marks(path: Path, number: int, line: str) -> RecordingError:
-    return RecordingError(
-        f"{path.name}:{number}: both ',' and '.' are used in numbers up to here, so it is not known which one is the "
+    return refusal(
+        path,
+        "decimal-mark",
+        f"both ',' and '.' are used in numbers up to here, so it is not known which one is the "
         f"decimal mark: {line.strip()[:60]!r}; write all numbers with one mark and no thousands separator",
-        code="decimal-mark",
-        path=path,
         line=number,
     )
 
@@ -530,9 +521,7 @@ def _explain(path: Path, dialect: CsvDialect, used: list[int], request: ReadRequ
                         line=number,
                         column=name,
                     ) from cause
-    raise RecordingError(
-        f"{path.name}: the numbers cannot be read: {reason(cause)}", code="not-a-number", path=path
-    ) from cause
+    raise refusal(path, "not-a-number", f"the numbers cannot be read: {reason(cause)}") from cause
 
 
 def _line_of(path: Path, dialect: CsvDialect, sample: int) -> int:

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
-from manip_learn.errors import RecordingError, UnknownNameError, advice, closest_names
+from manip_learn.errors import UnknownNameError, advice, closest_names
 from manip_learn.recordings.readers.parser_process import parsed_rows
 from manip_learn.recordings.readers.read_request import first_names
-from manip_learn.recordings.readers.recording import natural_order, read_json, reason
+from manip_learn.recordings.readers.recording import natural_order, read_json, reason, refusal
 
 DATASET_HEADER = "meta/manip_learn.json"  # of a data set that this library wrote, beside LeRobot's own metadata
 KNOWN_VERSIONS = ("v2.", "v3.")
@@ -46,10 +46,8 @@ def open_dataset(path: Path) -> LeRobotDataset:
     if path.is_dir():
         files = tuple(sorted((path / "data").rglob("*.parquet"), key=lambda f: natural_order(str(f.relative_to(path)))))
         if not files:
-            raise RecordingError(
-                f"{path}: the data set has no data/**/*.parquet: download its data, not only meta/",
-                code="empty",
-                path=path,
+            raise refusal(
+                path, "empty", "the data set has no data/**/*.parquet: download its data, not only meta/", in_full=True
             )
         return LeRobotDataset(path, files, *_described(path / "meta" / "info.json"))
     for folder in list(path.resolve().parents)[:SEARCHED_LEVELS]:
@@ -62,25 +60,25 @@ def open_dataset(path: Path) -> LeRobotDataset:
 def _described(info_path: Path) -> tuple[dict[str, Any], float | None]:
     info = read_json(info_path)
     if not isinstance(info, dict):
-        raise _refusal(info_path, "damaged", f"an object is needed, this is {type(info).__name__}")
+        raise refusal(info_path, "damaged", f"an object is needed, this is {type(info).__name__}", in_full=True)
     version = info.get("codebase_version")
     if not isinstance(version, str) or not version.startswith(KNOWN_VERSIONS):
-        raise _refusal(
-            info_path, "version", f"codebase_version is {version!r}; v2.0, v2.1 and v3.0 are read: convert the data set"
+        raise refusal(
+            info_path,
+            "version",
+            f"codebase_version is {version!r}; v2.0, v2.1 and v3.0 are read: convert the data set",
+            in_full=True,
         )
     features = info.get("features")
     if not isinstance(features, dict):
-        raise _refusal(info_path, "no-state", "it has no features, so nothing says where the joint positions are")
+        text = "it has no features, so nothing says where the joint positions are"
+        raise refusal(info_path, "no-state", text, in_full=True)
     return features, _rate(info.get("fps"))
 
 
 def _rate(fps: object) -> float | None:
     usable = isinstance(fps, int | float) and not isinstance(fps, bool) and 0 < fps < 1e6
     return float(fps) if isinstance(fps, int | float) and usable else None
-
-
-def _refusal(path: Path, code: str, text: str) -> RecordingError:
-    return RecordingError(f"{path}: {text}", code=code, path=path)
 
 
 STATE, VELOCITY, EFFORT = "observation.state", "observation.velocity", "observation.effort"
@@ -130,14 +128,15 @@ def state_feature(path: Path, features: Mapping[str, Any] | None, asked: str | N
     vectors = [name for name, feature in features.items() if _is_vector(feature)]
     likely = tuple(name for name in vectors if POSITIONS.search(name) and not name.startswith("action"))
     if wanted not in features:
-        raise RecordingError(f"{path}: {_missing(wanted, asked, vectors, likely)}", code="no-state", path=path)
+        raise refusal(path, "no-state", _missing(wanted, asked, vectors, likely), in_full=True)
     if wanted not in vectors:
         kind = features[wanted].get("dtype") if isinstance(features[wanted], dict) else features[wanted]
-        raise RecordingError(
-            f"{path}: the feature {wanted!r} holds {kind}, joint positions are a vector of numbers; such are "
-            f"{(first_names(vectors) or 'none')}",
-            code="no-state",
-            path=path,
+        raise refusal(
+            path,
+            "no-state",
+            f"the feature {wanted!r} holds {kind}, joint positions are a vector of numbers; such are "
+            f"{first_names(vectors)}",
+            in_full=True,
         )
     others = tuple(name for name in likely if name != wanted)
     names, effort = entry_names(features[wanted].get("names")), _effort_of(wanted, vectors)
@@ -152,14 +151,12 @@ def _missing(wanted: str, asked: str | None, vectors: Sequence[str], likely: Seq
         flag = advice(": read it with {}", f"feature={likely[0]!r}", f"--feature {likely[0]}")
         return f"{text}, joint positions seem to be in {first_names(likely)}{flag}"
     hint = advice("; if one of them holds joint positions, pass {}", "feature=NAME", "--feature NAME")
-    return f"{text} (joint positions), there is {(first_names(vectors) or 'none')}{hint}"
+    return f"{text} (joint positions), there is {first_names(vectors)}{hint}"
 
 
 def _near(asked: str, vectors: Sequence[str]) -> str:
     near = closest_names(asked, vectors)
-    return (
-        f"did you mean {first_names(near)}?" if near else f"vectors of numbers are {(first_names(vectors) or 'none')}"
-    )
+    return f"did you mean {first_names(near)}?" if near else f"vectors of numbers are {first_names(vectors)}"
 
 
 def _is_vector(feature: Any) -> bool:
@@ -276,21 +273,23 @@ def _described_episodes(path: Path) -> Iterator[tuple[int, tuple[str, ...]]]:
     elif tables:
         rows = (row for table in tables for row in parsed_rows(table, ("episode_index", "tasks")))
     else:
-        raise RecordingError(
-            f"{path}: the data set does not name the tasks of its episodes (no meta/episodes.jsonl or meta/episodes/): "
+        raise refusal(
+            path,
+            "no-tasks",
+            "the data set does not name the tasks of its episodes (no meta/episodes.jsonl or meta/episodes/): "
             "download all of meta/"
             + advice(", or select by number with {}", "episodes='0:50,60'", "--episodes 0:50,60"),
-            code="no-tasks",
-            path=path,
+            in_full=True,
         )
     for row in rows:
         number, tasks = row.get("episode_index"), row.get("tasks", ())
         if not isinstance(number, int) or not isinstance(tasks, list | tuple):
-            raise RecordingError(
-                f"{meta}: an episode is described by {reason(ValueError(str(row)))}; its number and a list of tasks "
+            raise refusal(
+                meta,
+                "damaged",
+                f"an episode is described by {reason(ValueError(str(row)))}; its number and a list of tasks "
                 "are needed: download meta/ again",
-                code="damaged",
-                path=meta,
+                in_full=True,
             )
         yield number, tuple(t for t in tasks if isinstance(t, str))
 
@@ -304,8 +303,8 @@ def _meta(path: Path) -> Path:
 
 def _json_lines(path: Path) -> Iterator[dict[str, Any]]:
     if path.stat().st_size > MOST_BYTES:
-        raise RecordingError(
-            f"{path}: larger than {MOST_BYTES:,} bytes, which no such file should be", code="too-large", path=path
+        raise refusal(
+            path, "too-large", f"larger than {MOST_BYTES:,} bytes, which no such file should be", in_full=True
         )
     try:
         with path.open(encoding="utf-8") as file:
@@ -316,4 +315,4 @@ def _json_lines(path: Path) -> Iterator[dict[str, Any]]:
                 if row:
                     yield row
     except (ValueError, RecursionError, OSError) as error:
-        raise RecordingError(f"{path}: not valid JSON lines: {reason(error)}", code="damaged", path=path) from error
+        raise refusal(path, "damaged", f"not valid JSON lines: {reason(error)}", in_full=True) from error

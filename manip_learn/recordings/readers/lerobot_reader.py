@@ -13,7 +13,7 @@ from typing import Any, final
 
 import numpy as np
 
-from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError, advice, counted
+from manip_learn.errors import DAMAGE, MissingExtraError, advice, counted
 from manip_learn.recordings.readers.lerobot_dataset import (
     DATASET_HEADER,
     LeRobotDataset,
@@ -23,7 +23,7 @@ from manip_learn.recordings.readers.lerobot_dataset import (
     state_feature,
 )
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, float_array, reason
+from manip_learn.recordings.readers.recording import Recording, float_array, reason, refusal
 
 try:
     import pyarrow as pa
@@ -139,14 +139,14 @@ def _names(dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest,
     names = request.joint_names or feature.names
     request.uses.use("joint_names")
     if names is None:
-        raise _refusal(
+        raise refusal(
             dataset.root,
             "no-joint-names",
             f"the data set does not name the {width} entries of {feature.position}: "
             + advice("pass {} in their order", "joint_names=[...]", "--joint-names NAME,NAME,..."),
         )
     if len(names) != width:
-        raise _refusal(
+        raise refusal(
             dataset.root,
             "shape",
             f"{feature.position} has {width} entries, there are {len(names)} names: {', '.join(names)}",
@@ -169,7 +169,7 @@ def _refuse_unknown_units(
         if largest <= 100
         else "'degrees'"
     )
-    raise _refusal(
+    raise refusal(
         dataset.root,
         "units",
         f"LeRobot data does not say its units and the arm's values are {low:.4g} .. {high:.4g}: "
@@ -213,7 +213,7 @@ def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: 
     with opened_parquet(file) as parquet:
         there = parquet.schema_arrow.names
         if feature.position not in there:
-            raise _refusal(
+            raise refusal(
                 file, "no-state", f"there is no column {feature.position!r}, there is {', '.join(there[:12])}"
             )
         columns = [c for c in (feature.position, feature.velocity, feature.effort, *STAMPS) if c in there]
@@ -225,14 +225,14 @@ def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: 
         groups = sum(parquet.metadata.row_group(i).num_rows for i in range(parquet.num_row_groups))
         if not found == stated == groups:
             text = f"{counted(found, 'sample')} are there, it states {stated}, in parts {groups}: download it again"
-            raise _refusal(file, "lost-samples", text)
+            raise refusal(file, "lost-samples", text)
 
 
 def _refuse_bomb(file: Path, n_rows: int) -> None:
     # the library's column metadata would tell more, but asking for it aborts the process if the file is damaged
     size = file.stat().st_size
     if FEWEST_BYTES * n_rows > max(ALWAYS_FINE, BOMB_RATIO * size):
-        raise _refusal(
+        raise refusal(
             file, "bomb", f"{size:,} bytes claim to hold {counted(n_rows, 'sample')}: no recorded motion packs so well"
         )
 
@@ -260,7 +260,7 @@ def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest)
     rate = request.rate or dataset.fps
     request.uses.use("rate")
     if rate is None or "frame_index" not in batch.schema.names:
-        raise _refusal(
+        raise refusal(
             file,
             "no-time",
             "there is neither 'timestamp' nor 'frame_index' with a rate: "
@@ -272,35 +272,31 @@ def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest)
 def _vector(file: Path, batch: Any, name: str) -> np.ndarray:
     array = batch.column(name)
     if array.null_count:
-        raise _refusal(file, "not-finite", f"{array.null_count} values of {name!r} are missing")
+        raise refusal(file, "not-finite", f"{array.null_count} values of {name!r} are missing")
     if not (pa.types.is_integer(array.type) or pa.types.is_floating(array.type)):
-        raise _refusal(file, "not-a-number", f"{name!r} holds {array.type}, numbers are needed")
+        raise refusal(file, "not-a-number", f"{name!r} holds {array.type}, numbers are needed")
     return float_array(array.to_numpy(zero_copy_only=False))
 
 
 def _matrix(file: Path, batch: Any, name: str) -> np.ndarray:
     array = batch.column(name)
     if array.null_count:
-        raise _refusal(file, "not-finite", f"{counted(array.null_count, 'sample')} of {name!r} are missing")
+        raise refusal(file, "not-finite", f"{counted(array.null_count, 'sample')} of {name!r} are missing")
     if pa.types.is_fixed_size_list(array.type):
         width = array.type.list_size
     elif pa.types.is_list(array.type) or pa.types.is_large_list(array.type):
         widths = np.unique(np.diff(array.offsets.to_numpy()))
         if len(widths) > 1:
-            raise _refusal(file, "ragged", f"the samples of {name!r} have {widths[0]} to {widths[-1]} entries")
+            raise refusal(file, "ragged", f"the samples of {name!r} have {widths[0]} to {widths[-1]} entries")
         width = int(widths[0]) if len(widths) else 0
     else:
         return _vector(file, batch, name)[:, None]
     flat = array.flatten()
     if flat.null_count:
-        raise _refusal(file, "not-finite", f"{flat.null_count} values of {name!r} are missing")
+        raise refusal(file, "not-finite", f"{flat.null_count} values of {name!r} are missing")
     if not (pa.types.is_integer(flat.type) or pa.types.is_floating(flat.type)):
-        raise _refusal(file, "not-a-number", f"{name!r} holds {flat.type}, numbers are needed")
+        raise refusal(file, "not-a-number", f"{name!r} holds {flat.type}, numbers are needed")
     return float_array(flat.to_numpy(zero_copy_only=False)).reshape(len(array), width)
-
-
-def _refusal(path: Path, code: str, text: str) -> RecordingError:
-    return RecordingError(f"{path.name}: {text}", code=code, path=path)
 
 
 @contextmanager
@@ -314,10 +310,8 @@ def opened_parquet(file: Path) -> Iterator[Any]:
         with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
             yield parquet
     except (pa.ArrowException, *DAMAGE) as error:
-        raise RecordingError(
-            f"{file.name}: the Parquet file cannot be read ({reason(error)}): download or write it again",
-            code="damaged",
-            path=file,
+        raise refusal(
+            file, "damaged", f"the Parquet file cannot be read ({reason(error)}): download or write it again"
         ) from error
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from manip_learn.errors import DAMAGE, RecordingError, advice, closest_names, counted
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, float_array, reason
+from manip_learn.recordings.readers.recording import Recording, float_array, reason, refusal
 from manip_learn.recordings.saved_motion import joint_positions
 
 LARGEST = 16_000_000_000  # bytes of all arrays together
@@ -126,7 +126,7 @@ class NpzArchive:
 
     def refusal(self, code: str, text: str) -> RecordingError:
         """The error that refuses this archive."""
-        return RecordingError(f"{self.path.name}: {text}", code=code, path=self.path)
+        return refusal(self.path, code, text)
 
     def _find(self, archive: zipfile.ZipFile, wanted: Collection[str], renamed: Callable[[str], str]) -> None:
         for info in archive.infolist():
@@ -246,18 +246,9 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         if dtype != np.dtype(np.float64):
             notes.append(f"{name} is stored as {dtype.str}, read as float64")
     names = _joint_names(archive, request)
-    yield Recording(
-        path=path,
-        name=path.name,
-        time=arrays["time"],
-        position_names=names,
-        positions=joint_positions(path, arrays["q"], names, request.robot),
-        velocity_names=names if "u" in arrays else (),
-        velocities=arrays.get("u"),
-        effort_names=names if "effort" in arrays else (),
-        efforts=arrays.get("effort"),
-        notes=tuple(notes),
-    )
+    q = joint_positions(path, arrays["q"], names, request.robot)
+    u, effort = arrays.get("u"), arrays.get("effort")
+    yield Recording.of(path, path.name, arrays["time"], names, q, u, effort, notes=tuple(notes))
 
 
 def _check_shapes(archive: NpzArchive) -> None:

@@ -24,7 +24,7 @@ import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError, command_flags
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, reason, size_on_disk
+from manip_learn.recordings.readers.recording import Recording, reason, refusal, size_on_disk
 
 CHILD = Path(__file__).with_name("parser_child.py")
 MEMORY, MEMORY_PER_BYTE = 2_000_000_000, 8  # [bytes], and per byte of the file
@@ -185,19 +185,19 @@ class _Child:
     def _lost(self, path: Path, job: dict[str, Any]) -> RecordingError:
         code = self._process.wait()
         if self._timed_out or (os.name == "posix" and -code == signal.SIGXCPU):
-            return RecordingError(
-                f"{path.name}: reading it takes more than {job['seconds']:.0f} s of processor time, far more than a "
+            return refusal(
+                path,
+                "parser-time",
+                f"reading it takes more than {job['seconds']:.0f} s of processor time, far more than a "
                 "sound file of this size: it is damaged; copy or download it again",
-                code="parser-time",
-                path=path,
             )
         self._errors.seek(0)
         said = self._errors.read().decode(errors="replace").strip().splitlines()
         cause = reason(ValueError(said[-1] if said else f"exit code {code}"))
-        return RecordingError(
-            f"{path.name}: the library that reads it crashed ({cause}): the file is damaged; copy or download it again",
-            code="parser-crashed",
-            path=path,
+        return refusal(
+            path,
+            "parser-crashed",
+            f"the library that reads it crashed ({cause}): the file is damaged; copy or download it again",
         )
 
     def close(self) -> None:

@@ -18,8 +18,8 @@ MOST_SEEN = 10_000  # names kept for near matches
 
 
 def first_names(names: Sequence[str], most: int = 12) -> str:
-    """Names in quotes, the first of them where they are many; empty without any."""
-    return ", ".join(map(repr, names[:most])) + (" ..." if len(names) > most else "")
+    """Names in quotes, the first of them where they are many; "none" without any."""
+    return (", ".join(map(repr, names[:most])) or "none") + (" ..." if len(names) > most else "")
 
 
 def flag_of(option: str) -> str:
@@ -102,7 +102,7 @@ class OptionUses:
         hint = (
             f"did you mean {', '.join(map(repr, near))}?"
             if near
-            else f"there is {first_names(list(self._seen)) or 'nothing'}"
+            else f"there is {first_names(list(self._seen)) if self._seen else 'nothing'}"
         )
         return f"nothing in the recordings is called {name!r}; {hint}"
 

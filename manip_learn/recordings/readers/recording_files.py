@@ -14,7 +14,7 @@ from manip_learn.errors import RecordingError, counted
 from manip_learn.recordings.readers.csv_reader import CsvDialect, sniff_dialect
 from manip_learn.recordings.readers.lerobot_dataset import episode_numbers, episodes_of_task
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, check_regular, natural_order, reason
+from manip_learn.recordings.readers.recording import Recording, check_regular, natural_order, reason, refusal
 from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.writers.write_motion import MARK
 
@@ -101,7 +101,7 @@ def recognise(path: Path) -> FileFormat:
     with path.open("rb") as file:
         head = file.read(4096)
     if not head.strip():
-        raise RecordingError(f"{path.name}: the file is empty", code="empty", path=path)
+        raise refusal(path, "empty", "the file is empty")
     if head.startswith(b"PK\x03\x04"):
         return _archive(path)
     if head.startswith((b"\x89MCAP0\r\n", MARK.encode())) or b'{"format": "manip_learn.' in head[:64]:
@@ -112,7 +112,7 @@ def recognise(path: Path) -> FileFormat:
             return known
     for magic, code, sentence in REFUSED_MAGIC:
         if head.startswith(magic):
-            raise RecordingError(f"{path.name}: this is {sentence}", code=code, path=path)
+            raise refusal(path, code, f"this is {sentence}")
     return _text(path, head)
 
 
@@ -121,17 +121,13 @@ def _archive(path: Path) -> FileFormat:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-        raise RecordingError(
-            f"{path.name}: the archive is damaged ({reason(error)}): copy or save it again", code="damaged", path=path
-        ) from error
+        raise refusal(path, "damaged", f"the archive is damaged ({reason(error)}): copy or save it again") from error
     if any(n.endswith(".npy") for n in names):
         return SAVED if "format.npy" in names and file_header(path) is not None else NPZ
     if any(n.startswith("xl/") for n in names):
-        raise RecordingError(f"{path.name}: this is an Excel workbook: save the sheet as CSV", code="excel", path=path)
-    raise RecordingError(
-        f"{path.name}: this zip archive holds no NumPy arrays (it has {', '.join(names[:4])}): unpack it first",
-        code="compressed",
-        path=path,
+        raise refusal(path, "excel", "this is an Excel workbook: save the sheet as CSV")
+    raise refusal(
+        path, "compressed", f"this zip archive holds no NumPy arrays (it has {', '.join(names[:4])}): unpack it first"
     )
 
 
@@ -139,18 +135,18 @@ def _text(path: Path, head: bytes) -> FileFormat:
     is_utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
     if b"\x00" in head and not is_utf16:
         kinds = ", ".join(f.title for f in FORMATS)
-        raise RecordingError(
-            f"{path.name}: the content is binary and of no known kind (starts with {head[:8]!r}); known are {kinds}",
-            code="unknown-format",
-            path=path,
+        raise refusal(
+            path,
+            "unknown-format",
+            f"the content is binary and of no known kind (starts with {head[:8]!r}); known are {kinds}",
         )
     start = head.lstrip(b"\xef\xbb\xbf \t\r\n")
     if start.startswith((b"<", b"{", b"[")):
         kind = "XML or HTML" if start.startswith(b"<") else "JSON"
-        raise RecordingError(
-            f"{path.name}: this looks like {kind}, not like a recording: a table with 'time' and joint names is needed",
-            code="not-a-recording",
-            path=path,
+        raise refusal(
+            path,
+            "not-a-recording",
+            f"this looks like {kind}, not like a recording: a table with 'time' and joint names is needed",
         )
     return CSV
 
@@ -234,16 +230,18 @@ def _in_folder(folder: Path, notes: list[str]) -> Iterator[RecordingFile]:
     kinds = list(dict.fromkeys(f.format.title for f in found))
     if not found:
         why = f"; {damaged[0]}" if damaged else ""
-        raise RecordingError(
-            f"{folder}: there is no recording in this folder{why}; name the recordings, or a folder that holds them",
-            code="no-recordings",
-            path=folder,
+        raise refusal(
+            folder,
+            "no-recordings",
+            f"there is no recording in this folder{why}; name the recordings, or a folder that holds them",
+            in_full=True,
         )
     if len(kinds) > 1:
-        raise RecordingError(
-            f"{folder}: the folder holds recordings of several kinds ({', '.join(kinds)}): name the files",
-            code="mixed-folder",
-            path=folder,
+        raise refusal(
+            folder,
+            "mixed-folder",
+            f"the folder holds recordings of several kinds ({', '.join(kinds)}): name the files",
+            in_full=True,
         )
     if ignored:
         notes.append(
@@ -260,7 +258,7 @@ def _members(folder: Path) -> tuple[list[RecordingFile], list[str], list[str]]:
     try:
         names = sorted((p.name for p in folder.iterdir()), key=natural_order)
     except OSError as error:
-        raise RecordingError(f"{folder}: cannot be listed: {reason(error)}", code="unreadable", path=folder) from error
+        raise refusal(folder, "unreadable", f"cannot be listed: {reason(error)}", in_full=True) from error
     for name in names:
         path = folder / name
         if name.startswith("."):

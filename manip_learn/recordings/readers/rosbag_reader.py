@@ -12,10 +12,10 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.errors import RecordingError, advice, closest_names, counted
+from manip_learn.errors import advice, closest_names, counted
 from manip_learn.recordings.readers.bag_file import JOINT_STATE, BagFile, JointStateLayout, open_bag
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording
+from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording, refusal
 
 BATCH = 16_384
 MOST_LAYOUTS = 200
@@ -68,7 +68,7 @@ def joint_state_streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[Joi
     without_positions: dict[str, int] = {}
     for topic, publisher, received, raw in _batches(bag, topics):
         for layout, messages, stamps in _by_layout(bag, topic, raw, received, layouts):
-            positions = layout.positions(messages)
+            positions = layout.numbers(messages, layout.position_at)
             if positions is None:
                 without_positions[topic] = without_positions.get(topic, 0) + len(messages)
                 continue
@@ -76,8 +76,8 @@ def joint_state_streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[Joi
             piece.stamps.append(layout.stamps(messages))
             piece.received.append(stamps)
             piece.positions.append(positions)
-            piece.velocities.append(layout.velocities(messages))
-            piece.efforts.append(layout.efforts(messages))
+            piece.velocities.append(layout.numbers(messages, layout.velocity_at))
+            piece.efforts.append(layout.numbers(messages, layout.effort_at))
     streams = [
         JointStateStream(
             topic,
@@ -146,11 +146,11 @@ def _by_layout(
 
 def _new_layout(bag: BagFile, topic: str, raw: bytes, n_known: int) -> JointStateLayout:
     if n_known >= MOST_LAYOUTS:
-        raise RecordingError(
-            f"{bag.path.name}: the joints named in {topic} change all the time ({n_known} lists)"
+        raise refusal(
+            bag.path,
+            "unsteady-names",
+            f"the joints named in {topic} change all the time ({n_known} lists)"
             + advice(": choose another topic with {}", "topics=[...]", "--topic NAME"),
-            code="unsteady-names",
-            path=bag.path,
         )
     return bag.layout(raw)
 
@@ -328,21 +328,8 @@ def _side_by_side(parts: list[np.ndarray | None], columns: list[list[int]]) -> F
     return np.concatenate(there) if len(there) == len(parts) else None
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class MergedStates:
-    """One table of all joints."""
-
-    names: tuple[str, ...]
-    stamps: Int[np.ndarray, " T"]
-    q: Float[np.ndarray, "T n"]
-    u: Float[np.ndarray, "T n"] | None
-    notes: tuple[str, ...]
-    effort: Float[np.ndarray, "T n"] | None = None
-
-
-def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> MergedStates:
-    """All joints at the stamps of the group with the most joints; the others are interpolated linearly.
+def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> tuple[JointGroup, list[str]]:
+    """All joints at the stamps of the group with the most joints, and notes; the others are interpolated linearly.
 
     Samples are left out where another group has nothing nearby: before its first and after its last message, and in
     its gaps.
@@ -374,7 +361,7 @@ def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> MergedS
         notes.append(f"velocities are not used, for {', '.join(dict.fromkeys(without))} has none")
     some = [x for x in effort if x is not None]
     efforts = np.hstack(some)[inside] if len(some) == len(groups) else None
-    return MergedStates(tuple(names), base.stamps[inside], np.hstack(q)[inside], all_u, tuple(notes), efforts)
+    return JointGroup(base.topic, tuple(names), base.stamps[inside], np.hstack(q)[inside], all_u, efforts), notes
 
 
 def _continuous(group: JointGroup, angles_that_wrap: frozenset[str]) -> Float[np.ndarray, "T n"]:
@@ -420,46 +407,31 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
             return
         groups, said = joint_groups(streams, chosen)
         notes += said
-        merged = merge(groups, request.continuous)
+        merged, said = merge(groups, request.continuous)
     except MergeError as error:
-        raise RecordingError(f"{path.name}: {error}", code=error.code, path=path) from error
-    notes += merged.notes
+        raise refusal(path, error.code, f"{error}") from error
+    notes += said
     surplus = sorted({n for s in streams for n in s.names} - set(joints))
     if surplus:
         notes.append(f"also recorded, not moved by the robot as loaded, not used: {', '.join(surplus)}")
-    yield Recording(
-        path=path,
-        name=path.name,
-        time=(merged.stamps - merged.stamps[0]).astype(np.float64) * 1e-9,
-        position_names=merged.names,
-        positions=merged.q,
-        velocity_names=merged.names if merged.u is not None else (),
-        velocities=merged.u,
-        effort_names=merged.names if merged.effort is not None else (),
-        efforts=merged.effort,
-        strict_columns=False,
-        in_seconds=True,
-        notes=tuple(notes),
-    )
+    time = (merged.stamps - merged.stamps[0]).astype(np.float64) * 1e-9
+    known = {"strict_columns": False, "in_seconds": True, "notes": tuple(notes)}
+    yield Recording.of(path, path.name, time, merged.names, merged.q, merged.u, merged.effort, **known)
 
 
 def _topics(bag: BagFile, request: ReadRequest) -> tuple[str, ...]:
     if not bag.joint_topics:
         there = ", ".join(f"{t} ({k})" for t, k in list(bag.topics.items())[:8]) or "no topics"
-        raise RecordingError(
-            f"{bag.path.name}: there is no {JOINT_STATE} in this bag, it has {there}: record /joint_states",
-            code="no-joint-states",
-            path=bag.path,
+        raise refusal(
+            bag.path, "no-joint-states", f"there is no {JOINT_STATE} in this bag, it has {there}: record /joint_states"
         )
     if request.topics is None:
         return bag.joint_topics
     for topic in request.topics:
         if topic not in bag.joint_topics:
             near = closest_names(topic, bag.joint_topics) or list(bag.joint_topics)
-            raise RecordingError(
-                f"{bag.path.name}: there is no {JOINT_STATE} topic {topic!r}; there is {', '.join(near)}",
-                code="unknown-topic",
-                path=bag.path,
+            raise refusal(
+                bag.path, "unknown-topic", f"there is no {JOINT_STATE} topic {topic!r}; there is {', '.join(near)}"
             )
     request.uses.use("topics")
     return request.topics
@@ -472,6 +444,6 @@ def _renamed(stream: JointStateStream, request: ReadRequest) -> JointStateStream
 def _without_samples(path: Path, streams: list[JointStateStream]) -> Recording:
     """The names only, for the message about those that are missing."""
     if not any(len(s.stamps) for s in streams):
-        raise RecordingError(f"{path.name}: the joint-state topics of the bag have no message", code="empty", path=path)
+        raise refusal(path, "empty", "the joint-state topics of the bag have no message")
     names = tuple(dict.fromkeys(n for s in streams for n in s.names))
     return Recording(path, path.name, np.empty(0), names, np.empty((0, len(names))), strict_columns=False)

@@ -19,7 +19,7 @@ from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER
 from manip_learn.recordings.readers.npz_reader import NpzArchive
 from manip_learn.recordings.readers.parser_process import parsed_recordings
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, reason
+from manip_learn.recordings.readers.recording import Recording, reason, refusal
 from manip_learn.recordings.saved_motion import (
     PREFIX,
     FileHeader,
@@ -27,7 +27,6 @@ from manip_learn.recordings.saved_motion import (
     check_robot,
     checked_motion,
     joint_positions,
-    refusal,
 )
 from manip_learn.recordings.writers.joint_state_messages import (
     CHANNEL,
@@ -393,20 +392,9 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         return
     motion = read_saved(path)
     names = tuple(request.renamed(n) for n in motion.header.joint_names)
-    yield Recording(
-        path=path,
-        name=path.name,
-        time=motion.time,
-        position_names=names,
-        positions=joint_positions(path, motion.q, names, request.robot),
-        velocity_names=names if motion.u is not None else (),
-        velocities=motion.u,
-        effort_names=names if motion.effort is not None else (),
-        efforts=motion.effort,
-        in_seconds=True,
-        trusted=True,
-        notes=notes,
-    )
+    q = joint_positions(path, motion.q, names, request.robot)
+    own = {"in_seconds": True, "trusted": True, "notes": notes}
+    yield Recording.of(path, path.name, motion.time, names, q, motion.u, motion.effort, **own)
 
 
 def _npz_header(path: Path) -> FileHeader | None:

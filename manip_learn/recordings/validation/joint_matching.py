@@ -106,7 +106,8 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
         RecordingError: A joint without a column, a column without a joint, velocities for some joints only.
     """
     robot = request.robot
-    recording = _without_ignored(recording, request)
+    if request.ignore_columns:  # whatever the format
+        recording = recording.without(request.ignores)
     _refuse_repeated(recording)
     recording = with_rotation_vectors(recording, robot.objects, in_degrees=request.units == "degrees")
     names = recording.position_names
@@ -126,29 +127,6 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
         effort_names=robot.joint_names if efforts is not None else (),
         efforts=efforts,
         notes=(*recording.notes, *notes, *said, *also),
-    )
-
-
-def _without_ignored(recording: Recording, request: ReadRequest) -> Recording:
-    """The recording without the columns that the caller does not want, whatever its format."""
-    if not request.ignore_columns:
-        return recording
-    p = [i for i, n in enumerate(recording.position_names) if not request.ignores(n)]
-    v = [i for i, n in enumerate(recording.velocity_names) if not request.ignores(n)]
-    e = [i for i, n in enumerate(recording.effort_names) if not request.ignores(n)]
-    if (len(p), len(v), len(e)) == tuple(
-        map(len, (recording.position_names, recording.velocity_names, recording.effort_names))
-    ):
-        return recording
-    velocities, efforts = recording.velocities, recording.efforts
-    return replace(
-        recording,
-        position_names=tuple(recording.position_names[i] for i in p),
-        positions=recording.positions[:, p],
-        velocity_names=tuple(recording.velocity_names[i] for i in v),
-        velocities=None if velocities is None else velocities[:, v],
-        effort_names=tuple(recording.effort_names[i] for i in e),
-        efforts=None if efforts is None else efforts[:, e],
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
@@ -151,17 +153,13 @@ def _in_radians(
 def _kept(recording: Recording, keep: np.ndarray) -> Recording:
     """The recording seen through the kept samples, so that later messages still name the right line."""
     index = np.flatnonzero(keep)
-    line_of = recording.line_of
-    return Recording(
-        path=recording.path,
-        name=recording.name,
+    efforts, line_of = recording.efforts, recording.line_of
+    return replace(
+        recording,
         time=recording.time[keep],
-        position_names=recording.position_names,
         positions=recording.positions[keep],
-        effort_names=recording.effort_names,
-        efforts=None if recording.efforts is None else recording.efforts[keep],
-        in_seconds=recording.in_seconds,
-        trusted=recording.trusted,
+        velocities=None,
+        efforts=None if efforts is None else efforts[keep],
         line_of=None if line_of is None else lambda i: line_of(int(index[i])),
     )
 
