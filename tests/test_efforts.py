@@ -15,11 +15,8 @@ from manip_learn.recordings.preprocessing import resample, subsample, trim_stand
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_velocities
-from manip_learn.recordings.writers.csv_writer import csv_bytes
-from manip_learn.recordings.writers.joint_trajectory_writer import joint_trajectory_bytes
-from manip_learn.recordings.writers.jsonl_writer import jsonl_bytes
 from manip_learn.recordings.writers.mcap_writer import mcap_bytes
-from manip_learn.recordings.writers.npz_writer import npz_bytes
+from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes, jsonl_bytes, npz_bytes
 from manip_learn.robot import load_robot
 
 T, ROBOT = 80, load_robot("planar3")

@@ -13,7 +13,7 @@ from manip_learn.cli import main
 from manip_learn.errors import RecordingError, UnknownNameError
 from manip_learn.recordings import RecordingSource, load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.readers.episode_selection import EpisodeSelection
+from manip_learn.recordings.readers.read_request import EpisodeSelection
 from manip_learn.robot import Robot, load_robot
 
 pa = pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")

@@ -22,7 +22,7 @@ SOURCES = {source.name: source for source in library()}
 # flags of other programs: of `ros2 topic pub`, and of the program that writes the planar arms
 FOREIGN = {"--once", "--name"}
 # its flags reach the caller through `advice` only
-ADVISING = ("recordings/readers/option_uses.py",)
+ADVISING = ("recordings/readers/read_request.py",)
 COMMAND_LINE = re.compile(r"`manip-learn ([a-z]+)([^`]*)`")
 READERS = ("learn", "audit", "replay", "export")
 LOADERS = (*READERS, "control", "inspect")

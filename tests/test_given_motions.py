@@ -11,7 +11,7 @@ import pytest
 
 import manip_learn as ml
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.given_motions import demonstrations_of
+from manip_learn.recordings.trajectory_source import demonstrations_of
 
 DRAWER = Path(__file__).resolve().parents[1] / "examples" / "data" / "sawyer_drawer"
 

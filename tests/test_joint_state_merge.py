@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manip_learn.recordings.readers.joint_state_merge import (
+from manip_learn.recordings.readers.rosbag_reader import (
     JointGroup,
-    MergedStates,
+    JointStateStream,
     MergeError,
     joint_groups,
     merge,
     topics_of_joints,
 )
-from manip_learn.recordings.readers.joint_state_streams import JointStateStream
 
 MS = 1_000_000  # [ns]
 START = 1_700_000_000_123_456_789  # [ns] an integer that float64 cannot hold
@@ -31,7 +30,7 @@ def every(step: float, first: float, last: float) -> np.ndarray:
     return START + (np.arange(first, last + 1e-9, step) * MS).astype(np.int64)
 
 
-def milliseconds(merged: MergedStates) -> list[float]:
+def milliseconds(merged: JointGroup) -> list[float]:
     """Stamps of what was merged, from the start."""
     return ((merged.stamps - START) / MS).tolist()
 
@@ -40,24 +39,24 @@ def test_gaps_of_a_publisher_are_not_bridged():
     """Where another publisher was silent far longer than usual the samples are left out, and the note counts them."""
     arm = group("/arm", "a b", every(10, 0, 2000))
     stamps = np.concatenate([every(20, 5, 805), every(20, 1505, 2005)])
-    merged = merge([arm, group("/hand", "c", stamps)], frozenset())
+    merged, notes = merge([arm, group("/hand", "c", stamps)], frozenset())
     kept = np.array(milliseconds(merged))
     np.testing.assert_array_equal(kept, [*range(10, 801, 10), *range(1510, 2001, 10)])
-    assert "71 samples left out" in " ".join(merged.notes)
+    assert "71 samples left out" in " ".join(notes)
     np.testing.assert_allclose(merged.q, np.outer(kept, [1e-3, 2e-3, 1e-3]), rtol=0, atol=1e-12)
 
 
 def test_a_gap_in_a_short_recording_is_a_gap():
     """What is far is measured by the usual step between messages, which one long silence does not change."""
     hand = group("/hand", "c", np.concatenate([every(20, 0, 40), every(20, 640, 680)]))
-    kept = milliseconds(merge([group("/arm", "a b", every(10, 0, 680)), hand], frozenset()))
+    kept = milliseconds(merge([group("/arm", "a b", every(10, 0, 680)), hand], frozenset())[0])
     assert not [t for t in kept if 40 < t < 640] and {0, 10, 20, 30, 40, 650, 660, 670, 680} <= set(kept)
 
 
 def test_nothing_is_continued_before_the_first_and_after_the_last_message():
     """The table begins and ends where every publisher has data, its own first and last message included."""
     arm = group("/arm", "a b", every(10, 0, 1000))
-    kept = milliseconds(merge([arm, group("/hand", "c", every(20, 200, 700))], frozenset()))
+    kept = milliseconds(merge([arm, group("/hand", "c", every(20, 200, 700))], frozenset())[0])
     assert kept[0] == 200 and kept[-1] == 700 and len(kept) == 51
 
 
@@ -74,18 +73,18 @@ def test_velocities_are_interpolated_too_or_all_left_out():
     """Velocities belong to the stamps of their row; with one publisher that has none there are none, and it is said."""
     arm, late = group("/arm", "a b", every(10, 0, 100)), every(10, 5, 95)
     hand = JointGroup("/hand", ("c",), late, np.zeros((10, 1)), (np.arange(10.0) ** 2)[:, None])
-    merged = merge([arm, hand], frozenset())
+    merged, _ = merge([arm, hand], frozenset())
     assert merged.u is not None and merged.names == ("a", "b", "c")
     squares = np.arange(10.0) ** 2
     np.testing.assert_allclose(merged.u[:, 2], 0.5 * (squares[1:] + squares[:-1]), atol=1e-9)
     np.testing.assert_array_equal(merged.u[:, :2], [[1.0, 2.0]] * 9)
-    without = merge([arm, group("/hand", "c", late, u=False)], frozenset())
-    assert without.u is None and "/hand has none" in " ".join(without.notes)
+    without, notes = merge([arm, group("/hand", "c", late, u=False)], frozenset())
+    assert without.u is None and "/hand has none" in " ".join(notes)
 
 
 def test_the_joints_with_the_most_company_keep_their_stamps():
     """The stamps are those of the publisher with the most joints, not of the one with the most messages."""
-    merged = merge([group("/hand", "c", every(1, 0, 100)), group("/arm", "a b", every(10, 0, 100))], frozenset())
+    merged, _ = merge([group("/hand", "c", every(1, 0, 100)), group("/arm", "a b", every(10, 0, 100))], frozenset())
     assert merged.names == ("a", "b", "c") and milliseconds(merged) == list(range(0, 101, 10))
 
 
@@ -93,8 +92,8 @@ def test_angles_that_wrap_are_interpolated_the_short_way():
     """A continuous joint that passes from 3.1 to -3.1 is near pi in between; any other joint passes through 0."""
     arm, ends = group("/arm", "a b", every(10, 0, 20)), np.array([[3.1], [-3.1]])
     hand = JointGroup("/hand", ("c",), every(20, 0, 20), ends, None)
-    assert merge([arm, hand], frozenset({"c"})).q[1, 2] == pytest.approx(np.pi)
-    assert merge([arm, hand], frozenset()).q[1, 2] == pytest.approx(0.0)
+    assert merge([arm, hand], frozenset({"c"}))[0].q[1, 2] == pytest.approx(np.pi)
+    assert merge([arm, hand], frozenset())[0].q[1, 2] == pytest.approx(0.0)
 
 
 def stream(stamps, received=None, q=None, u=None, *, topic="/arm", names="a b", publisher="") -> JointStateStream:

@@ -12,7 +12,7 @@ import pytest
 from manip_learn.cli import main
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import iter_demonstrations, load_demonstrations
-from manip_learn.recordings.readers.lerobot_state import entry_names
+from manip_learn.recordings.readers.lerobot_dataset import entry_names
 from manip_learn.robot import Robot, load_robot
 
 pa = pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")

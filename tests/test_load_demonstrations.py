@@ -15,7 +15,7 @@ from recording_corpus import GOOD, HEADER, JOINTS, TABLE, TIME, Q, csv
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings import iter_demonstrations, load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.readers.natural_order import natural_order
+from manip_learn.recordings.readers.recording import natural_order
 from manip_learn.robot import Robot, load_robot
 
 

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.errors import ConstraintMismatchError, RecordingError, RobotError
-from manip_learn.recordings.pose_velocities import continuous_rotation_vectors
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.velocities import continuous_rotation_vectors
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.tips import default_tip
 

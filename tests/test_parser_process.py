@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -15,9 +16,11 @@ import pytest
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings.readers import parser_process
 from manip_learn.recordings.readers.parser_process import parsed_recordings
-from manip_learn.recordings.readers.parser_request import ParserRequest, RobotOutline
+from manip_learn.recordings.readers.read_request import Block, ReadRequest, RobotOutline
+from manip_learn.robot import Robot
 
-REQUEST = ParserRequest(RobotOutline(("a", "b"), ("b",), (-1.0, -np.inf), (1.0, np.inf)), chosen=frozenset({3, 1}))
+ROBOT = RobotOutline(("a", "b"), (Block("b", "continuous"),), (-1.0, -np.inf), (1.0, np.inf))
+REQUEST = ReadRequest(cast(Robot, ROBOT), chosen=frozenset({3, 1}))
 PARSER = """
 import os, time
 import numpy as np
@@ -90,7 +93,7 @@ def test_a_request_comes_through_as_it_was() -> None:
     """Also infinite limits and sets."""
     import json
 
-    assert ParserRequest.of_words(json.loads(json.dumps(REQUEST.as_words()))) == REQUEST
+    assert ReadRequest.of_words(json.loads(json.dumps(REQUEST.as_words()))) == REQUEST
 
 
 def test_one_process_serves_many_files(parser: str, tmp_path: Path) -> None:
@@ -143,8 +146,8 @@ sys.path.insert(0, sys.argv[1])
 from pathlib import Path
 from manip_learn.recordings.readers import parser_process
 from manip_learn.recordings.readers.parser_process import parsed_recordings
-from manip_learn.recordings.readers.parser_request import ParserRequest, RobotOutline
-request = ParserRequest(RobotOutline((), (), (), ()))
+from manip_learn.recordings.readers.read_request import ReadRequest, RobotOutline
+request = ReadRequest(RobotOutline((), (), (), ()))
 list(parsed_recordings("odd_parser", Path(sys.argv[2]), request))
 print("reading", flush=True)
 try:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manip_learn.recordings.readers.episode_selection import EpisodeSelection
+from manip_learn.recordings.readers.read_request import EpisodeSelection
 
 FILES = ("fit.js", "phases.js", "chart.js", "tracks.js", "constraint_marks.js", "recording_choice.js", "player.js")
 # what the browser brings; the functions under test draw nothing

@@ -1,4 +1,4 @@
-"""Preparation of demonstrations: what is kept, and what is said about the rest."""
+"""Preparation of demonstrations: what is kept."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.preprocessing import prepared, resample, subsample, trim_standstill
+from manip_learn.recordings.preprocessing import resample, subsample, trim_standstill
 from manip_learn.recordings.trajectory import Trajectory
 
 
@@ -75,22 +74,3 @@ def test_resample_with_one_step_keeps_both_ends():
     np.testing.assert_allclose(ends.u, [[1.0], [3.0]])
     with pytest.raises(RecordingError, match="at most 2 s"):
         resample(trajectory, 2.0 + 1e-9)
-
-
-def test_prepared_says_nothing_where_nothing_was_left_out():
-    """Trajectories that move throughout, or are not trimmed, come back without a note."""
-    time = np.linspace(0.0, 1.0, 50)
-    moving = Trajectory(time, time[:, None], np.ones((50, 1)), ("a",), "t")
-    for trim in (True, False):
-        demos = prepared(Demonstrations([moving]), trim=trim)
-        assert len(demos[0]) == 50 and demos.notes == ()
-
-
-def test_prepared_says_what_it_left_out():
-    """Trimmed and thinned, with a note for each trajectory that lost standstill."""
-    demos = Demonstrations([motion(), motion(rest=0)], ["from a file"])
-    done = prepared(demos, samples=10)
-    assert [len(t) for t in done] == [10, 10]
-    assert done.notes[0] == "from a file"
-    assert "there and back: 4" in done.notes[1] and "standstill" in done.notes[1]
-    assert [len(t) for t in prepared(demos, trim=False)] == [100, 60]

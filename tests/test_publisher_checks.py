@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from jaxtyping import Float
 
-from manip_learn.recordings.readers.csv_dialect import sniff_dialect
-from manip_learn.recordings.validation.publisher_checks import alternation
+from manip_learn.recordings.readers.csv_reader import sniff_dialect
+from manip_learn.recordings.validation.motion_checks import alternation
 
 RECORDINGS = sorted(Path(__file__).parents[1].glob("examples/data/**/*.csv"))
 TURNS = ("strict", "phase", "rate", "random")

@@ -11,7 +11,7 @@ import pytest
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.validation.velocity_checks import compare_velocities
+from manip_learn.recordings.validation.motion_checks import compare_velocities
 from manip_learn.robot import Robot, load_robot
 
 

@@ -31,7 +31,7 @@ from manip_learn.playback.held_directions import held_directions
 from manip_learn.playback.tracks import extremes
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.episode_numbers import numbers_read
+from manip_learn.recordings.load_demonstrations import numbers_read
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_velocities
 

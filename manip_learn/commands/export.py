@@ -15,9 +15,8 @@ from manip_learn.errors import OutputError, counted
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.load_demonstrations import ReadOptions
 from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajectory
-from manip_learn.recordings.writers.csv_writer import csv_bytes
-from manip_learn.recordings.writers.joint_trajectory_writer import joint_trajectory_bytes
 from manip_learn.recordings.writers.mcap_writer import mcap_bytes
+from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes
 from manip_learn.robot.robot import Robot
 
 LEROBOT, RERUN = "lerobot", "rrd"

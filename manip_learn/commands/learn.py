@@ -19,8 +19,7 @@ from manip_learn.learning.candidate import EstimatorName
 from manip_learn.learning.deciding import BELIEVED_STRENGTH
 from manip_learn.learning.learner import ESTIMATORS, Switch
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
-from manip_learn.recordings.episode_numbers import numbers_read
-from manip_learn.recordings.load_demonstrations import ReadOptions
+from manip_learn.recordings.load_demonstrations import ReadOptions, numbers_read
 from manip_learn.recordings.preprocessing import subsample
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.recordings.velocities import with_velocities

@@ -10,7 +10,7 @@ from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.load_demonstrations import ReadOptions
-from manip_learn.recordings.readers.option_uses import flag_of
+from manip_learn.recordings.readers.read_request import flag_of
 from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot

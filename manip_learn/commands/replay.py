@@ -16,8 +16,7 @@ from manip_learn.errors import ConstraintMismatchError, RecordingError
 from manip_learn.playback import RecordingChoice, ReplayResult
 from manip_learn.playback import replay as write_replay
 from manip_learn.playback.phase_bands import phases_from_json
-from manip_learn.recordings.episode_numbers import numbers_read
-from manip_learn.recordings.load_demonstrations import ReadOptions
+from manip_learn.recordings.load_demonstrations import ReadOptions, numbers_read
 from manip_learn.robot.robot import Robot
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from manip_learn.commands.robot_options import RobotOptions
 from manip_learn.errors import DAMAGE, ConstraintMismatchError, RecordingError, UnknownNameError, named
+from manip_learn.recordings.readers.read_request import unmoved_joint_names
 from manip_learn.recordings.readers.recording_files import recording_files
 from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.saved_motion import FileHeader
-from manip_learn.recordings.validation.unmoved_joints import unmoved_joint_names
 from manip_learn.robot import Robot
 
 PLAIN = RobotOptions()

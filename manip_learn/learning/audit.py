@@ -30,11 +30,10 @@ from manip_learn.learning.deciding import (
 )
 from manip_learn.learning.samples import check_joints
 from manip_learn.linalg import one_thread
-from manip_learn.recordings.given_motions import Motion
-from manip_learn.recordings.jerk import jerk
-from manip_learn.recordings.readers.option_uses import refuse_unmatched
+from manip_learn.recordings.local_fit import jerk
+from manip_learn.recordings.readers.read_request import refuse_unmatched
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.trajectory_source import Progress, TrajectorySource, source_of
+from manip_learn.recordings.trajectory_source import Motion, Progress, TrajectorySource, source_of
 from manip_learn.recordings.velocities import VelocityMethod, derive_velocities
 from manip_learn.robot.robot import Robot
 

@@ -17,7 +17,7 @@ from manip_learn.learning.deciding import (
 )
 from manip_learn.learning.samples import DataSummary, Samples
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.validation.velocity_checks import FEWEST, compare_velocities
+from manip_learn.recordings.validation.motion_checks import FEWEST, compare_velocities
 
 # postures closer together than this share of their size are one and the same
 SAME = 1e-9

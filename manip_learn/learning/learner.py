@@ -27,8 +27,7 @@ from manip_learn.learning.samples import IN_MEMORY_SAMPLES, DataSummary, in_memo
 from manip_learn.learning.uncertainty import uncertainty_of
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.given_motions import Motion
-from manip_learn.recordings.trajectory_source import Progress, TrajectorySource, source_of
+from manip_learn.recordings.trajectory_source import Motion, Progress, TrajectorySource, source_of
 from manip_learn.recordings.velocities import VelocityMethod, with_velocities
 
 if TYPE_CHECKING:

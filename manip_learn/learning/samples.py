@@ -13,8 +13,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.linalg import whitener
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.given_motions import Motion, demonstrations_of
-from manip_learn.recordings.trajectory_source import TrajectorySource
+from manip_learn.recordings.trajectory_source import Motion, TrajectorySource, demonstrations_of
 from manip_learn.robot.robot import Robot
 
 # up to this many samples are learnt from directly; of more, this many are chosen, and all of them refine the answer.

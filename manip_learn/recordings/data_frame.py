@@ -13,7 +13,7 @@ import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.writers.csv_writer import EFFORT_SUFFIX, VELOCITY_SUFFIX
+from manip_learn.recordings.writers.write_motion import EFFORT_SUFFIX, VELOCITY_SUFFIX
 
 TRAJECTORY, TIME = "trajectory", "time"
 

@@ -11,20 +11,25 @@ from manip_learn.errors import RecordingError, advice, closest_names
 from manip_learn.recordings.data_frame import DataFrame, frames_as_files
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.readers.csv_reader import SURPLUS_SUFFIXES
-from manip_learn.recordings.readers.episode_files import select_episodes
-from manip_learn.recordings.readers.episode_selection import EpisodeSelection
-from manip_learn.recordings.readers.option_uses import OptionUses, refuse_unmatched
+from manip_learn.recordings.readers.lerobot_dataset import episode_numbers
 from manip_learn.recordings.readers.parser_process import parsed_recordings
-from manip_learn.recordings.readers.read_request import ReadRequest, TimeUnit, Units
+from manip_learn.recordings.readers.read_request import (
+    EpisodeSelection,
+    OptionUses,
+    ReadRequest,
+    TimeUnit,
+    Units,
+    refuse_unmatched,
+    unmoved_joint_names,
+)
 from manip_learn.recordings.readers.recording import Recording
-from manip_learn.recordings.readers.recording_files import RecordingFile, recording_files
+from manip_learn.recordings.readers.recording_files import LEROBOT, RecordingFile, recording_files, select_episodes
 from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.saved_motion import check_robot
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.validation.object_poses import QUATERNION, ROTATION_VECTOR
-from manip_learn.recordings.validation.unmoved_joints import unmoved_joint_names
+from manip_learn.recordings.validation.joint_matching import QUATERNION, ROTATION_VECTOR
 from manip_learn.recordings.validation.validate import validate
-from manip_learn.recordings.writers.csv_writer import VELOCITY_SUFFIX
+from manip_learn.recordings.writers.write_motion import VELOCITY_SUFFIX
 from manip_learn.robot import Robot
 
 ARRAYS = ("time", "q", "u", "effort", "joint_names", "format")  # of an NPZ archive; `time` is a column of any recording
@@ -181,7 +186,7 @@ def _recordings(file: RecordingFile, request: ReadRequest) -> Iterator[Recording
         header = file_header(file.path) if file.path.is_dir() else None
         if header is not None:
             check_robot(file.path, header, request.robot)
-        return parsed_recordings(file.format.module, file.path, request.for_parser())
+        return parsed_recordings(file.format.module, file.path, request)
     return file.format.reader()(file.path, request)
 
 
@@ -242,3 +247,26 @@ def _check_new_names(request: ReadRequest) -> None:
 def _without_suffix(name: str) -> str:
     """The joint that a column such as `joint1_velocity` is about."""
     return next((name.removesuffix(s) for s in SUFFIXES if name.endswith(s)), name)
+
+
+def numbers_read(paths: Paths, robot: Robot, **options: Unpack[ReadOptions]) -> tuple[int, ...]:
+    """Numbers of the recordings that `load_demonstrations` reads, in its order, counted as `episodes` counts them.
+
+    Of a LeRobot data set they are numbers of episodes; else places among all files. Files that hold several recordings
+    have one number for all.
+
+    Args:
+        paths: As for `load_demonstrations`.
+        robot: As for `load_demonstrations`.
+        **options: As for `load_demonstrations`.
+
+    Raises:
+        RecordingError: An option or a path that is wrong, or episodes that do not exist.
+        UnknownNameError: No episode shows the task.
+    """
+    files, request, _ = open_recordings(paths, robot, options)
+    if any(f.format is LEROBOT for f in files):
+        known = sorted({n for f in files for n in episode_numbers(f.path)})
+        return tuple(known if request.chosen is None else sorted(request.chosen))
+    chosen = {f.path for f in files}
+    return tuple(i for i, f in enumerate(recording_files(paths)[0]) if f.path in chosen)

@@ -71,8 +71,8 @@ def local_weights(time: np.ndarray, half_width: int, degree: int) -> Float[np.nd
 
     The coefficient of power 1 is a slope [1/s]; those of power k > 1 belong to time over the window's longest offset.
     """
-    keep = len(time) * (2 * half_width + 1) <= KEPT_NUMBERS
-    found = (_kept_weights if keep else _weights)(np.ascontiguousarray(time).tobytes(), half_width, degree)
+    weights = _weights if len(time) * (2 * half_width + 1) <= KEPT_NUMBERS else _weights.__wrapped__
+    found = weights(np.ascontiguousarray(time).tobytes(), half_width, degree)
     return np.broadcast_to(found, (len(time) - 2 * half_width, *found.shape[1:]))
 
 
@@ -92,29 +92,25 @@ def _offsets(grid: Grid, half_width: int, stride: int = 1) -> Float[np.ndarray, 
     return windows - windows[:, half_width : half_width + 1]
 
 
+@functools.lru_cache(maxsize=16)
 def _weights(stamps: bytes, half_width: int, degree: int) -> Float[np.ndarray, "m d W"]:
-    """Weights of each window, or of the one that serves for all."""
+    """Weights of each window, or of the one that serves for all; kept for the next recording with the same stamps."""
     offset = _offsets(stamps, half_width)
     shortest = np.min(np.max(np.abs(offset), axis=1))
     if np.max(np.abs(offset - offset[0])) <= EVEN * shortest:
         return _even_weights(offset[0].tobytes(), degree)
-    return _solved_weights(offset, degree)
+    return _read_only(_solved_weights(offset, degree))
 
 
-@functools.lru_cache(maxsize=16)
-def _kept_weights(stamps: bytes, half_width: int, degree: int) -> Float[np.ndarray, "m d W"]:
-    """Weights for the next recording with the same stamps."""
-    weights = _weights(stamps, half_width, degree)
-    weights.setflags(write=False)
-    return weights
+def _read_only(array: np.ndarray) -> np.ndarray:
+    array.setflags(write=False)
+    return array
 
 
 @functools.lru_cache(maxsize=512)
 def _even_weights(offset: bytes, degree: int) -> Float[np.ndarray, "1 d W"]:
     """Weights of one window; recordings of one rate share them."""
-    weights = _solved_weights(np.frombuffer(offset)[None], degree)
-    weights.setflags(write=False)
-    return weights
+    return _read_only(_solved_weights(np.frombuffer(offset)[None], degree))
 
 
 def _solved_weights(offset: Float[np.ndarray, "m W"], degree: int) -> Float[np.ndarray, "m d W"]:
@@ -165,19 +161,14 @@ class _Trial:
         return weight * bias2 + self.spread[:, None] * noise2
 
 
-@functools.lru_cache(maxsize=32)
-def _kept_trial(grid: Grid, half_width: int, degrees: tuple[int, ...], stride: int) -> _Trial:
-    """Polynomials that recordings which are sampled alike share."""
-    return _trial(grid, half_width, degrees, stride)
-
-
 def _is_short(grid: Grid) -> bool:
     """Whether it is worth keeping what depends on a grid."""
     return not isinstance(grid, bytes) or len(grid) <= 8 * KEPT_STAMPS
 
 
+@functools.lru_cache(maxsize=32)
 def _trial(grid: Grid, half_width: int, degrees: tuple[int, ...], stride: int) -> _Trial:
-    """Polynomials of some degrees fitted to windows of one width."""
+    """Polynomials of some degrees fitted to windows of one width; recordings that are sampled alike share them."""
     offset = _offsets(grid, half_width, stride)
     slopes = {d: _solved_weights(offset, d)[:, 1] for d in {*degrees, *(degree + 2 for degree in degrees)}}
     richer = np.stack([slopes[d + 2] - slopes[d] for d in degrees], axis=2)
@@ -224,7 +215,7 @@ def best_windows(
             continue
         stride = max(1, (len(time) - 2 * m) // COMPARED)
         windows = np.lib.stride_tricks.sliding_window_view(beside, 2 * m + 1, axis=1)[:, ::stride]
-        trial = _kept_trial if _is_short(grid) else _trial
+        trial = _trial if _is_short(grid) else _trial.__wrapped__
         polynomials = trial(grid, m, usable, stride if isinstance(grid, bytes) else 1)
         errors = polynomials.errors(windows, noise2, weight)
         errors = np.sum(errors.reshape(len(usable), n, nv), axis=2)
@@ -242,21 +233,55 @@ def fits(half_width: int, degree: int, longest: int) -> bool:
 def noise_variance(time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, " nv"]:
     """Variance of white noise on the samples from what a local cubic through five points leaves over."""
     grid = _grid(time)
-    fit = (_kept_cubics if _is_short(grid) else _cubics)(grid)
+    fit = (_cubics if _is_short(grid) else _cubics.__wrapped__)(grid)
     windows = np.lib.stride_tricks.sliding_window_view(x, 5, axis=0)
     left = windows - windows @ (fit[0] if len(fit) == 1 else fit)
     # a cubic leaves one degree of freedom of five; the median passes over the few places where the motion is not smooth
     return np.median(np.einsum("njw,njw->nj", left, left), axis=0) / 0.455
 
 
+@functools.lru_cache(maxsize=8)
 def _cubics(grid: Grid) -> Float[np.ndarray, "m w w"]:
-    """Projections of five values on the cubics in their times, symmetric."""
+    """Projections of five values on the cubics in their times, symmetric; shared like the trials."""
     offset = _offsets(grid, 2)
     powers = (offset / np.max(np.abs(offset), axis=1, keepdims=True))[:, None, :] ** np.arange(4)[None, :, None]
     return powers.transpose(0, 2, 1) @ np.linalg.solve(powers @ powers.transpose(0, 2, 1), powers)
 
 
-@functools.lru_cache(maxsize=8)
-def _kept_cubics(grid: Grid) -> Float[np.ndarray, "m w w"]:
-    """Projections for the next recording that is sampled alike."""
-    return _cubics(grid)
+JERK_HALF_WIDTHS = (3, 4, 5, 7, 10, 15, 20, 30, 45)  # [samples]
+CLEAR = 5.0  # times the jerk that noise alone would leave: its peak is then that of the motion
+CUBIC = 3
+
+
+def jerk(time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"]) -> tuple[float, float]:
+    """Root mean square and peak of the norm of the third derivative, all joints together.
+
+    The third derivative of a cubic fitted by least squares to a window of samples (Savitzky and Golay, 1964), the
+    narrowest window in which it is clear of noise. White noise of variance v on the positions adds v sum(w^2) to its
+    square, w the weights of the fit: that is subtracted, v being estimated from the same samples.
+
+    Returns:
+        rms and peak [rad/s^3, of prismatic joints m/s^3]; NaN for fewer than seven samples.
+    """
+    if len(time) < 2 * JERK_HALF_WIDTHS[0] + 1:
+        return float("nan"), float("nan")
+    variance = float(np.sum(noise_variance(time, x)))
+    squared = np.zeros(1)
+    for half_width in JERK_HALF_WIDTHS:
+        if 2 * half_width + 1 > len(time):
+            break
+        third = _third_derivatives(time, half_width)
+        windows = np.lib.stride_tricks.sliding_window_view(x, 2 * half_width + 1, axis=0)
+        squared = np.sum(np.einsum("nw,njw->nj", third, windows) ** 2, axis=1)
+        noise = np.sum(third**2, axis=1) * variance
+        squared = squared - noise
+        if np.mean(squared) >= CLEAR**2 * np.mean(noise):
+            break
+    return float(np.sqrt(max(np.mean(squared), 0.0))), float(np.sqrt(max(np.max(squared), 0.0)))
+
+
+def _third_derivatives(time: np.ndarray, half_width: int) -> Float[np.ndarray, "N W"]:
+    """Weights of the third derivative at the centre of each window [1/s^3]."""
+    stamps = np.lib.stride_tricks.sliding_window_view(time, 2 * half_width + 1)
+    longest = np.max(np.abs(stamps - stamps[:, half_width : half_width + 1]), axis=1)
+    return local_weights(time, half_width, CUBIC)[:, CUBIC] * (6.0 / longest**3)[:, None]

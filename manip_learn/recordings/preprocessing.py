@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Int
 
-from manip_learn.errors import RecordingError, counted
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.errors import RecordingError
 from manip_learn.recordings.trajectory import Trajectory
 
 
@@ -61,16 +60,3 @@ def subsample(trajectory: Trajectory, n_samples: int) -> Trajectory:
 def evenly(n: int, most: int) -> Int[np.ndarray, " k"]:
     """At most so many of n places in order, evenly spread, the first and the last among them; none of none."""
     return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int))
-
-
-def prepared(demonstrations: Demonstrations, *, trim: bool = True, samples: int | None = None) -> Demonstrations:
-    """All trajectories trimmed and subsampled; the notes report what was left out."""
-    out, notes = [], list(demonstrations.notes)
-    for trajectory in demonstrations:
-        kept = trim_standstill(trajectory) if trim else trajectory
-        if len(kept) < len(trajectory):
-            notes.append(
-                f"{trajectory.name}: {counted(len(trajectory) - len(kept), 'sample')} of standstill were left out"
-            )
-        out.append(subsample(kept, samples) if samples else kept)
-    return Demonstrations(out, notes)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Unpack, final
 
 from manip_learn.recordings.load_demonstrations import Paths, ReadOptions, open_recordings, read_recordings
-from manip_learn.recordings.readers.file_format import LEROBOT, FileFormat
-from manip_learn.recordings.readers.json_file import read_json
-from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER, open_dataset
-from manip_learn.recordings.readers.lerobot_episodes import episode_number, separate_files
-from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording_files import RecordingFile
+from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER, episode_number, open_dataset, separate_files
+from manip_learn.recordings.readers.recording import read_json, size_on_disk
+from manip_learn.recordings.readers.recording_files import LEROBOT, FileFormat, RecordingFile
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource
 from manip_learn.robot import Robot
@@ -54,38 +52,15 @@ class RecordingSource(TrajectorySource):
             RecordingError: A recording that cannot be trusted.
             MissingExtraError: The format needs a library that is not installed.
         """
-        yield from _read(self._parts[index], self._request, self._notes if index == 0 else (), notes)
+        yield from read_recordings(self._parts[index], self._request, notes)
+        if notes is not None and index == 0:
+            notes += self._notes
 
     def alone(self, index: int) -> TrajectorySource:
         """The files of one part, without the names of all others."""
-        return FilesOfPart(self._parts[index], self._request, self._notes if index == 0 else ())
-
-
-@final
-class FilesOfPart(TrajectorySource):
-    """Files that are read one after the other."""
-
-    def __init__(self, files: list[RecordingFile], request: ReadRequest, notes: tuple[str, ...]):
-        self._files = files
-        self._request = request
-        self._notes = notes
-
-    @property
-    def n_parts(self) -> int:
-        """One."""
-        return 1
-
-    def part(self, index: int, notes: list[str] | None = None) -> Iterator[Trajectory]:
-        """The demonstrations in the files, as `RecordingSource.part`."""
-        yield from _read(self._files, self._request, self._notes, notes)
-
-
-def _read(
-    files: list[RecordingFile], request: ReadRequest, said: tuple[str, ...], notes: list[str] | None
-) -> Iterator[Trajectory]:
-    yield from read_recordings(files, request, notes)
-    if notes is not None:
-        notes += said
+        one = copy.copy(self)
+        one._parts, one._notes = [self._parts[index]], self._notes if index == 0 else ()
+        return one
 
 
 def _pieces(file: RecordingFile, chosen: frozenset[int] | None) -> list[RecordingFile]:
@@ -123,11 +98,5 @@ def _in_parts(files: list[RecordingFile]) -> list[list[RecordingFile]]:
             parts.append([])
             size = 0
         parts[-1].append(file)
-        size += _bytes(file.path)
+        size += size_on_disk(file.path)
     return parts
-
-
-def _bytes(path: Path) -> int:
-    if path.is_dir():
-        return sum(inner.stat().st_size for inner in path.rglob("*") if inner.is_file())
-    return path.stat().st_size

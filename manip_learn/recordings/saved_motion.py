@@ -11,7 +11,7 @@ from typing import Any, Literal, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import RecordingError
+from manip_learn.recordings.readers.recording import refusal
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import Robot
 from manip_learn.robot.identity import RobotIdentity, names_from
@@ -211,7 +211,18 @@ def check_robot(path: Path, header: FileHeader, robot: Robot | None) -> tuple[st
     return ()
 
 
-def refusal(path: Path, code: str, text: str, **where: Any) -> RecordingError:
-    """The error that refuses a file."""
-    line = where.get("line")
-    return RecordingError(f"{path.name}{'' if line is None else f':{line}'}: {text}", code=code, path=path, **where)
+def joint_positions(
+    path: Path, q: Float[np.ndarray, "T n"], names: tuple[str, ...], robot: Robot
+) -> Float[np.ndarray, "T nv"]:
+    """Joint positions; configurations of a robot with nq != nv (as in a rollout) are turned into them.
+
+    Raises:
+        RecordingError: Neither positions of these joints nor configurations of the robot.
+    """
+    if q.shape[1] == len(names):
+        return q
+    if names == robot.joint_names and q.shape[1] == robot.nq and np.all(np.isfinite(q)):
+        return np.array([robot.positions(row) for row in q]).reshape(q.shape[0], robot.nv)
+    raise refusal(
+        path, "shape", f"q has {q.shape[1]} columns for {len(names)} joint names: one column per joint is needed"
+    )

@@ -28,7 +28,7 @@ from manip_learn.learning.samples import IN_MEMORY_SAMPLES, DataSummary, Samples
 from manip_learn.learning.streaming.passes import Accumulator, Executor, LocalExecutor
 from manip_learn.learning.streaming.sample_stream import Chunk, SampleStream
 from manip_learn.linalg import complement_rows, turned, whitener
-from manip_learn.recordings.readers.option_uses import refuse_unmatched
+from manip_learn.recordings.readers.read_request import refuse_unmatched
 from manip_learn.recordings.trajectory_source import Progress
 
 # multiples of the golden ratio (Fibonacci hashing): the smallest of any number of them are spread evenly over the

@@ -18,7 +18,7 @@ from manip_learn.errors import RecordingError
 from manip_learn.learning.samples import check_joints, stacked
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.preprocessing import evenly
-from manip_learn.recordings.readers.option_uses import refuse_unmatched
+from manip_learn.recordings.readers.read_request import refuse_unmatched
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource, part_starts
 from manip_learn.recordings.velocities import VelocityMethod, derive_together

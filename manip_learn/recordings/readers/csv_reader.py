@@ -1,34 +1,354 @@
-"""Text tables: `time` [s], a column per joint, where recorded `<joint>_velocity`, `<joint>_effort`. Strictly read."""
+"""How a text table is written: encoding, delimiter, decimal mark and header."""
 
 from __future__ import annotations
 
+import codecs
+import itertools
+import os
+import re
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import IO, NoReturn
+from typing import IO, NoReturn, final
 
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import RecordingError, advice
-from manip_learn.recordings.readers.column_patterns import effort_joint
-from manip_learn.recordings.readers.csv_columns import columns_of
-from manip_learn.recordings.readers.csv_dialect import (
-    DELIMITER_WORDS,
-    LONGEST_LINE,
-    NUMBER,
-    CsvDialect,
-    is_cut_off,
-    is_skipped,
-    line_too_long,
-    not_text,
-    sniff_dialect,
+from manip_learn.errors import RecordingError, advice, closest_names
+from manip_learn.recordings.readers.column_patterns import (
+    Found,
+    PatternError,
+    another_robot,
+    by_joint_names,
+    by_patterns,
+    by_recorded_names,
+    effort_joint,
+    find_time,
+    numbered_advice,
 )
-from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, reason
-from manip_learn.recordings.validation.unmoved_joints import unmoved_joint_names
-from manip_learn.recordings.writers.csv_writer import VELOCITY_SUFFIX
+from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest, unmoved_joint_names
+from manip_learn.recordings.readers.recording import Recording, reason, refusal
+from manip_learn.recordings.writers.write_motion import EFFORT_SUFFIX, VELOCITY_SUFFIX
+
+LONGEST_LINE = 1_000_000
+COMMENT_MARKS = ("#", "%")
+STAMPED = "%time,"  # `rostopic echo -p` begins its header like a comment
+NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
+DELIMITER_WORDS = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
+
+
+@final
+@dataclass(frozen=True)
+class CsvDialect:
+    """How one file is written.
+
+    Attributes:
+        encoding: Of the text.
+        delimiter: Between fields; None for white space.
+        columns: Names in the header.
+        header_line: Line of the header, counted from 1.
+        commented_header: True if the header was found in a comment line.
+        without_cut_line: True if a last line without a line end is not read.
+        named_by_caller: True if there is no header, and the names are the caller's.
+    """
+
+    encoding: str
+    delimiter: str | None
+    columns: tuple[str, ...]
+    header_line: int
+    commented_header: bool = False
+    without_cut_line: bool = False
+    named_by_caller: bool = False
+
+    def split(self, line: str) -> list[str]:
+        """Fields of a line, without quotes and surrounding blanks."""
+        return [field.strip().strip('"').strip() for field in line.strip("\r\n").split(self.delimiter)]
+
+
+def is_skipped(line: str) -> bool:
+    """True for blank lines and comment lines."""
+    start = line.lstrip()
+    return not start or start.startswith(COMMENT_MARKS)
+
+
+def encoding_of(path: Path) -> str:
+    """Encoding by the byte order mark; UTF-8 without one."""
+    with path.open("rb") as file:
+        head = file.read(4)
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    return "utf-8-sig"
+
+
+def is_cut_off(path: Path, dialect: CsvDialect) -> bool:
+    """True if the file ends within a line of numbers, as one that was cut off."""
+    with path.open("rb") as file:
+        file.seek(-min(path.stat().st_size, LONGEST_LINE), os.SEEK_END)
+        end = file.read()
+    if dialect.encoding == "utf-16":
+        end = end.replace(b"\x00", b"")  # line ends, blanks and comment marks are ASCII
+    last = end.replace(b"\r", b"\n").rpartition(b"\n")[2]
+    return not is_skipped(last.decode("ascii", errors="replace"))
+
+
+def sniff_dialect(path: Path, names: tuple[str, ...] | None = None) -> CsvDialect:
+    """Dialect of a text table, from its header; `names` are those of its columns if it has none.
+
+    Raises:
+        RecordingError: No header, no text, or a header of numbers: joint names are mandatory.
+    """
+    encoding = encoding_of(path)
+    try:
+        with path.open(encoding=encoding) as file:
+            number, line, comment = _first_line(file, path)
+    except UnicodeError as error:
+        raise not_text(path, error) from error
+    dialect = CsvDialect(encoding, _delimiter(line), (), number)
+    fields = dialect.split(line)
+    if comment.startswith(STAMPED) and len(echoed := CsvDialect("", ",", (), 0).split(comment)) == len(fields):
+        return CsvDialect(encoding, dialect.delimiter, tuple(echoed), number - 1, commented_header=True)
+    if fields and all(NUMBER.fullmatch(f) for f in fields):
+        commented = _split_comment(comment)
+        if len(commented) == len(fields) and not all(NUMBER.fullmatch(n) for n in commented):
+            return CsvDialect(encoding, dialect.delimiter, tuple(commented), number - 1, commented_header=True)
+        if names is None:
+            raise refusal(
+                path,
+                "no-header",
+                f"the first line holds numbers ({line.strip()[:60]!r}), a header is needed: "
+                "'time' and one joint name per column, since columns are matched by name"
+                + advice("; write it, or pass {}", "joint_names=['time', ...]", "--joint-names time,NAME,..."),
+                line=number,
+            )
+        if len(names) != len(fields):
+            raise refusal(
+                path,
+                "shape",
+                f"this row has {len(fields)} fields and {len(names)} column names were given "
+                f"({', '.join(names)}): give one for each, 'time' among them",
+                line=number,
+            )
+        return CsvDialect(encoding, dialect.delimiter, names, number - 1, named_by_caller=True)
+    return CsvDialect(encoding, dialect.delimiter, tuple(fields), number)
+
+
+def _first_line(file: IO[str], path: Path) -> tuple[int, str, str]:
+    """Number and text of the first line that is no comment, and the last comment before it."""
+    comment = ""
+    number = 0
+    while line := file.readline(LONGEST_LINE):
+        number += 1
+        if len(line) >= LONGEST_LINE:
+            raise line_too_long(path, number)
+        if not is_skipped(line):
+            return number, line, comment
+        comment = line if line.strip() else comment
+    raise refusal(
+        path, "empty", "the file is empty: a header with 'time' and the joint names, and rows of numbers are needed"
+    )
+
+
+def _delimiter(line: str) -> str | None:
+    for mark in ("\t", ";", ","):
+        if mark in line.strip():
+            return mark
+    return None
+
+
+def _split_comment(comment: str) -> list[str]:
+    text = comment.strip().lstrip("".join(COMMENT_MARKS)).strip()
+    return CsvDialect("", _delimiter(text), (), 0).split(text) if text else []
+
+
+def line_too_long(path: Path, line: int) -> RecordingError:
+    """The refusal of a line beyond a million characters."""
+    return refusal(
+        path,
+        "line-too-long",
+        f"this line has more than {LONGEST_LINE:,} characters; a table with one sample per line is needed",
+        line=line,
+    )
+
+
+def not_text(path: Path, error: UnicodeError) -> RecordingError:
+    """The refusal of bytes that are no text."""
+    return refusal(path, "encoding", f"this is not UTF-8 text ({reason(error)}): save the table as plain UTF-8 text")
+
+
+# what belongs to a message or a data frame, not to the motion
+BOOKKEEPING = re.compile(r"(.*[./])?(header[./](seq|frame_id)|seq|frame_id)|unnamed: 0", re.IGNORECASE)
+SHOWN = 6
+
+
+@final
+@dataclass(frozen=True)
+class Columns:
+    """Columns of a table.
+
+    Attributes:
+        names: Name of each, `time` for stamps; None where it is not read.
+        time: Column of the stamps; or two, whole seconds and nanoseconds.
+        unit: Unit of the stamps where their name says it.
+        strict: Whether a name that is no joint's is a mistake.
+        notes: What the caller should know.
+    """
+
+    names: tuple[str | None, ...]
+    time: tuple[int, ...]
+    unit: str | None
+    strict: bool
+    notes: tuple[str, ...]
+
+    def stamps(self, table: Float[np.ndarray, "T n"], used: list[int], request: ReadRequest) -> Float[np.ndarray, " T"]:
+        """Stamps, in seconds where `in_seconds`; else in the unit of the file."""
+        first, *rest = (table[:, used.index(i)] for i in self.time)
+        if rest:
+            return first + 1e-9 * rest[0]
+        return first * SECONDS[str(self.unit)] if self.in_seconds(request) else first
+
+    def in_seconds(self, request: ReadRequest) -> bool:
+        """Whether the unit is known by the name, and the caller did not say another one."""
+        return len(self.time) > 1 or (self.unit is not None and request.time_unit is None)
+
+
+def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns:
+    """The columns of a table.
+
+    Raises:
+        RecordingError: No stamps, columns without a name or with the same one, or a choice that the caller must make.
+    """
+    notes: list[str] = []
+    names: list[str | None] = [request.renamed(n) for n in dialect.columns]
+    for i, raw in enumerate(dialect.columns):
+        if request.ignores(raw, *([names[i] or ""] if names[i] else [])):
+            names[i] = None
+    time = find_time(names)
+    if not time.columns:
+        raise _no_time(path, dialect, names, time.choices)
+    notes += [time.note] if time.note else []
+    for i in time.columns:
+        names[i] = "time"
+    left_out = [i for i in time.others if request.columns or names[i] not in request.robot.joint_names]
+    left_out += [i for i, n in enumerate(names) if n is not None and BOOKKEEPING.fullmatch(n)]
+    left_out += _row_numbers(path, dialect, names)
+    found = _joint_columns(path, dialect, names, request)
+    if found is not None:
+        for i, joint in found.positions.items():
+            names[i] = joint
+        for i, joint in found.velocities.items():
+            names[i] = joint + VELOCITY_SUFFIX
+        for i, joint in found.efforts.items():
+            names[i] = joint + EFFORT_SUFFIX
+        kept = {*found.positions, *found.velocities, *found.efforts, *time.columns}
+        left_out = [i for i, n in enumerate(names) if n is not None and i not in kept]
+        notes += [found.note] if found.note else []
+    for i in set(left_out):
+        names[i] = None
+    if left_out:
+        words = [dialect.columns[i] or f"column {i + 1} (row numbers)" for i in sorted(set(left_out))]
+        more = f" and {len(words) - SHOWN} more" if len(words) > SHOWN else ""
+        notes.append(f"columns not used: {', '.join(words[:SHOWN])}{more}")
+    _refuse_repeated(path, dialect, names, time.columns)
+    return Columns(tuple(names), time.columns, time.unit, found is None, tuple(notes))
+
+
+def _joint_columns(path: Path, dialect: CsvDialect, names: list[str | None], request: ReadRequest) -> Found | None:
+    """Columns of the joints, by the caller's patterns or by the header; None where they are called as the joints."""
+    robot = request.robot
+    moving, still = robot.joint_names, unmoved_joint_names(robot)
+    try:
+        if request.columns:
+            request.uses.use("columns")
+            return by_patterns(request.columns, names, moving, still)
+        if any(n in moving for n in names) or robot.objects:
+            return None
+        found = by_joint_names(names, moving, still)
+    except PatternError as error:
+        raise _header_error(path, dialect, "columns", str(error)) from error
+    if found is not None:
+        return found
+    recorded = by_recorded_names(names, _row(path, dialect, 0), (*moving, *still))
+    if recorded is not None:
+        _refuse_changing_names(path, dialect, recorded[1])
+        return recorded[0]
+    what = numbered_advice(names, moving)
+    if what:
+        raise _header_error(
+            path, dialect, "numbered-columns", f"{another_robot(names, robot)}; if it is this one, {what}"
+        )
+    return None
+
+
+def _no_time(path: Path, dialect: CsvDialect, names: list[str | None], choices: tuple[str, ...]) -> RecordingError:
+    near = choices or tuple(closest_names("time", [n for n in names if n])[:1])
+    if not near and names and names[0] == "":
+        near = ("",)
+    flags = [advice("{}", f"rename={{{n!r}: 'time'}}", f"--rename {n}=time") for n in near]
+    hint = ""
+    if choices and all(flags):
+        hint = f"; several could be it, choose one: {' or '.join(flags)}"
+    elif near and all(flags):
+        hint = f"; if {near[0] or 'the first column, which has no name,'!r} is meant, pass {flags[0]} or rename it"
+    shown = ", ".join(map(repr, dialect.columns[:8])) + (" ..." if len(dialect.columns) > 8 else "")
+    text = f"there is no column 'time'; the {DELIMITER_WORDS[dialect.delimiter]}-separated header has {shown}{hint}"
+    return _header_error(path, dialect, "no-time", text)
+
+
+def _row_numbers(path: Path, dialect: CsvDialect, names: list[str | None]) -> list[int]:
+    """A first column without a name that counts the rows, as pandas writes it."""
+    if not names or names[0] != "":
+        return []
+    counted = [_row(path, dialect, k)[:1] for k in range(3)]
+    return [0] if counted[:2] == [["0"], ["1"]] and counted[2] in ([], ["2"]) else []
+
+
+def _row(path: Path, dialect: CsvDialect, k: int) -> list[str]:
+    """Fields of the k-th row of numbers; empty where there are fewer."""
+    return next(itertools.islice(_rows(path, dialect), k, None), [])
+
+
+def _rows(path: Path, dialect: CsvDialect) -> Iterator[list[str]]:
+    try:
+        with path.open(encoding=dialect.encoding) as file:
+            for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), ""), start=1):
+                if number > dialect.header_line and not is_skipped(line):
+                    fields = dialect.split(line)
+                    yield [*fields, *[""] * (len(dialect.columns) - len(fields))]
+    except UnicodeError as error:
+        raise not_text(path, error) from error
+
+
+def _refuse_changing_names(path: Path, dialect: CsvDialect, columns: list[int]) -> None:
+    """Refuse a table in which the columns of names do not name the same joints in every row."""
+    first: list[str] | None = None
+    for row in _rows(path, dialect):
+        joints = [row[i] for i in columns]
+        if first is not None and joints != first:
+            raise refusal(
+                path,
+                "unsteady-names",
+                f"the joints that the rows name change ({', '.join(first[:3])} ..., then "
+                f"{', '.join(joints[:3])} ...): export one publisher's messages only",
+            )
+        first = joints
+
+
+def _refuse_repeated(path: Path, dialect: CsvDialect, names: list[str | None], time: tuple[int, ...]) -> None:
+    seen: set[str] = set()
+    for i, name in enumerate(names):
+        if name is None or i in time[1:]:
+            continue
+        if not name:
+            raise _header_error(path, dialect, "unnamed-column", f"column {i + 1} of {len(names)} has no name")
+        if name in seen:
+            raise _header_error(path, dialect, "duplicate-column", f"two columns are called {name!r}: keep one")
+        seen.add(name)
+
+
+def _header_error(path: Path, dialect: CsvDialect, code: str, text: str) -> RecordingError:
+    return refusal(path, code, text, line=dialect.header_line)
+
 
 # columns that belong to a joint but are not needed here
 SURPLUS_SUFFIXES = ("_effort", "_torque", "_acceleration")
@@ -53,11 +373,11 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
     notes += columns.notes
     if cut and len(table) < 2:
-        raise RecordingError(
-            f"{path.name}: there is {len(table)} row of numbers beside the last line, which has no line end and may be "
+        raise refusal(
+            path,
+            "too-short",
+            f"there is {len(table)} row of numbers beside the last line, which has no line end and may be "
             "cut off; at least 2 are needed" + advice("; {} reads it", "last_line='keep'", "--last-line keep"),
-            code="too-short",
-            path=path,
         )
     if cut:
         notes.append(
@@ -112,9 +432,7 @@ def _table(path: Path, dialect: CsvDialect, used: list[int], request: ReadReques
             if first is None:
                 cut = " with a line end" if dialect.without_cut_line else ""
                 cut += advice(" ({} reads one without)", "last_line='keep'", "--last-line keep") if cut else ""
-                raise RecordingError(
-                    f"{path.name}: there is a header but no row of numbers{cut}", code="too-short", path=path
-                )
+                raise refusal(path, "too-short", f"there is a header but no row of numbers{cut}")
             return np.loadtxt(
                 _chained(first, lines),
                 delimiter=dialect.delimiter,
@@ -155,11 +473,11 @@ def _checked_lines(file: IO[str], path: Path, dialect: CsvDialect) -> Iterator[s
     for number, line in _numbered_lines(file, path, dialect):
         fields = len(line.split()) if delimiter is None else line.count(delimiter) + 1
         if fields != width:
-            raise RecordingError(
-                f"{path.name}:{number}: this row has {fields} fields, the header has {width} "
+            raise refusal(
+                path,
+                "ragged",
+                f"this row has {fields} fields, the header has {width} "
                 f"({DELIMITER_WORDS[delimiter]}-separated): {line.strip()[:60]!r}",
-                code="ragged",
-                path=path,
                 line=number,
             )
         if comma_possible and "," in line:
@@ -175,11 +493,11 @@ def _checked_lines(file: IO[str], path: Path, dialect: CsvDialect) -> Iterator[s
 
 
 def _mixed_marks(path: Path, number: int, line: str) -> RecordingError:
-    return RecordingError(
-        f"{path.name}:{number}: both ',' and '.' are used in numbers up to here, so it is not known which one is the "
+    return refusal(
+        path,
+        "decimal-mark",
+        f"both ',' and '.' are used in numbers up to here, so it is not known which one is the "
         f"decimal mark: {line.strip()[:60]!r}; write all numbers with one mark and no thousands separator",
-        code="decimal-mark",
-        path=path,
         line=number,
     )
 
@@ -203,9 +521,7 @@ def _explain(path: Path, dialect: CsvDialect, used: list[int], request: ReadRequ
                         line=number,
                         column=name,
                     ) from cause
-    raise RecordingError(
-        f"{path.name}: the numbers cannot be read: {reason(cause)}", code="not-a-number", path=path
-    ) from cause
+    raise refusal(path, "not-a-number", f"the numbers cannot be read: {reason(cause)}") from cause
 
 
 def _line_of(path: Path, dialect: CsvDialect, sample: int) -> int:

@@ -6,18 +6,24 @@ LeRobot does not store units, so the caller must state them.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 
-from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError, advice, counted
-from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER, LeRobotDataset, open_dataset
-from manip_learn.recordings.readers.lerobot_episodes import episode_number
-from manip_learn.recordings.readers.lerobot_state import StateFeature, state_feature
-from manip_learn.recordings.readers.parser_request import ParserRequest
-from manip_learn.recordings.readers.recording import Recording, float_array, reason
+from manip_learn.errors import DAMAGE, MissingExtraError, advice, counted
+from manip_learn.recordings.readers.lerobot_dataset import (
+    DATASET_HEADER,
+    LeRobotDataset,
+    StateFeature,
+    episode_number,
+    open_dataset,
+    state_feature,
+)
+from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.recording import Recording, float_array, reason, refusal
 
 try:
     import pyarrow as pa
@@ -44,7 +50,7 @@ class Episode:
     effort: np.ndarray | None = None
 
 
-def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
+def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """One recording per episode; one episode in memory at a time.
 
     Raises:
@@ -72,7 +78,7 @@ def _other_features(feature: StateFeature) -> list[str]:
     return [f"read from {feature.position}; also like joint positions, not used: {', '.join(feature.others)}{how}"]
 
 
-def _recording(dataset: LeRobotDataset, request: ParserRequest, names: tuple[str, ...], episode: Episode) -> Recording:
+def _recording(dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], episode: Episode) -> Recording:
     position = [i for i, n in enumerate(names) if not n.endswith(".vel")]
     velocity = [i for i, n in enumerate(names) if n.endswith(".vel")]
     position_names = tuple(_joint_name(names[i], request) for i in position)
@@ -106,14 +112,14 @@ def _recording(dataset: LeRobotDataset, request: ParserRequest, names: tuple[str
     )
 
 
-def _joint_name(name: str, request: ParserRequest) -> str:
+def _joint_name(name: str, request: ReadRequest) -> str:
     wanted = request.renamed(name)
     if wanted in request.robot.joint_names:
         return wanted
     return request.renamed(wanted.removesuffix(".pos").removesuffix(".vel"))
 
 
-def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ParserRequest) -> tuple[np.ndarray, list[str]]:
+def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ReadRequest) -> tuple[np.ndarray, list[str]]:
     """Positions with the gripper's 0 .. 100 in the unit of the other motors."""
     robot = request.robot
     if GRIPPER not in names or GRIPPER not in robot.joint_names or request.units == "radians":
@@ -129,18 +135,18 @@ def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ParserReque
     return positions, ["the gripper's 0 .. 100 is spread over its joint limits"]
 
 
-def _names(dataset: LeRobotDataset, feature: StateFeature, request: ParserRequest, width: int) -> tuple[str, ...]:
+def _names(dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest, width: int) -> tuple[str, ...]:
     names = request.joint_names or feature.names
     request.uses.use("joint_names")
     if names is None:
-        raise _refusal(
+        raise refusal(
             dataset.root,
             "no-joint-names",
             f"the data set does not name the {width} entries of {feature.position}: "
             + advice("pass {} in their order", "joint_names=[...]", "--joint-names NAME,NAME,..."),
         )
     if len(names) != width:
-        raise _refusal(
+        raise refusal(
             dataset.root,
             "shape",
             f"{feature.position} has {width} entries, there are {len(names)} names: {', '.join(names)}",
@@ -149,7 +155,7 @@ def _names(dataset: LeRobotDataset, feature: StateFeature, request: ParserReques
 
 
 def _refuse_unknown_units(
-    dataset: LeRobotDataset, request: ParserRequest, names: tuple[str, ...], state: np.ndarray
+    dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], state: np.ndarray
 ) -> None:
     if request.units is not None:
         return
@@ -163,7 +169,7 @@ def _refuse_unknown_units(
         if largest <= 100
         else "'degrees'"
     )
-    raise _refusal(
+    raise refusal(
         dataset.root,
         "units",
         f"LeRobot data does not say its units and the arm's values are {low:.4g} .. {high:.4g}: "
@@ -172,7 +178,7 @@ def _refuse_unknown_units(
     )
 
 
-def _episodes(dataset: LeRobotDataset, feature: StateFeature, request: ParserRequest) -> Iterator[Episode]:
+def _episodes(dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest) -> Iterator[Episode]:
     """Episodes of all files, or the chosen ones; one may go on in the next file."""
     open_parts: list[Episode] = []
     for file in dataset.files:
@@ -202,44 +208,37 @@ def _joined(parts: list[Episode]) -> Episode:
     )
 
 
-def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: ParserRequest) -> Iterator[Episode]:
+def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest) -> Iterator[Episode]:
     """Runs of samples with the same episode number, batch by batch; only the needed columns are read."""
-    try:
-        with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
-            there = parquet.schema_arrow.names
-            if feature.position not in there:
-                raise _refusal(
-                    file, "no-state", f"there is no column {feature.position!r}, there is {', '.join(there[:12])}"
-                )
-            columns = [c for c in (feature.position, feature.velocity, feature.effort, *STAMPS) if c in there]
-            stated, found = parquet.metadata.num_rows, 0
-            _refuse_bomb(file, stated)
-            for batch in parquet.iter_batches(batch_size=BATCH, columns=columns):
-                found += batch.num_rows
-                yield from _split(file, batch, dataset, feature, request)
-            groups = sum(parquet.metadata.row_group(i).num_rows for i in range(parquet.num_row_groups))
-            if not found == stated == groups:
-                text = f"{counted(found, 'sample')} are there, it states {stated}, in parts {groups}: download it again"
-                raise _refusal(file, "lost-samples", text)
-    except RecordingError:
-        raise
-    except (pa.ArrowException, *DAMAGE) as error:
-        raise _refusal(
-            file, "damaged", f"the Parquet file cannot be read ({reason(error)}): download or write it again"
-        ) from error
+    with opened_parquet(file) as parquet:
+        there = parquet.schema_arrow.names
+        if feature.position not in there:
+            raise refusal(
+                file, "no-state", f"there is no column {feature.position!r}, there is {', '.join(there[:12])}"
+            )
+        columns = [c for c in (feature.position, feature.velocity, feature.effort, *STAMPS) if c in there]
+        stated, found = parquet.metadata.num_rows, 0
+        _refuse_bomb(file, stated)
+        for batch in parquet.iter_batches(batch_size=BATCH, columns=columns):
+            found += batch.num_rows
+            yield from _split(file, batch, dataset, feature, request)
+        groups = sum(parquet.metadata.row_group(i).num_rows for i in range(parquet.num_row_groups))
+        if not found == stated == groups:
+            text = f"{counted(found, 'sample')} are there, it states {stated}, in parts {groups}: download it again"
+            raise refusal(file, "lost-samples", text)
 
 
 def _refuse_bomb(file: Path, n_rows: int) -> None:
     # the library's column metadata would tell more, but asking for it aborts the process if the file is damaged
     size = file.stat().st_size
     if FEWEST_BYTES * n_rows > max(ALWAYS_FINE, BOMB_RATIO * size):
-        raise _refusal(
+        raise refusal(
             file, "bomb", f"{size:,} bytes claim to hold {counted(n_rows, 'sample')}: no recorded motion packs so well"
         )
 
 
 def _split(
-    file: Path, batch: Any, dataset: LeRobotDataset, feature: StateFeature, request: ParserRequest
+    file: Path, batch: Any, dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest
 ) -> Iterator[Episode]:
     state = _matrix(file, batch, feature.position)
     velocity, effort = (
@@ -255,13 +254,13 @@ def _split(
             yield Episode(int(episode[a]), time[a:b], state[a:b], *beside)
 
 
-def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ParserRequest) -> np.ndarray:
+def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest) -> np.ndarray:
     if "timestamp" in batch.schema.names:
         return _vector(file, batch, "timestamp")
     rate = request.rate or dataset.fps
     request.uses.use("rate")
     if rate is None or "frame_index" not in batch.schema.names:
-        raise _refusal(
+        raise refusal(
             file,
             "no-time",
             "there is neither 'timestamp' nor 'frame_index' with a rate: "
@@ -273,32 +272,68 @@ def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ParserReques
 def _vector(file: Path, batch: Any, name: str) -> np.ndarray:
     array = batch.column(name)
     if array.null_count:
-        raise _refusal(file, "not-finite", f"{array.null_count} values of {name!r} are missing")
+        raise refusal(file, "not-finite", f"{array.null_count} values of {name!r} are missing")
     if not (pa.types.is_integer(array.type) or pa.types.is_floating(array.type)):
-        raise _refusal(file, "not-a-number", f"{name!r} holds {array.type}, numbers are needed")
+        raise refusal(file, "not-a-number", f"{name!r} holds {array.type}, numbers are needed")
     return float_array(array.to_numpy(zero_copy_only=False))
 
 
 def _matrix(file: Path, batch: Any, name: str) -> np.ndarray:
     array = batch.column(name)
     if array.null_count:
-        raise _refusal(file, "not-finite", f"{counted(array.null_count, 'sample')} of {name!r} are missing")
+        raise refusal(file, "not-finite", f"{counted(array.null_count, 'sample')} of {name!r} are missing")
     if pa.types.is_fixed_size_list(array.type):
         width = array.type.list_size
     elif pa.types.is_list(array.type) or pa.types.is_large_list(array.type):
         widths = np.unique(np.diff(array.offsets.to_numpy()))
         if len(widths) > 1:
-            raise _refusal(file, "ragged", f"the samples of {name!r} have {widths[0]} to {widths[-1]} entries")
+            raise refusal(file, "ragged", f"the samples of {name!r} have {widths[0]} to {widths[-1]} entries")
         width = int(widths[0]) if len(widths) else 0
     else:
         return _vector(file, batch, name)[:, None]
     flat = array.flatten()
     if flat.null_count:
-        raise _refusal(file, "not-finite", f"{flat.null_count} values of {name!r} are missing")
+        raise refusal(file, "not-finite", f"{flat.null_count} values of {name!r} are missing")
     if not (pa.types.is_integer(flat.type) or pa.types.is_floating(flat.type)):
-        raise _refusal(file, "not-a-number", f"{name!r} holds {flat.type}, numbers are needed")
+        raise refusal(file, "not-a-number", f"{name!r} holds {flat.type}, numbers are needed")
     return float_array(flat.to_numpy(zero_copy_only=False)).reshape(len(array), width)
 
 
-def _refusal(path: Path, code: str, text: str) -> RecordingError:
-    return RecordingError(f"{path.name}: {text}", code=code, path=path)
+@contextmanager
+def opened_parquet(file: Path) -> Iterator[Any]:
+    """A `pyarrow.parquet.ParquetFile` with its checksums tested, closed at the end.
+
+    Raises:
+        RecordingError: Damaged, found when it is opened or while it is read.
+    """
+    try:
+        with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
+            yield parquet
+    except (pa.ArrowException, *DAMAGE) as error:
+        raise refusal(
+            file, "damaged", f"the Parquet file cannot be read ({reason(error)}): download or write it again"
+        ) from error
+
+
+def parquet_rows(file: Path, columns: tuple[str, ...], *, ends_only: bool) -> Iterator[dict[str, Any]]:
+    """Some columns of a Parquet file, row by row; a column that is missing is left out.
+
+    Args:
+        file: The file.
+        columns: Names. A file without the first one, the number of the episode, is one episode: 0.
+        ends_only: Only the first and the last value of the first column, or nothing if it has none.
+
+    Raises:
+        RecordingError: Damaged.
+    """
+    with opened_parquet(file) as parquet:
+        there = [c for c in columns if c in parquet.schema_arrow.names]
+        if columns[0] not in there:
+            yield from () if ends_only else ({columns[0]: 0},)
+        elif ends_only:
+            column = parquet.read(columns=[columns[0]]).column(0)
+            if len(column) and not column.null_count:
+                yield from ({columns[0]: int(column[i].as_py())} for i in (0, len(column) - 1))
+        else:
+            for batch in parquet.iter_batches(columns=there):
+                yield from batch.to_pylist()

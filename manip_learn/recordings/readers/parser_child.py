@@ -1,8 +1,8 @@
 """The child process that parses foreign formats; run as a script, never imported.
 
 The first line of stdin is the search path of modules, each further line a job (JSON). For a job it limits its own
-memory and processor time, and answers with lines of JSON, some followed by the bytes of arrays; the last one says how
-it ended.
+memory and processor time, and answers with frames of JSON, some followed by frames with the bytes of arrays; the last
+one says how it ended.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ import os
 import signal
 import sys
 import types
-from typing import IO, Any
+from multiprocessing.connection import Connection
+from typing import Any
 
 ROWS = 10_000  # in one answer
 
@@ -24,7 +25,7 @@ def main() -> None:
     """Serve jobs until stdin closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
     # what a library prints must not get between the answers
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    answers = Connection(os.dup(sys.stdout.fileno()), readable=False)
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.path[:] = json.loads(sys.stdin.buffer.readline())
     # the package without its __init__, which would load robots, too
@@ -35,23 +36,22 @@ def main() -> None:
         job = json.loads(line)
         limit_self(job["bytes"], job["seconds"])
         serve(job, answers)
-        answers.flush()
 
 
-def serve(job: dict[str, Any], answers: IO[bytes]) -> None:
+def serve(job: dict[str, Any], answers: Connection) -> None:
     """Answer one job."""
     from pathlib import Path
 
     from manip_learn.errors import MissingExtraError, RecordingError, advice_for_command
-    from manip_learn.recordings.readers.parser_request import ParserRequest
+    from manip_learn.recordings.readers.read_request import ReadRequest
 
-    request = None if job["request"] is None else ParserRequest.of_words(job["request"])
+    request = None if job["request"] is None else ReadRequest.of_words(job["request"])
     advice = contextlib.nullcontext() if job["flags"] is None else advice_for_command(job["flags"])
     try:
         with advice:
             module = importlib.import_module(job["module"])
             if request is None:
-                rows = module.parquet_rows(Path(job["path"]), tuple(job["columns"]))
+                rows = module.parquet_rows(Path(job["path"]), tuple(job["columns"]), ends_only=job["ends"])
                 while batch := list(itertools.islice(rows, ROWS)):
                     say(answers, {"kind": "rows", "rows": batch})
             else:
@@ -66,13 +66,13 @@ def serve(job: dict[str, Any], answers: IO[bytes]) -> None:
         say(answers, {"kind": "missing", "message": str(error), "extra": error.extra})
 
 
-def say(answers: IO[bytes], words: dict[str, Any]) -> None:
-    """One line."""
-    answers.write(json.dumps(words).encode() + b"\n")
+def say(answers: Connection, words: dict[str, Any]) -> None:
+    """One frame of words."""
+    answers.send_bytes(json.dumps(words).encode())
 
 
-def say_recording(answers: IO[bytes], recording: Any) -> None:
-    """A recording: what has no numbers as a line, then the arrays."""
+def say_recording(answers: Connection, recording: Any) -> None:
+    """A recording: what has no numbers, then the arrays."""
     import numpy as np
 
     arrays = {name: getattr(recording, name) for name in ("time", "positions", "velocities", "efforts")}
@@ -82,8 +82,7 @@ def say_recording(answers: IO[bytes], recording: Any) -> None:
     shapes = {k: a.shape for k, a in given.items()}
     say(answers, {"kind": "recording", "path": str(recording.path), "fields": words, "shapes": shapes})
     for array in given.values():
-        answers.write(array.tobytes())
-    answers.flush()
+        answers.send_bytes(array.tobytes())
 
 
 def limit_self(memory: int, seconds: float) -> None:

@@ -1,11 +1,14 @@
-"""Foreign formats, parsed in a child process that may crash, hang or run out of memory."""
+"""Foreign formats, parsed in a child process that may crash, hang or run out of memory.
+
+The child is a script of its own, not one of `multiprocessing`, which would run the caller's main module once more and
+load the robots with it. Its answers come as the frames of a `multiprocessing` connection.
+"""
 
 from __future__ import annotations
 
 import atexit
 import contextlib
 import json
-import math
 import os
 import signal
 import subprocess
@@ -13,15 +16,15 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from multiprocessing.connection import Pipe
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError, command_flags
-from manip_learn.recordings.readers.answer_pipe import AnswerPipe
-from manip_learn.recordings.readers.parser_request import ParserRequest
-from manip_learn.recordings.readers.recording import Recording, reason
+from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.recording import Recording, reason, refusal, size_on_disk
 
 CHILD = Path(__file__).with_name("parser_child.py")
 MEMORY, MEMORY_PER_BYTE = 2_000_000_000, 8  # [bytes], and per byte of the file
@@ -29,12 +32,13 @@ SECONDS, BYTES_PER_SECOND = 8.0, 1_000_000  # of processor time, and more for la
 SILENCE = 10.0  # times as long on the clock, for slow disks and busy machines
 START_SECONDS = 60.0  # for the libraries to be loaded
 FINISH_SECONDS, MOST_SKIPPED = 0.5, 20  # of a job whose further answers nobody wants
+PARQUET = "manip_learn.recordings.readers.lerobot_reader"
 PARTS = ("recording", "rows")
 
 Answer = tuple[dict[str, Any], dict[str, Any]]  # words, and arrays by name
 
 
-def parsed_recordings(module: str, path: Path, request: ParserRequest) -> Iterator[Recording]:
+def parsed_recordings(module: str, path: Path, request: ReadRequest) -> Iterator[Recording]:
     """The recordings that a parser finds, one after the other.
 
     Args:
@@ -56,20 +60,20 @@ def parsed_recordings(module: str, path: Path, request: ParserRequest) -> Iterat
         yield Recording(path=path if told == job["path"] else Path(told), **fields, **arrays)
 
 
-def parsed_rows(module: str, path: Path, columns: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """Some columns of a Parquet file, row by row.
+def parsed_rows(path: Path, columns: tuple[str, ...], *, ends_only: bool = False) -> Iterator[dict[str, Any]]:
+    """Some columns of a Parquet file, row by row, as `parquet_rows` gives them.
 
     Raises:
         RecordingError: As `parsed_recordings`.
         MissingExtraError: The parser's library is not installed.
     """
-    job = {"module": module, "path": os.path.abspath(path), "request": None, "columns": columns}
+    job = {"module": PARQUET, "path": os.path.abspath(path), "request": None, "columns": columns, "ends": ends_only}
     for words, _ in _answers(path, job):
         yield from words.get("rows", ())
 
 
 def _answers(path: Path, job: dict[str, Any]) -> Iterator[Answer]:
-    size = _bytes(path)
+    size = size_on_disk(path)
     seconds = SECONDS + size / BYTES_PER_SECOND
     known = command_flags()
     flags = None if known is None else sorted(known)
@@ -85,12 +89,6 @@ def _answers(path: Path, job: dict[str, Any]) -> Iterator[Answer]:
             child.close()
 
 
-def _bytes(path: Path) -> int:
-    if path.is_dir():
-        return sum(inner.stat().st_size for inner in path.rglob("*") if inner.is_file())
-    return path.stat().st_size
-
-
 @final
 class _Child:
     """One parsing process; serves many jobs until one of them kills it."""
@@ -100,21 +98,18 @@ class _Child:
         self.is_free = False
         self._is_new = True
         self._errors = tempfile.TemporaryFile()
+        self._pipe, answers = Pipe(duplex=False)
         threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
         self._process = subprocess.Popen(
             [sys.executable, "-P", str(CHILD)],
             stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
+            stdout=answers.fileno(),
             stderr=self._errors,
             # Arrow's own allocators reserve far more addresses than they use
             env={**os.environ, **threads, "ARROW_DEFAULT_MEMORY_POOL": "system"},
         )
-        if self._process.stdin is None or self._process.stdout is None:
-            raise RecordingError("the process that parses recordings has no pipes", code="parser-crashed")
-        self._stdin, self._stdout = self._process.stdin, self._process.stdout
-        self._pipe = AnswerPipe(self._stdout.fileno())
+        answers.close()  # the child's end: where it is closed, the child has ended
         self._timed_out = False
-        self._skipped = 0
 
     @property
     def is_alive(self) -> bool:
@@ -122,89 +117,87 @@ class _Child:
         return self._process.poll() is None and self.owner == os.getpid()
 
     def answers(self, path: Path, job: dict[str, Any]) -> Iterator[Answer]:
-        """The lines and arrays that a job gives.
+        """The words and arrays that a job gives.
 
         Raises:
             RecordingError: What the parser refused, or codes `parser-time`, `parser-crashed`.
             MissingExtraError: The parser's library is not installed.
         """
         self.is_free = False
-        self._skipped = 0
+        first = [[p or os.getcwd() for p in sys.path]] if self._is_new else []
         try:
-            if self._is_new:
-                self._stdin.write(json.dumps([p or os.getcwd() for p in sys.path]).encode() + b"\n")
-            self._stdin.write(json.dumps(job).encode() + b"\n")
-            self._stdin.flush()
+            self._write(*first, job)
         except OSError as error:
             raise self._lost(path, job) from error
         patience = SILENCE * job["seconds"] + (START_SECONDS if self._is_new else 0.0)
         self._is_new = False
-        while True:
-            words, arrays = self._answer(path, job, patience)
-            kind = words["kind"]
-            if kind in PARTS:
-                try:
-                    yield words, arrays
-                except GeneratorExit:
-                    self._finish(path, job)
-                    raise
-                continue
-            self.is_free = True
-            if kind == "end":
-                yield words, arrays
-                return
-            if kind == "missing":
-                raise _rebuilt(words)
+        while (answer := self._answer(path, job, patience))[0]["kind"] in PARTS:
+            try:
+                yield answer
+            except GeneratorExit:
+                self._finish(path, job)
+                raise
+        self.is_free = True
+        words, _ = answer
+        if words["kind"] == "missing":
+            raise _rebuilt(words)
+        if words["kind"] == "refusal":
             told = Path(words["path"]) if words["path"] else None
             given = path if words["path"] == job["path"] else told
             raise RecordingError(
                 words["message"], code=words["code"], path=given, line=words["line"], column=words["column"]
             )
+        yield answer
+
+    def _write(self, *lines: Any) -> None:
+        if self._process.stdin is None:
+            raise BrokenPipeError
+        self._process.stdin.write(b"".join(json.dumps(line).encode() + b"\n" for line in lines))
+        self._process.stdin.flush()
 
     def _answer(self, path: Path, job: dict[str, Any], patience: float) -> Answer:
         deadline = time.monotonic() + patience
         try:
-            line = self._pipe.line(deadline)
-            if not line.endswith(b"\n"):
-                raise self._lost(path, job)
-            words = json.loads(line)
-            arrays: dict[str, Any] = {}
-            for name, shape in words.get("shapes", {}).items():
-                content = self._pipe.content(8 * math.prod(shape), deadline)
-                if len(content) < 8 * math.prod(shape):
-                    raise self._lost(path, job)
-                arrays[name] = np.frombuffer(content, dtype=np.float64).reshape(shape)
+            words = json.loads(self._frame(deadline))
+            shapes = words.get("shapes", {}).items()
+            return words, {name: np.frombuffer(self._frame(deadline)).reshape(shape) for name, shape in shapes}
         except TimeoutError as error:
             self._timed_out = True
             self._process.kill()
             raise self._lost(path, job) from error
-        return words, arrays
+        except (EOFError, OSError) as error:
+            raise self._lost(path, job) from error
+
+    def _frame(self, deadline: float) -> bytes:
+        """The next frame; one that has begun comes whole, or breaks off where the child's limits end it."""
+        if not self._pipe.poll(max(deadline - time.monotonic(), 0.0)):
+            raise TimeoutError
+        return self._pipe.recv_bytes()
 
     def _finish(self, path: Path, job: dict[str, Any]) -> None:
         """Skip what the caller, who has refused a recording, does not want; a job that goes on is not waited for."""
         with contextlib.suppress(RecordingError):
-            while self._answer(path, job, FINISH_SECONDS)[0]["kind"] in PARTS:
-                self._skipped += 1
-                if self._skipped > MOST_SKIPPED:
+            for _ in range(MOST_SKIPPED):
+                if self._answer(path, job, FINISH_SECONDS)[0]["kind"] not in PARTS:
+                    self.is_free = True
                     return
-            self.is_free = True
 
     def _lost(self, path: Path, job: dict[str, Any]) -> RecordingError:
         code = self._process.wait()
         if self._timed_out or (os.name == "posix" and -code == signal.SIGXCPU):
-            return RecordingError(
-                f"{path.name}: reading it takes more than {job['seconds']:.0f} s of processor time, far more than a "
+            return refusal(
+                path,
+                "parser-time",
+                f"reading it takes more than {job['seconds']:.0f} s of processor time, far more than a "
                 "sound file of this size: it is damaged; copy or download it again",
-                code="parser-time",
-                path=path,
             )
         self._errors.seek(0)
         said = self._errors.read().decode(errors="replace").strip().splitlines()
         cause = reason(ValueError(said[-1] if said else f"exit code {code}"))
-        return RecordingError(
-            f"{path.name}: the library that reads it crashed ({cause}): the file is damaged; copy or download it again",
-            code="parser-crashed",
-            path=path,
+        return refusal(
+            path,
+            "parser-crashed",
+            f"the library that reads it crashed ({cause}): the file is damaged; copy or download it again",
         )
 
     def close(self) -> None:
@@ -212,10 +205,10 @@ class _Child:
         if self.owner == os.getpid():
             self._process.kill()
             self._process.wait()
-        with contextlib.suppress(BrokenPipeError):
-            self._stdin.close()
+        if self._process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self._process.stdin.close()
         self._pipe.close()
-        self._stdout.close()
         self._errors.close()
 
 

@@ -1,21 +1,260 @@
-"""What the caller asked for when recordings are read."""
+"""What the caller asked for when recordings are read, and what of it they had a use for."""
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, final, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast, final, get_args
 
-from manip_learn.errors import RecordingError, spoken
-from manip_learn.recordings.readers.episode_selection import EpisodeSelection
-from manip_learn.recordings.readers.option_uses import OptionUses, UnmatchedOption, as_written
-from manip_learn.recordings.readers.parser_request import ParserRequest, RobotOutline
-from manip_learn.robot import Robot
+from manip_learn.errors import RecordingError, advice, closest_names, spoken
+
+if TYPE_CHECKING:  # the process that parses foreign formats is without robots, which take long to load
+    from manip_learn.robot.robot import Robot
+
+MOST_SEEN = 10_000  # names kept for near matches
+
+
+def first_names(names: Sequence[str], most: int = 12) -> str:
+    """Names in quotes, the first of them where they are many; "none" without any."""
+    return (", ".join(map(repr, names[:most])) or "none") + (" ..." if len(names) > most else "")
+
+
+def flag_of(option: str) -> str:
+    """The flag of the command line for a keyword of `load_demonstrations`."""
+    return {"ignore_columns": "--ignore-column", "topics": "--topic"}.get(option, "--" + option.replace("_", "-"))
+
+
+def as_written(option: str) -> str:
+    """A keyword of `load_demonstrations` as the caller writes it: in Python, or on the command line."""
+    return spoken(option, flag_of(option))
+
+
+@final
+class UnmatchedOption(str):
+    """A sentence about an option that matched nothing in the files that were read; it travels among their notes.
+
+    Of recordings that are read in several parts, an option is a mistake only if it matched nothing in any of them.
+
+    Attributes:
+        option: The option with its value, the same in every part.
+    """
+
+    option: str
+
+    def __new__(cls, option: str, sentence: str) -> UnmatchedOption:
+        """The sentence, and the option that it is about."""
+        self = super().__new__(cls, sentence)
+        self.option = option
+        return self
+
+    def __reduce__(self) -> tuple[type[UnmatchedOption], tuple[str, str]]:
+        return UnmatchedOption, (self.option, str(self))
+
+
+@final
+class OptionUses:
+    """What was used of the options while recordings were read, and the names that were seen."""
+
+    def __init__(self) -> None:
+        self._used: dict[str, set[str]] = {}
+        self._seen: dict[str, None] = {}
+
+    def see(self, *names: str) -> None:
+        """Names of columns, joints or arrays in a file."""
+        if len(self._seen) < MOST_SEEN:
+            self._seen.update(dict.fromkeys(names))
+
+    def renamed(self, name: str, rename: Mapping[str, str]) -> str:
+        """The name in a file after renaming."""
+        self.see(name)
+        if name in rename:
+            self.use("rename", name)
+        return rename.get(name, name)
+
+    def use(self, option: str, *names: str) -> None:
+        """An option was used; of options that list names, these."""
+        self._used.setdefault(option, set()).update(names)
+
+    def as_words(self) -> dict[str, Any]:
+        """As JSON can write it."""
+        return {"used": {option: sorted(names) for option, names in self._used.items()}, "seen": list(self._seen)}
+
+    def add_words(self, words: dict[str, Any]) -> None:
+        """What was used and seen elsewhere, from what `as_words` gave."""
+        for option, names in words["used"].items():
+            self.use(option, *names)
+        self.see(*words["seen"])
+
+    def without_use(self, option: str, names: Iterable[str]) -> list[str]:
+        """Of the names that an option lists, those that nothing in the files was called."""
+        return [n for n in names if n not in self._used.get(option, ())]
+
+    def was_used(self, option: str) -> bool:
+        """True if the files had a use for an option."""
+        return option in self._used
+
+    def no(self, name: str) -> str:
+        """The sentence that nothing is called so, with near matches."""
+        near = [n for n in closest_names(name, self._seen) if n != name]
+        hint = (
+            f"did you mean {', '.join(map(repr, near))}?"
+            if near
+            else f"there is {first_names(list(self._seen)) if self._seen else 'nothing'}"
+        )
+        return f"nothing in the recordings is called {name!r}; {hint}"
+
+
+# options that only some formats have a use for, and why the recordings had none
+WHY = {
+    "topics": "topics are read from ROS bags, and none of the recordings is one",
+    "joint_names": "the recordings name their columns or joints themselves, so these names are not used",
+    "rate": "the recordings have time stamps, so the rate is not used",
+    "time_unit": "the recordings are of formats that state the unit of their time stamps",
+    "columns": "patterns are those of columns of text tables, and none of the recordings is one",
+    "feature": "features are those of LeRobot data sets, and none of the recordings is one",
+}
+
+
+def refuse_unmatched(notes: Iterable[str], n_parts: int = 1) -> list[str]:
+    """The notes without sentences about options that matched in some part.
+
+    Raises:
+        RecordingError: An option that matched nothing in any part.
+    """
+    kept: list[str] = []
+    unmatched: dict[str, list[UnmatchedOption]] = {}
+    for note in notes:
+        if isinstance(note, UnmatchedOption):
+            unmatched.setdefault(note.option, []).append(note)
+        else:
+            kept.append(note)
+    for sentences in unmatched.values():
+        if len(sentences) >= n_parts:
+            raise RecordingError(str(sentences[0]), code="option")
+    return kept
+
+
+ITEM = re.compile(r"\s*(?:(\d{1,9})|(\d{1,9})?\s*:\s*(\d{1,9})?)\s*")
+SHOWN = 4  # numbers in a message
+
+
+@final
+@dataclass(frozen=True)
+class EpisodeSelection:
+    """Numbers and half-open ranges of numbers, as Python counts: 0:50 is 0 to 49.
+
+    Attributes:
+        items: First number and the one after the last, None for no end; one pair per item.
+    """
+
+    items: tuple[tuple[int, int | None], ...]
+
+    @staticmethod
+    def of(episodes: str | int | Iterable[int]) -> EpisodeSelection:
+        """From text such as `0:50,60,75`, `10:` or `:5`, or from numbers.
+
+        Raises:
+            RecordingError: Anything else.
+        """
+        if isinstance(episodes, int) and not isinstance(episodes, bool):
+            episodes = [episodes]
+        if isinstance(episodes, str):
+            items = [_item(part, episodes) for part in episodes.split(",")]
+        else:
+            given = list(episodes) if isinstance(episodes, Iterable) else []
+            numbers = [n for n in given if isinstance(n, int) and not isinstance(n, bool) and n >= 0]
+            if not numbers or len(numbers) < len(given):
+                raise _refused(episodes)
+            items = [(n, n + 1) for n in numbers]
+        return EpisodeSelection(tuple(items))
+
+    def __str__(self) -> str:
+        return ",".join(str(a) if b == a + 1 else f"{a}:{'' if b is None else b}" for a, b in self.items)
+
+    def of_known(self, known: Sequence[int], where: str) -> frozenset[int]:
+        """The selected ones among the numbers that exist.
+
+        Raises:
+            RecordingError: An item selects nothing; names the nearest numbers.
+        """
+        chosen: set[int] = set()
+        for first, end in self.items:
+            found = {n for n in known if n >= first and (end is None or n < end)}
+            if not found:
+                near = sorted(sorted(known, key=lambda n: abs(n - first))[:SHOWN])
+                item = EpisodeSelection(((first, end),))
+                raise RecordingError(
+                    f"{where}: no episode is selected by {str(item)!r}; there are {len(known)}, numbered "
+                    f"{min(known)} to {max(known)}; the nearest: {', '.join(map(str, near))}",
+                    code="no-episode",
+                )
+            chosen |= found
+        return frozenset(chosen)
+
+
+def _item(part: str, text: str) -> tuple[int, int | None]:
+    found = ITEM.fullmatch(part)
+    if found is None:
+        raise _refused(text)
+    number, first, end = found.groups()
+    if number is not None:
+        return int(number), int(number) + 1
+    return int(first or 0), None if end is None else int(end)
+
+
+def _refused(given: object) -> RecordingError:
+    return RecordingError(
+        f"{advice('{}', 'episodes', '--episodes')} must be numbers and ranges such as '0:50,60,75' (counted from 0; "
+        f"0:50 is 0 to 49), got {given!r}",
+        code="option",
+    )
+
+
+class Block(NamedTuple):
+    """A joint and its kind."""
+
+    name: str
+    kind: str
+
+
+@final
+@dataclass(frozen=True)
+class RobotOutline:
+    """What the parser of a foreign format knows about a robot, under the names of `Robot`.
+
+    Attributes:
+        joint_names: In the robot's order.
+        blocks: Those of joints that turn without end.
+        position_lower: Per joint [rad or m].
+        position_upper: Per joint [rad or m].
+    """
+
+    joint_names: tuple[str, ...]
+    blocks: tuple[Block, ...]
+    position_lower: tuple[float, ...]
+    position_upper: tuple[float, ...]
+
+    def joint_index(self, name: str) -> int:
+        """Place of a joint."""
+        return self.joint_names.index(name)
+
+
+@functools.lru_cache(maxsize=8)
+def unmoved_joint_names(robot: Robot) -> tuple[str, ...]:
+    """Joints of the description that are no degrees of freedom: locked, fixed and mimic joints."""
+    frames = robot.pinocchio_model.frames
+    fixed = [f.name for f in frames if f.type.name in ("FIXED_JOINT", "JOINT")]
+    return tuple(n for n in (*fixed, *(m.joint for m in robot.mimics)) if n not in robot.joint_names)
+
 
 Units = Literal["radians", "degrees", "normalised"]
 TimeUnit = Literal["s", "ms", "us", "ns"]
 
+# options that the parser of a foreign format is told
+PARSED = ("units", "joint_names", "topics", "rate", "feature")
 SECONDS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -95,16 +334,28 @@ class ReadRequest:
 
     def unmatched(self) -> list[UnmatchedOption]:
         """A sentence for each option that the recordings read so far had no use for."""
-        return self.uses.unmatched(
-            rename=self.rename,
-            ignore_columns=self.ignore_columns,
-            topics=self.topics,
-            joint_names=self.joint_names,
-            rate=self.rate,
-            time_unit=self.time_unit,
-            feature=self.feature,
-            columns=self.columns or None,
-        )
+        names = [
+            (name, f"rename={{{name!r}: {self.rename[name]!r}}}", f"--rename {name}={self.rename[name]}")
+            for name in self.uses.without_use("rename", self.rename)
+        ]
+        names += [
+            (name, f"ignore_columns=[{name!r}]", f"--ignore-column {name}")
+            for name in self.uses.without_use("ignore_columns", self.ignore_columns)
+        ]
+        said = [(python, flag, self.uses.no(name)) for name, python, flag in names]
+        topics, patterns = self.topics or (), self.columns
+        flags = {
+            "topics": " ".join(f"--topic {topic}" for topic in topics),
+            "joint_names": "--joint-names",
+            "columns": " ".join(f"--columns '{p}'" for p in patterns),
+        }
+        for option, why in WHY.items():
+            value = getattr(self, option)
+            if value not in (None, ()) and not self.uses.was_used(option):
+                listed = list(value) if option in ("topics", "joint_names") else value
+                flag = flags.get(option, f"{flag_of(option)} {value}")
+                said.append((f"{option}={listed!r}", flag, f"{why}: leave it out"))
+        return [UnmatchedOption(python, advice("{}: ", python, flag) + text) for python, flag, text in said]
 
     def ignores(self, *names: str) -> bool:
         """True if a column with these names (in the file, and after renaming) is not to be read."""
@@ -114,26 +365,34 @@ class ReadRequest:
             self.uses.use("ignore_columns", name)
         return bool(asked)
 
-    def for_parser(self) -> ParserRequest:
-        """What a parser in another process needs of it."""
+    @property
+    def continuous(self) -> frozenset[str]:
+        """Joints that turn without end."""
+        return frozenset(b.name for b in self.robot.blocks if b.kind == "continuous")
+
+    def as_words(self) -> dict[str, Any]:
+        """What the parser of a foreign format needs of it, as JSON can write it."""
         robot = self.robot
-        outline = RobotOutline(
-            joint_names=robot.joint_names,
-            continuous=tuple(b.name for b in robot.blocks if b.kind == "continuous"),
-            position_lower=tuple(map(float, robot.position_lower)),
-            position_upper=tuple(map(float, robot.position_upper)),
-        )
-        return ParserRequest(
-            robot=outline,
-            units=self.units,
-            rename=dict(self.rename),
-            joint_names=self.joint_names,
-            topics=self.topics,
-            rate=self.rate,
-            chosen=self.chosen,
-            feature=self.feature,
-            uses=self.uses,
-        )
+        outline = {
+            "joint_names": robot.joint_names,
+            "blocks": [(name, "continuous") for name in self.continuous],
+            "position_lower": tuple(map(float, robot.position_lower)),
+            "position_upper": tuple(map(float, robot.position_upper)),
+        }
+        chosen = None if self.chosen is None else sorted(self.chosen)
+        return {name: getattr(self, name) for name in PARSED} | {
+            "rename": dict(self.rename),
+            "robot": outline,
+            "chosen": chosen,
+        }
+
+    @staticmethod
+    def of_words(words: dict[str, Any]) -> ReadRequest:
+        """From what `as_words` gave; the robot is an outline of itself."""
+        parts = {name: tuple(values) for name, values in words["robot"].items()}
+        outline = RobotOutline(**parts | {"blocks": tuple(Block(*b) for b in parts["blocks"])})
+        chosen = None if words["chosen"] is None else frozenset(words["chosen"])
+        return ReadRequest(**words | {"robot": cast("Robot", outline), "chosen": chosen})
 
 
 def _check_choice(option: str, value: object, allowed: tuple[object, ...]) -> None:

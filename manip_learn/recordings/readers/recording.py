@@ -1,11 +1,14 @@
-"""One recording as it stands in a file, before it is matched to a robot."""
+"""One recording as it stands in a file, before it is matched to a robot, and what every reader asks of a file."""
 
 from __future__ import annotations
 
+import json
+import re
+import stat
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -54,6 +57,41 @@ class Recording:
     effort_names: tuple[str, ...] = ()
     efforts: Float[np.ndarray, "T e"] | None = None
 
+    @staticmethod
+    def of(
+        path: Path,
+        name: str,
+        time: np.ndarray,
+        names: tuple[str, ...],
+        q: np.ndarray,
+        u: np.ndarray | None,
+        effort: np.ndarray | None,
+        **others: Any,
+    ) -> Recording:
+        """A recording whose velocities and efforts, where there are some, are those of the joints of its positions."""
+        u_names, e_names = (() if x is None else names for x in (u, effort))
+        return Recording(path, name, time, names, q, u_names, u, effort_names=e_names, efforts=effort, **others)
+
+    def without(self, unwanted: Callable[[str], bool]) -> Recording:
+        """The recording without the columns whose names are not wanted."""
+
+        def kept(names: tuple[str, ...], values: Any) -> tuple[tuple[str, ...], Any]:
+            wanted = [i for i, n in enumerate(names) if not unwanted(n)]
+            return tuple(names[i] for i in wanted), None if values is None else values[:, wanted]
+
+        p_names, p = kept(self.position_names, self.positions)
+        u_names, u = kept(self.velocity_names, self.velocities)
+        e_names, e = kept(self.effort_names, self.efforts)
+        return replace(
+            self,
+            position_names=p_names,
+            positions=p,
+            velocity_names=u_names,
+            velocities=u,
+            effort_names=e_names,
+            efforts=e,
+        )
+
     def line(self, sample: int) -> int | None:
         """Line of the sample in the file, counted from 1, or None."""
         return None if self.line_of is None else self.line_of(int(sample))
@@ -74,6 +112,20 @@ class Recording:
         return RecordingError(f"{where}: {text}", code=code, path=self.path, line=line, column=column)
 
 
+def refusal(path: Path, code: str, text: str, *, line: int | None = None, in_full: bool = False) -> RecordingError:
+    """The error that refuses a file.
+
+    Args:
+        path: The file, which is called by its name.
+        code: Short name of the reason.
+        text: What is wrong, and what to do.
+        line: Where, counted from 1.
+        in_full: Call it by its whole path.
+    """
+    where = str(path) if in_full else path.name
+    return RecordingError(f"{where}{'' if line is None else f':{line}'}: {text}", code=code, path=path, line=line)
+
+
 def reason(error: BaseException) -> str:
     """Its message without line breaks; the name of its class if it has none."""
     text = " ".join(str(error).split()) or type(error).__name__
@@ -84,3 +136,56 @@ def float_array(values: np.ndarray) -> Float[np.ndarray, "..."]:
     """The values as native float64 in C order; what is not a number becomes NaN, which validation finds."""
     with np.errstate(invalid="ignore", over="ignore"):  # signalling NaN in damaged files
         return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def size_on_disk(path: Path) -> int:
+    """Bytes of a file, or of all files in a folder."""
+    files = path.rglob("*") if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files if file.is_file())
+
+
+def natural_order(name: str) -> tuple[tuple[int, int, str], ...]:
+    """Sort key that puts `demo_2` before `demo_10`."""
+    parts = re.findall(r"\d+|\D+", name)
+    # CPython refuses to convert thousands of digits
+    return tuple((0, int(p), "") if p.isdecimal() and len(p) < 400 else (1, 0, p) for p in parts)
+
+
+def check_regular(path: Path) -> None:
+    """Refuse what is neither a file nor there.
+
+    Raises:
+        RecordingError: Missing, not readable, a pipe, a device.
+    """
+    try:
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode):
+            raise refusal(
+                path,
+                "not-a-file",
+                "this is not a regular file; give a recording or a folder of recordings",
+                in_full=True,
+            )
+        with path.open("rb"):
+            pass
+    except FileNotFoundError as error:
+        raise refusal(path, "missing-file", "there is no such file: check the path", in_full=True) from error
+    except (OSError, ValueError) as error:
+        raise refusal(path, "unreadable", f"cannot be opened: {reason(error)}", in_full=True) from error
+
+
+def read_json(path: Path, most_bytes: int = 10_000_000) -> object:
+    """A small JSON file.
+
+    Raises:
+        RecordingError: Too large or not JSON.
+    """
+    check_regular(path)
+    if path.stat().st_size > most_bytes:
+        raise refusal(
+            path, "too-large", f"larger than {most_bytes:,} bytes, which no such file should be", in_full=True
+        )
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise refusal(path, "damaged", f"not valid JSON: {reason(error)}", in_full=True) from error

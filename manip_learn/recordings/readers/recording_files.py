@@ -1,17 +1,174 @@
-"""Paths that a caller gives -> files and folders that each hold one kind of recording."""
+"""Paths that a caller gives -> files and folders of one kind of recording, by content, never by extension."""
 
 from __future__ import annotations
 
+import importlib
 import os
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 from manip_learn.errors import RecordingError, counted
-from manip_learn.recordings.readers.file_format import CSV, FileFormat, folder_format, looks_like_table, recognise
-from manip_learn.recordings.readers.natural_order import natural_order
-from manip_learn.recordings.readers.recording import reason
+from manip_learn.recordings.readers.csv_reader import CsvDialect, sniff_dialect
+from manip_learn.recordings.readers.lerobot_dataset import episode_numbers, episodes_of_task
+from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.recording import Recording, check_regular, natural_order, reason, refusal
+from manip_learn.recordings.readers.saved_reader import file_header
+from manip_learn.recordings.writers.write_motion import MARK
+
+Read = Callable[[Path, Any], Iterator[Recording]]
+
+
+@final
+@dataclass(frozen=True)
+class FileFormat:
+    """One kind of recording.
+
+    Attributes:
+        name: Short name.
+        title: Common name.
+        module: Module with `read(path, request) -> Iterator[Recording]`; imported when it is first needed.
+        is_foreign: True if another library parses it, which is done in a process of its own.
+    """
+
+    name: str
+    title: str
+    module: str
+    is_foreign: bool = False
+
+    def reader(self) -> Read:
+        """The function that reads it.
+
+        Raises:
+            MissingExtraError: The library that this format needs is not installed.
+        """
+        return importlib.import_module(self.module).read
+
+
+CSV = FileFormat("csv", "text tables (CSV)", "manip_learn.recordings.readers.csv_reader")
+NPZ = FileFormat("npz", "NumPy archives (.npz)", "manip_learn.recordings.readers.npz_reader")
+ROSBAG = FileFormat("rosbag", "ROS bags", "manip_learn.recordings.readers.rosbag_reader", is_foreign=True)
+LEROBOT = FileFormat("lerobot", "LeRobot data", "manip_learn.recordings.readers.lerobot_reader", is_foreign=True)
+ROBOMIMIC = FileFormat(
+    "robomimic", "robomimic HDF5", "manip_learn.recordings.readers.robomimic_reader", is_foreign=True
+)
+SAVED = FileFormat("saved", "files of manip_learn", "manip_learn.recordings.readers.saved_reader")
+FORMATS = (CSV, NPZ, ROSBAG, LEROBOT, ROBOMIMIC)
+
+MAGIC: tuple[tuple[bytes, FileFormat], ...] = (
+    (b"#ROSBAG V2", ROSBAG),
+    (b"SQLite format 3\x00", ROSBAG),
+    (b"\x89MCAP0\r\n", ROSBAG),
+    (b"PAR1", LEROBOT),
+    (b"\x89HDF\r\n\x1a\n", ROBOMIMIC),
+)
+# content that people do hand in by mistake -> what to do
+REFUSED_MAGIC: tuple[tuple[bytes, str, str], ...] = (
+    (b"\x80\x02", "pickle", "a Python pickle, which can run any code when it is opened: save the arrays with np.savez"),
+    (b"\x80\x03", "pickle", "a Python pickle, which can run any code when it is opened: save the arrays with np.savez"),
+    (b"\x80\x04", "pickle", "a Python pickle, which can run any code when it is opened: save the arrays with np.savez"),
+    (b"\x80\x05", "pickle", "a Python pickle, which can run any code when it is opened: save the arrays with np.savez"),
+    (b"\x93NUMPY", "bare-array", "a bare NumPy array without names: save time, q, u and joint_names with np.savez"),
+    (b"\x1f\x8b", "compressed", "compressed with gzip: unpack it first"),
+    (b"BZh", "compressed", "compressed with bzip2: unpack it first"),
+    (b"\xfd7zXZ", "compressed", "compressed with xz: unpack it first"),
+    (
+        b"\x28\xb5\x2f\xfd",
+        "compressed",
+        "compressed with zstd: give the bag's folder (with metadata.yaml), or unpack it first",
+    ),
+    (b"PK\x05\x06", "empty", "an empty archive"),
+    (b"Rar!", "compressed", "a RAR archive: unpack it first"),
+    (b"#ROSBAG V1", "old-bag", "a ROS bag of version 1: convert it with `rosbag fix`"),
+    (b"MATLAB ", "matlab", "a MATLAB file: export the table as CSV"),
+    (b"version https://git-lfs", "git-lfs", "a Git LFS pointer, not the recording itself: run `git lfs pull`"),
+    (b"%PDF", "not-a-recording", "a PDF document"),
+    (b"\x7fELF", "not-a-recording", "a program"),
+    (b"\x89PNG", "not-a-recording", "an image"),
+    (b"\xff\xd8\xff", "not-a-recording", "an image"),
+)
+
+
+def recognise(path: Path) -> FileFormat:
+    """Format of a file, by its first bytes.
+
+    Raises:
+        RecordingError: Not a regular file, empty, or none of the known formats; says which it seems to be.
+    """
+    check_regular(path)
+    with path.open("rb") as file:
+        head = file.read(4096)
+    if not head.strip():
+        raise refusal(path, "empty", "the file is empty")
+    if head.startswith(b"PK\x03\x04"):
+        return _archive(path)
+    if head.startswith((b"\x89MCAP0\r\n", MARK.encode())) or b'{"format": "manip_learn.' in head[:64]:
+        if file_header(path) is not None:
+            return SAVED
+    for magic, known in MAGIC:
+        if head.startswith(magic):
+            return known
+    for magic, code, sentence in REFUSED_MAGIC:
+        if head.startswith(magic):
+            raise refusal(path, code, f"this is {sentence}")
+    return _text(path, head)
+
+
+def _archive(path: Path) -> FileFormat:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+        raise refusal(path, "damaged", f"the archive is damaged ({reason(error)}): copy or save it again") from error
+    if any(n.endswith(".npy") for n in names):
+        return SAVED if "format.npy" in names and file_header(path) is not None else NPZ
+    if any(n.startswith("xl/") for n in names):
+        raise refusal(path, "excel", "this is an Excel workbook: save the sheet as CSV")
+    raise refusal(
+        path, "compressed", f"this zip archive holds no NumPy arrays (it has {', '.join(names[:4])}): unpack it first"
+    )
+
+
+def _text(path: Path, head: bytes) -> FileFormat:
+    is_utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
+    if b"\x00" in head and not is_utf16:
+        kinds = ", ".join(f.title for f in FORMATS)
+        raise refusal(
+            path,
+            "unknown-format",
+            f"the content is binary and of no known kind (starts with {head[:8]!r}); known are {kinds}",
+        )
+    start = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    if start.startswith((b"<", b"{", b"[")):
+        kind = "XML or HTML" if start.startswith(b"<") else "JSON"
+        raise refusal(
+            path,
+            "not-a-recording",
+            f"this looks like {kind}, not like a recording: a table with 'time' and joint names is needed",
+        )
+    return CSV
+
+
+def folder_format(path: Path) -> FileFormat | None:
+    """Format of a folder that is one recording as a whole (a ROS 2 bag, a LeRobot data set), or None."""
+    if (path / "metadata.yaml").is_file():
+        return ROSBAG
+    if (path / "meta" / "info.json").is_file():
+        return LEROBOT
+    return None
+
+
+def looks_like_table(path: Path) -> bool:
+    """True if a text file in a folder of recordings is a recording: a `.csv`, or one with `time`."""
+    if path.suffix.lower() in (".csv", ".tsv"):
+        return True
+    try:
+        dialect: CsvDialect = sniff_dialect(path)
+    except RecordingError:
+        return False
+    return "time" in dialect.columns and len(dialect.columns) > 1
 
 
 @final
@@ -73,16 +230,18 @@ def _in_folder(folder: Path, notes: list[str]) -> Iterator[RecordingFile]:
     kinds = list(dict.fromkeys(f.format.title for f in found))
     if not found:
         why = f"; {damaged[0]}" if damaged else ""
-        raise RecordingError(
-            f"{folder}: there is no recording in this folder{why}; name the recordings, or a folder that holds them",
-            code="no-recordings",
-            path=folder,
+        raise refusal(
+            folder,
+            "no-recordings",
+            f"there is no recording in this folder{why}; name the recordings, or a folder that holds them",
+            in_full=True,
         )
     if len(kinds) > 1:
-        raise RecordingError(
-            f"{folder}: the folder holds recordings of several kinds ({', '.join(kinds)}): name the files",
-            code="mixed-folder",
-            path=folder,
+        raise refusal(
+            folder,
+            "mixed-folder",
+            f"the folder holds recordings of several kinds ({', '.join(kinds)}): name the files",
+            in_full=True,
         )
     if ignored:
         notes.append(
@@ -99,7 +258,7 @@ def _members(folder: Path) -> tuple[list[RecordingFile], list[str], list[str]]:
     try:
         names = sorted((p.name for p in folder.iterdir()), key=natural_order)
     except OSError as error:
-        raise RecordingError(f"{folder}: cannot be listed: {reason(error)}", code="unreadable", path=folder) from error
+        raise refusal(folder, "unreadable", f"cannot be listed: {reason(error)}", in_full=True) from error
     for name in names:
         path = folder / name
         if name.startswith("."):
@@ -122,3 +281,58 @@ def _members(folder: Path) -> tuple[list[RecordingFile], list[str], list[str]]:
             continue
         found.append(RecordingFile(path, known))
     return found, ignored, reasons
+
+
+def select_episodes(files: list[RecordingFile], request: ReadRequest) -> tuple[list[RecordingFile], ReadRequest, str]:
+    """The files with the selected episodes, the request that selects them in data sets, and a note.
+
+    In a LeRobot data set the number of an episode is its `episode_index`; of other files it is the place among all
+    files given, in natural order, counted from 0.
+
+    Raises:
+        RecordingError: Nothing is selected, several data sets, or a task asked of files that name none.
+        UnknownNameError: No episode shows the task; lists near matches.
+    """
+    if request.episodes is None and request.task is None:
+        return files, request, ""
+    if all(f.format is not LEROBOT for f in files):
+        return _selected_files(files, request)
+    if any(f.format is not LEROBOT for f in files) or (len(files) > 1 and any(f.path.is_dir() for f in files)):
+        raise RecordingError(
+            f"episodes are numbered within one LeRobot data set, {len(files)} recordings are given: name one data set",
+            code="option",
+        )
+    where = files[0].path.name if len(files) == 1 else f"{len(files)} files of LeRobot data"
+    known = sorted({n for f in files for n in episode_numbers(f.path)})
+    chosen = frozenset(known) if request.episodes is None else request.episodes.of_known(known, where)
+    if request.task is not None:
+        shown = frozenset().union(*(episodes_of_task(f.path, request.task) for f in files))
+        if not chosen & shown:
+            raise RecordingError(
+                f"{where}: none of the episodes {request.episodes} shows the task {request.task!r}; it is shown by "
+                f"{_listed(sorted(shown & frozenset(known)))}",
+                code="no-episode",
+            )
+        chosen &= shown
+    note = f"{where}: {len(chosen)} of {counted(len(known), 'episode')} selected, as asked"
+    return files, replace(request, chosen=chosen), note
+
+
+def _selected_files(files: list[RecordingFile], request: ReadRequest) -> tuple[list[RecordingFile], ReadRequest, str]:
+    folder = files[0].path.parent.name or str(files[0].path.parent)
+    if request.task is not None:
+        raise RecordingError(
+            f"{folder}: tasks are named by LeRobot data sets only, these are {files[0].format.title}: leave the task "
+            "out, or select files",
+            code="no-tasks",
+        )
+    if request.episodes is None:
+        return files, request, ""
+    chosen = request.episodes.of_known(range(len(files)), folder)
+    kept = [f for i, f in enumerate(files) if i in chosen]
+    return kept, request, f"{folder}: {len(kept)} of {len(files)} files selected, as asked"
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    more = f" and {len(numbers) - 12} more" if len(numbers) > 12 else ""
+    return (", ".join(map(str, numbers[:12])) or "none") + more

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError, advice
-from manip_learn.recordings.readers.natural_order import natural_order
-from manip_learn.recordings.readers.parser_request import ParserRequest
-from manip_learn.recordings.readers.recording import Recording, float_array, reason
+from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, reason, refusal
 
 try:
     import h5py
@@ -28,7 +27,7 @@ EFFORTS = ("robot0_joint_effort", "robot0_joint_torque", "robot0_joint_torques")
 ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200  # bytes, and how much smaller packed
 
 
-def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
+def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """One recording per demonstration; one in memory at a time.
 
     Raises:
@@ -39,7 +38,7 @@ def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
             data = _member(path, file, "data", h5py.Group)
             demos = sorted((n for n in data if n.startswith("demo")), key=natural_order)
             if not demos:
-                raise _refusal(
+                raise refusal(
                     path, "not-robomimic", f"the group 'data' holds no 'demo_0', ... but {', '.join(list(data)[:8])}"
                 )
             names = _names(path, request)
@@ -54,7 +53,7 @@ def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
     except RecordingError:
         raise
     except DAMAGE as error:
-        raise _refusal(
+        raise refusal(
             path, "damaged", f"the HDF5 file cannot be read ({reason(error)}): download or write it again"
         ) from error
 
@@ -62,7 +61,7 @@ def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
 def _recording(path: Path, data: Any, name: str, names: tuple[str, ...], rate: float, note: str) -> Recording:
     demo = _member(path, data, name, h5py.Group)
     if "obs" not in demo:
-        raise _refusal(
+        raise refusal(
             path,
             "no-state",
             f"{name} has no group 'obs': extract observations first (robomimic's dataset_states_to_obs.py)",
@@ -70,7 +69,7 @@ def _recording(path: Path, data: Any, name: str, names: tuple[str, ...], rate: f
     obs = _member(path, demo, "obs", h5py.Group)
     positions = _matrix(path, _member(path, obs, POSITION, h5py.Dataset), f"{name}/obs/{POSITION}")
     if positions.shape[1] != len(names):
-        raise _refusal(
+        raise refusal(
             path, "shape", f"{name}/obs/{POSITION} has {positions.shape[1]} columns for {len(names)} joint names"
         )
     _refuse_lost(path, f"data/{name}", positions.shape[0], "samples", demo, "num_samples")
@@ -81,30 +80,18 @@ def _recording(path: Path, data: Any, name: str, names: tuple[str, ...], rate: f
     if VELOCITY in obs:
         velocities = _matrix(path, _member(path, obs, VELOCITY, h5py.Dataset), f"{name}/obs/{VELOCITY}")
         if velocities.shape != positions.shape:
-            raise _refusal(
+            raise refusal(
                 path, "shape", f"{name}: velocities have shape {velocities.shape}, positions {positions.shape}"
             )
-    return Recording(
-        path=path,
-        name=f"{path.name} {name}",
-        time=np.arange(positions.shape[0]) / rate,
-        position_names=names,
-        positions=positions,
-        velocity_names=names if velocities is not None else (),
-        velocities=velocities,
-        effort_names=names if efforts is not None else (),
-        efforts=efforts,
-        strict_columns=False,
-        in_seconds=True,
-        notes=(note,),
-    )
+    time, said = np.arange(positions.shape[0]) / rate, {"strict_columns": False, "in_seconds": True, "notes": (note,)}
+    return Recording.of(path, f"{path.name} {name}", time, names, positions, velocities, efforts, **said)
 
 
 def _refuse_lost(path: Path, where: str, found: int, what: str, group: Any, attribute: str) -> None:
     """Refuse a group that states another number than what was found in it."""
     stated = group.attrs.get(attribute)
     if isinstance(stated, int | np.integer) and int(stated) != found:
-        raise _refusal(
+        raise refusal(
             path,
             "lost-samples",
             f"{found} {what} are there, the attribute {attribute!r} of {where!r} states {int(stated)}: the file is "
@@ -116,14 +103,14 @@ def _member(path: Path, group: Any, name: str, kind: type) -> Any:
     """A member of a group that is stored in this very file."""
     link = group.get(name, getlink=True)
     if link is None:
-        raise _refusal(
+        raise refusal(
             path,
             "not-robomimic",
             f"there is no {name!r} in {group.name!r}, only {', '.join(list(group)[:8]) or 'nothing'}",
         )
     if not isinstance(link, h5py.HardLink):
         target = getattr(link, "filename", "") or link.path
-        raise _refusal(
+        raise refusal(
             path,
             "link",
             f"{group.name.rstrip('/')}/{name} is a link to {target!r}; links are not followed (they can point at any "
@@ -131,32 +118,32 @@ def _member(path: Path, group: Any, name: str, kind: type) -> Any:
         )
     member = group[name]
     if not isinstance(member, kind):
-        raise _refusal(path, "not-robomimic", f"{member.name} is a {type(member).__name__}, not a {kind.__name__}")
+        raise refusal(path, "not-robomimic", f"{member.name} is a {type(member).__name__}, not a {kind.__name__}")
     return member
 
 
 def _matrix(path: Path, dataset: Any, where: str) -> np.ndarray:
     if dataset.is_virtual or dataset.external:
-        raise _refusal(
+        raise refusal(
             path, "link", f"{where} is stored in other files, which are not opened: copy the data into the file"
         )
     if dataset.dtype.kind not in "fiu":
-        raise _refusal(path, "not-a-number", f"{where} holds {dataset.dtype}, numbers are needed")
+        raise refusal(path, "not-a-number", f"{where} holds {dataset.dtype}, numbers are needed")
     if dataset.ndim != 2:
-        raise _refusal(path, "shape", f"{where} must have shape (T, n), it has {dataset.shape}")
+        raise refusal(path, "shape", f"{where} must have shape (T, n), it has {dataset.shape}")
     need, stored = math.prod(dataset.shape) * dataset.dtype.itemsize, dataset.id.get_storage_size()
     if need and not stored:
-        raise _refusal(path, "damaged", f"{where} has shape {dataset.shape}, but no numbers are stored")
+        raise refusal(path, "damaged", f"{where} has shape {dataset.shape}, but no numbers are stored")
     if need > max(ALWAYS_FINE, BOMB_RATIO * stored):
-        raise _refusal(
+        raise refusal(
             path, "bomb", f"{where} claims {need:,} bytes, {stored:,} are stored: no recorded motion packs so well"
         )
     return float_array(dataset[()])
 
 
-def _names(path: Path, request: ParserRequest) -> tuple[str, ...]:
+def _names(path: Path, request: ReadRequest) -> tuple[str, ...]:
     if request.joint_names is None:
-        raise _refusal(
+        raise refusal(
             path,
             "no-joint-names",
             f"robomimic files name no joints; say which columns {POSITION} has, for this robot probably: "
@@ -170,7 +157,7 @@ def _names(path: Path, request: ParserRequest) -> tuple[str, ...]:
     return request.joint_names
 
 
-def _rate(path: Path, data: Any, request: ParserRequest) -> tuple[float, str]:
+def _rate(path: Path, data: Any, request: ReadRequest) -> tuple[float, str]:
     if request.rate is not None:
         request.uses.use("rate")
         return request.rate, f"no time stamps in the file: {request.rate:g} samples per second, as asked"
@@ -182,14 +169,10 @@ def _rate(path: Path, data: Any, request: ParserRequest) -> tuple[float, str]:
     except (ValueError, KeyError, TypeError, RecursionError):
         rate = 0.0
     if not (math.isfinite(rate) and rate > 0):
-        raise _refusal(
+        raise refusal(
             path,
             "no-time",
             "neither time stamps nor a control_freq in env_args are in the file: "
             + advice("pass {}", "rate=<samples per second>", "--rate <samples per second>"),
         )
     return rate, f"no time stamps in the file: {rate:g} samples per second, from control_freq in env_args"
-
-
-def _refusal(path: Path, code: str, text: str) -> RecordingError:
-    return RecordingError(f"{path.name}: {text}", code=code, path=path)

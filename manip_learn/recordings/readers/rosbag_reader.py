@@ -1,22 +1,393 @@
-"""ROS bags (ROS 1, ROS 2 SQLite and MCAP): the JointState messages of one robot, merged into one table."""
+"""Joint-state messages of a bag -> arrays, one stream per topic and set of joints."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+import itertools
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import final
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
-from manip_learn.errors import RecordingError, closest_names
-from manip_learn.recordings.readers.bag_file import JOINT_STATE, BagFile, open_bag
-from manip_learn.recordings.readers.joint_state_merge import MergeError, joint_groups, merge, topics_of_joints
-from manip_learn.recordings.readers.joint_state_streams import JointStateStream, joint_state_streams
-from manip_learn.recordings.readers.parser_request import ParserRequest
-from manip_learn.recordings.readers.recording import Recording
+from manip_learn.errors import advice, closest_names, counted
+from manip_learn.recordings.readers.bag_file import JOINT_STATE, BagFile, JointStateLayout, open_bag
+from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording, refusal
+
+BATCH = 16_384
+MOST_LAYOUTS = 200
 
 
-def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
+@final
+@dataclass(frozen=True, eq=False)
+class JointStateStream:
+    """The messages of one publisher about one list of joints.
+
+    Attributes:
+        topic: Topic.
+        publisher: Who published them, as far as the format says; else empty.
+        names: Joints.
+        stamps: shape (T,), header stamps [ns].
+        received: shape (T,), stamps of the recorder [ns].
+        positions: shape (T, n).
+        velocities: shape (T, n), or None if any message has none.
+        efforts: shape (T, n), likewise.
+    """
+
+    topic: str
+    publisher: str
+    names: tuple[str, ...]
+    stamps: Int[np.ndarray, " T"]
+    received: Int[np.ndarray, " T"]
+    positions: Float[np.ndarray, "T n"]
+    velocities: Float[np.ndarray, "T n"] | None
+    efforts: Float[np.ndarray, "T n"] | None = None
+
+
+@final
+@dataclass
+class _Pieces:
+    stamps: list[np.ndarray] = field(default_factory=list)
+    received: list[np.ndarray] = field(default_factory=list)
+    positions: list[np.ndarray] = field(default_factory=list)
+    velocities: list[np.ndarray | None] = field(default_factory=list)
+    efforts: list[np.ndarray | None] = field(default_factory=list)
+
+
+def joint_state_streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStateStream], list[str]]:
+    """All streams of some topics, and what was left out.
+
+    Raises:
+        RecordingError: Messages that are no JointState.
+    """
+    pieces: dict[tuple[str, str, tuple[str, ...]], _Pieces] = {}
+    layouts: dict[tuple[str, int], list[JointStateLayout]] = {}
+    without_positions: dict[str, int] = {}
+    for topic, publisher, received, raw in _batches(bag, topics):
+        for layout, messages, stamps in _by_layout(bag, topic, raw, received, layouts):
+            positions = layout.numbers(messages, layout.position_at)
+            if positions is None:
+                without_positions[topic] = without_positions.get(topic, 0) + len(messages)
+                continue
+            piece = pieces.setdefault((topic, publisher, layout.names), _Pieces())
+            piece.stamps.append(layout.stamps(messages))
+            piece.received.append(stamps)
+            piece.positions.append(positions)
+            piece.velocities.append(layout.numbers(messages, layout.velocity_at))
+            piece.efforts.append(layout.numbers(messages, layout.effort_at))
+    streams = [
+        JointStateStream(
+            topic,
+            publisher,
+            names,
+            np.concatenate(p.stamps),
+            np.concatenate(p.received),
+            np.concatenate(p.positions),
+            _all_or_none(p.velocities),
+            _all_or_none(p.efforts),
+        )
+        for (topic, publisher, names), p in pieces.items()
+    ]
+    notes = [
+        f"{counted(n, 'message')} of {topic} have no positions, not used" for topic, n in without_positions.items()
+    ]
+    notes += [
+        f"{n} of {sum(map(len, p.stamps))} messages of {topic} have no velocities, so those of the others are not used"
+        for (topic, _, _), p in pieces.items()
+        if 0 < (n := sum(len(s) for s, v in zip(p.stamps, p.velocities, strict=True) if v is None))
+        and any(v is not None for v in p.velocities)
+    ]
+    return streams, notes
+
+
+def _all_or_none(parts: list[np.ndarray | None]) -> np.ndarray | None:
+    there = [p for p in parts if p is not None]
+    return np.concatenate(there) if len(there) == len(parts) else None
+
+
+def _batches(bag: BagFile, topics: tuple[str, ...]) -> Iterator[tuple[str, str, np.ndarray, list[bytes]]]:
+    """Messages of one publisher of one topic at a time, with the recorder's stamps."""
+    messages = bag.messages(topics)
+    while batch := list(itertools.islice(messages, BATCH)):
+        for source in dict.fromkeys(m[:2] for m in batch):
+            mine = [m for m in batch if m[:2] == source]
+            yield *source, np.array([m[2] for m in mine], dtype=np.int64), [m[3] for m in mine]
+
+
+def _by_layout(
+    bag: BagFile,
+    topic: str,
+    raw: list[bytes],
+    received: np.ndarray,
+    layouts: dict[tuple[str, int], list[JointStateLayout]],
+) -> Iterator[tuple[JointStateLayout, np.ndarray, np.ndarray]]:
+    """Groups of messages with one layout, as rows of bytes."""
+    sizes = np.fromiter(map(len, raw), dtype=np.int64, count=len(raw))
+    for size in np.unique(sizes):
+        index = np.flatnonzero(sizes == size)
+        rows = np.frombuffer(b"".join(raw[i] for i in index), dtype=np.uint8).reshape(len(index), int(size))
+        known = layouts.setdefault((topic, int(size)), [])
+        todo = np.ones(len(index), dtype=bool)
+        tried = 0
+        while np.any(todo):
+            if tried == len(known):
+                known.append(_new_layout(bag, topic, raw[index[np.argmax(todo)]], sum(map(len, layouts.values()))))
+            layout = known[tried]
+            tried += 1
+            mine = todo & layout.matches(rows)
+            if np.any(mine):
+                bag.layout(raw[index[np.flatnonzero(mine)[-1]]])  # a sample more, read by the library as well
+                yield layout, rows[mine], received[index[mine]]
+                todo &= ~mine
+
+
+def _new_layout(bag: BagFile, topic: str, raw: bytes, n_known: int) -> JointStateLayout:
+    if n_known >= MOST_LAYOUTS:
+        raise refusal(
+            bag.path,
+            "unsteady-names",
+            f"the joints named in {topic} change all the time ({n_known} lists)"
+            + advice(": choose another topic with {}", "topics=[...]", "--topic NAME"),
+        )
+    return bag.layout(raw)
+
+
+USUAL_TOPIC = "/joint_states"
+SET_BACK = 1_000_000_000  # [ns] a clock that goes back this far was reset
+
+
+class MergeError(Exception):
+    """The streams cannot be merged; `code` and the sentence go into the recording's refusal."""
+
+    def __init__(self, code: str, message: str):
+        super().__init__(message)
+        self.code = code
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class JointGroup:
+    """Joints that were published together.
+
+    Attributes:
+        topic: Topic.
+        names: Joints.
+        stamps: shape (T,), increasing [ns].
+        q: shape (T, n).
+        u: shape (T, n), or None.
+        effort: shape (T, n), or None.
+    """
+
+    topic: str
+    names: tuple[str, ...]
+    stamps: Int[np.ndarray, " T"]
+    q: Float[np.ndarray, "T n"]
+    u: Float[np.ndarray, "T n"] | None
+    effort: Float[np.ndarray, "T n"] | None = None
+
+
+def topics_of_joints(streams: list[JointStateStream], joints: tuple[str, ...]) -> tuple[dict[str, str], list[str]]:
+    """Joint -> the topic to read it from, and notes. Joints that no topic has are left out.
+
+    One topic that has all joints is preferred; of several, `/joint_states`.
+
+    Raises:
+        MergeError: Several topics have the same joint and none is `/joint_states`.
+    """
+    carried: dict[str, set[str]] = {}
+    for stream in streams:
+        carried.setdefault(stream.topic, set()).update(set(stream.names) & set(joints))
+    whole = [t for t, names in carried.items() if names == set(joints)]
+    if whole:
+        topic = _preferred(whole, "all joints")
+        others = [t for t, names in carried.items() if names and t != topic]
+        notes = [f"joint states read from {topic}"] if len(carried) > 1 else []
+        if others:
+            notes.append(
+                f"also about these joints, not used: {', '.join(others)}"
+                + advice(" (choose with {})", "topics=[...]", "--topic NAME")
+            )
+        return dict.fromkeys(joints, topic), notes
+    chosen = {}
+    for joint in joints:
+        topics = [t for t, names in carried.items() if joint in names]
+        if topics:
+            chosen[joint] = _preferred(topics, f"joint {joint!r}")
+    return chosen, []
+
+
+def _preferred(topics: list[str], what: str) -> str:
+    if len(topics) == 1:
+        return topics[0]
+    if USUAL_TOPIC in topics:
+        return USUAL_TOPIC
+    raise MergeError(
+        "ambiguous-topic",
+        f"several topics have {what}: {', '.join(topics)}; measured and commanded states must not be mixed"
+        + advice(", so say which one: {}", f"topics=[{topics[0]!r}]", f"--topic {topics[0]}"),
+    )
+
+
+def joint_groups(streams: list[JointStateStream], chosen: dict[str, str]) -> tuple[list[JointGroup], list[str]]:
+    """Groups of joints with common stamps; every chosen joint is in one group.
+
+    Raises:
+        MergeError: A clock that was set back, a joint named twice in a message, or published by two programs at once.
+    """
+    _refuse_repeated(streams, chosen)
+    _refuse_two_publishers(streams, chosen)
+    sets: dict[tuple[str, tuple[str, ...]], list[JointStateStream]] = {}
+    for stream in streams:
+        mine = tuple(j for j, topic in chosen.items() if topic == stream.topic and j in stream.names)
+        if mine:
+            sets.setdefault((stream.topic, mine), []).append(stream)
+    order = sorted(sets, key=lambda key: -sum(len(s.stamps) for s in sets[key]) * len(key[1]))
+    groups: list[JointGroup] = []
+    notes: list[str] = []
+    taken: set[str] = set()
+    for topic, mine in order:
+        free = tuple(j for j in mine if j not in taken)
+        if free:
+            taken.update(free)
+            group, said = _group(topic, free, sets[topic, mine])
+            groups.append(group)
+            notes += said
+        if len(free) < len(mine):
+            n = sum(len(s.stamps) for s in sets[topic, mine])
+            lost = ", ".join(j for j in mine if j not in free)
+            notes.append(f"{counted(n, 'message')} of {topic} with another list of joints are not used for {lost}")
+    return groups, notes
+
+
+def _refuse_repeated(streams: Iterable[JointStateStream], chosen: dict[str, str]) -> None:
+    for stream in streams:
+        for name, count in Counter(stream.names).items():
+            if count > 1 and chosen.get(name) == stream.topic:
+                raise MergeError(
+                    "duplicate-column",
+                    f"messages of {stream.topic} name the joint {name!r} {count} times, so it is "
+                    "not known which position is its own: correct the publisher (or the renaming)",
+                )
+
+
+def _refuse_two_publishers(streams: list[JointStateStream], chosen: dict[str, str]) -> None:
+    """Refuse a joint about which two publishers of one topic speak at the same time."""
+    for i, one in enumerate(streams):
+        for other in streams[:i]:
+            shared = [n for n in one.names if n in other.names and chosen.get(n) == one.topic == other.topic]
+            apart = one.received.min() > other.received.max() or other.received.min() > one.received.max()
+            if one.publisher != other.publisher and shared and not apart:
+                raise MergeError(
+                    "two-publishers",
+                    f"two programs publish joint {shared[0]!r} on {one.topic} at the same time, {other.publisher} "
+                    f"({len(other.stamps)} messages) and {one.publisher} ({len(one.stamps)}): a robot and a GUI? "
+                    "Record again with one of them, or keep one of them with `rosbag filter` (m._connection_header)",
+                )
+
+
+def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) -> tuple[JointGroup, list[str]]:
+    columns = [[s.names.index(n) for n in names] for s in streams]
+    stamps = np.concatenate([s.stamps for s in streams])
+    received = np.concatenate([s.received for s in streams])
+    q = np.concatenate([s.positions[:, c] for s, c in zip(streams, columns, strict=True)])
+    u = _side_by_side([s.velocities for s in streams], columns)
+    effort = _side_by_side([s.efforts for s in streams], columns)
+    notes = []
+    if np.any(stamps == 0):
+        stamps = received
+        notes.append(f"{topic}: header stamps are not set, the recorder's stamps are used")
+    by_arrival = np.argsort(received, kind="stable")
+    arrived = stamps[by_arrival]
+    back = np.diff(arrived)
+    if np.any(back < -SET_BACK):
+        i = int(np.argmax(back < -SET_BACK))
+        raise MergeError(
+            "time-order",
+            f"the clock of {topic} goes back by {-back[i] * 1e-9:.3g} s at message {i + 1}: it was reset, or several "
+            "runs are in one bag; cut the bag there",
+        )
+    order = by_arrival[np.argsort(arrived, kind="stable")]
+    if np.any(back < 0):
+        notes.append(f"{topic}: {counted(np.count_nonzero(back < 0), 'message')} came late, sorted by header stamp")
+    keep = np.append(np.diff(stamps[order]) != 0, True)
+    if not np.all(keep):
+        notes.append(
+            f"{topic}: {counted(np.count_nonzero(~keep), 'message')} left out for a repeated stamp, the last is kept"
+        )
+    order = order[keep]
+    u, effort = (None if x is None else x[order] for x in (u, effort))
+    return JointGroup(topic, names, stamps[order], q[order], u, effort), notes
+
+
+def _side_by_side(parts: list[np.ndarray | None], columns: list[list[int]]) -> Float[np.ndarray, "T n"] | None:
+    """The chosen columns of all streams, one after the other; None if one of them has none."""
+    there = [part[:, c] for part, c in zip(parts, columns, strict=True) if part is not None]
+    return np.concatenate(there) if len(there) == len(parts) else None
+
+
+def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> tuple[JointGroup, list[str]]:
+    """All joints at the stamps of the group with the most joints, and notes; the others are interpolated linearly.
+
+    Samples are left out where another group has nothing nearby: before its first and after its last message, and in
+    its gaps.
+
+    Raises:
+        MergeError: The publishers do not overlap in time.
+    """
+    base = max(groups, key=lambda g: (len(g.names), len(g.stamps)))
+    inside = np.ones(len(base.stamps), dtype=bool)
+    q, u, effort, names, notes = [base.q], [base.u], [base.effort], list(base.names), []
+    for group in groups:
+        if group is base:
+            continue
+        q.append(_at(base.stamps, group, _continuous(group, angles_that_wrap)))
+        u.append(None if group.u is None else _at(base.stamps, group, group.u))
+        effort.append(None if group.effort is None else _at(base.stamps, group, group.effort))
+        names += group.names
+        inside &= _covered(base.stamps, group.stamps)
+        source = f"{group.topic}" if group.topic != base.topic else "other messages of the same topic"
+        notes.append(f"{', '.join(group.names)} come from {source}: interpolated at the stamps of {base.topic}")
+    if not np.any(inside):
+        raise MergeError("no-overlap", "the publishers of the joints do not overlap in time: record them together")
+    if not np.all(inside):
+        notes.append(f"{counted(np.count_nonzero(~inside), 'sample')} left out, where not all publishers have data")
+    without = [g.topic for g in groups if g.u is None]
+    some_u = [x for x in u if x is not None]
+    all_u = np.hstack(some_u)[inside] if not without else None
+    if without and some_u:
+        notes.append(f"velocities are not used, for {', '.join(dict.fromkeys(without))} has none")
+    some = [x for x in effort if x is not None]
+    efforts = np.hstack(some)[inside] if len(some) == len(groups) else None
+    return JointGroup(base.topic, tuple(names), base.stamps[inside], np.hstack(q)[inside], all_u, efforts), notes
+
+
+def _continuous(group: JointGroup, angles_that_wrap: frozenset[str]) -> Float[np.ndarray, "T n"]:
+    q = group.q.copy()
+    wrap = [i for i, n in enumerate(group.names) if n in angles_that_wrap]
+    q[:, wrap] = np.unwrap(q[:, wrap], axis=0)
+    return q
+
+
+def _at(stamps: Int[np.ndarray, " T"], group: JointGroup, values: Float[np.ndarray, "S n"]) -> Float[np.ndarray, "T n"]:
+    # differences first: nanoseconds since 1970 do not fit into float64
+    start = group.stamps[0]
+    t, own = (stamps - start).astype(np.float64), (group.stamps - start).astype(np.float64)
+    return np.column_stack([np.interp(t, own, values[:, i]) for i in range(values.shape[1])])
+
+
+def _covered(stamps: Int[np.ndarray, " T"], own: Int[np.ndarray, " S"]) -> Bool[np.ndarray, " T"]:
+    """Stamps with a message of the other group before and after, both close."""
+    if len(own) < 2:
+        return np.zeros(len(stamps), dtype=bool)
+    after = np.clip(np.searchsorted(own, stamps), 1, len(own) - 1)
+    close = own[after] - own[after - 1] <= GAP_FACTOR * np.median(np.diff(own))
+    return (stamps >= own[0]) & (stamps <= own[-1]) & close
+
+
+def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """The one recording of a bag; time counts from the first sample.
 
     Raises:
@@ -36,58 +407,43 @@ def read(path: Path, request: ParserRequest) -> Iterator[Recording]:
             return
         groups, said = joint_groups(streams, chosen)
         notes += said
-        merged = merge(groups, frozenset(request.robot.continuous))
+        merged, said = merge(groups, request.continuous)
     except MergeError as error:
-        raise RecordingError(f"{path.name}: {error}", code=error.code, path=path) from error
-    notes += merged.notes
+        raise refusal(path, error.code, f"{error}") from error
+    notes += said
     surplus = sorted({n for s in streams for n in s.names} - set(joints))
     if surplus:
         notes.append(f"also recorded, not moved by the robot as loaded, not used: {', '.join(surplus)}")
-    yield Recording(
-        path=path,
-        name=path.name,
-        time=(merged.stamps - merged.stamps[0]).astype(np.float64) * 1e-9,
-        position_names=merged.names,
-        positions=merged.q,
-        velocity_names=merged.names if merged.u is not None else (),
-        velocities=merged.u,
-        effort_names=merged.names if merged.effort is not None else (),
-        efforts=merged.effort,
-        strict_columns=False,
-        in_seconds=True,
-        notes=tuple(notes),
-    )
+    time = (merged.stamps - merged.stamps[0]).astype(np.float64) * 1e-9
+    known = {"strict_columns": False, "in_seconds": True, "notes": tuple(notes)}
+    yield Recording.of(path, path.name, time, merged.names, merged.q, merged.u, merged.effort, **known)
 
 
-def _topics(bag: BagFile, request: ParserRequest) -> tuple[str, ...]:
+def _topics(bag: BagFile, request: ReadRequest) -> tuple[str, ...]:
     if not bag.joint_topics:
         there = ", ".join(f"{t} ({k})" for t, k in list(bag.topics.items())[:8]) or "no topics"
-        raise RecordingError(
-            f"{bag.path.name}: there is no {JOINT_STATE} in this bag, it has {there}: record /joint_states",
-            code="no-joint-states",
-            path=bag.path,
+        raise refusal(
+            bag.path, "no-joint-states", f"there is no {JOINT_STATE} in this bag, it has {there}: record /joint_states"
         )
     if request.topics is None:
         return bag.joint_topics
     for topic in request.topics:
         if topic not in bag.joint_topics:
             near = closest_names(topic, bag.joint_topics) or list(bag.joint_topics)
-            raise RecordingError(
-                f"{bag.path.name}: there is no {JOINT_STATE} topic {topic!r}; there is {', '.join(near)}",
-                code="unknown-topic",
-                path=bag.path,
+            raise refusal(
+                bag.path, "unknown-topic", f"there is no {JOINT_STATE} topic {topic!r}; there is {', '.join(near)}"
             )
     request.uses.use("topics")
     return request.topics
 
 
-def _renamed(stream: JointStateStream, request: ParserRequest) -> JointStateStream:
+def _renamed(stream: JointStateStream, request: ReadRequest) -> JointStateStream:
     return replace(stream, names=tuple(request.renamed(n) for n in stream.names))
 
 
 def _without_samples(path: Path, streams: list[JointStateStream]) -> Recording:
     """The names only, for the message about those that are missing."""
     if not any(len(s.stamps) for s in streams):
-        raise RecordingError(f"{path.name}: the joint-state topics of the bag have no message", code="empty", path=path)
+        raise refusal(path, "empty", "the joint-state topics of the bag have no message")
     names = tuple(dict.fromkeys(n for s in streams for n in s.names))
     return Recording(path, path.name, np.empty(0), names, np.empty((0, len(names))), strict_columns=False)

@@ -1,7 +1,8 @@
-"""Names in a recording -> the robot's joints, in the robot's order."""
+"""Columns with the pose of an object: quaternions become rotation vectors, and these have no jumps."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +10,79 @@ from jaxtyping import Bool, Float
 
 from manip_learn.errors import RecordingError, advice, closest_names, counted
 from manip_learn.recordings.readers.column_patterns import another_robot
-from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.read_request import ReadRequest, unmoved_joint_names
 from manip_learn.recordings.readers.recording import Recording
-from manip_learn.recordings.validation.object_poses import with_rotation_vectors
-from manip_learn.recordings.validation.unmoved_joints import unmoved_joint_names
+from manip_learn.recordings.velocities import continuous_rotation_vectors
 from manip_learn.robot import Robot
+
+QUATERNION, ROTATION_VECTOR = (".qx", ".qy", ".qz", ".qw"), (".rx", ".ry", ".rz")
+UNIT = 0.05  # by which the length of a recorded quaternion may differ from 1
+
+
+def object_coordinates(robot: Robot) -> Bool[np.ndarray, " nv"]:
+    """True for the six coordinates of each object, False for those of the robot itself."""
+    out = np.zeros(robot.nv, dtype=bool)
+    for block in robot.blocks:
+        out[block.v] = block.name in robot.objects
+    return out
+
+
+def with_rotation_vectors(recording: Recording, objects: Sequence[str], *, in_degrees: bool) -> Recording:
+    """The recording with columns `box.rx box.ry box.rz` in place of `box.qx box.qy box.qz box.qw`.
+
+    Args:
+        recording: As it stands in the file.
+        objects: Names of the objects.
+        in_degrees: Unit of the angles in the file, in which the rotation vectors are given too.
+
+    Raises:
+        RecordingError: Part of a quaternion, or one whose length is not 1.
+    """
+    for name in objects:
+        columns = [name + s for s in QUATERNION]
+        there = [c for c in columns if c in recording.position_names]
+        if not there:
+            continue
+        if len(there) < len(columns):
+            absent = next(c for c in columns if c not in there)
+            raise recording.refusal(
+                "partial-quaternion",
+                f"the orientation of object {name!r} is a quaternion without {absent!r}: record all of "
+                f"{', '.join(columns)}, or the rotation vector {', '.join(name + s for s in ROTATION_VECTOR)}",
+                column=absent,
+            )
+        recording = _converted(recording, name, columns, in_degrees)
+    return recording
+
+
+def _converted(recording: Recording, name: str, columns: list[str], in_degrees: bool) -> Recording:
+    names = recording.position_names
+    quaternions = recording.positions[:, [names.index(c) for c in columns]]
+    length = np.linalg.norm(quaternions, axis=1)
+    bad = np.flatnonzero(~(np.abs(length - 1.0) <= UNIT) & np.isfinite(length))
+    if bad.size:
+        raise recording.refusal(
+            "quaternion",
+            f"the quaternion of object {name!r} has length {length[bad[0]]:.4g}, 1 is needed (order qx qy qz qw); "
+            f"so in {counted(bad.size, 'sample')}",
+            sample=int(bad[0]),
+            column=columns[0],
+        )
+    from scipy.spatial.transform import Rotation
+
+    vectors = np.full((len(length), 3), np.nan)  # of missing numbers: validation finds them
+    known = np.isfinite(length)
+    vectors[known] = (
+        continuous_rotation_vectors(Rotation.from_quat(quaternions[known]).as_rotvec()) if np.any(known) else 0.0
+    )
+    kept = [i for i, n in enumerate(names) if n not in columns]
+    return replace(
+        recording,
+        position_names=(*(names[i] for i in kept), *(name + s for s in ROTATION_VECTOR)),
+        positions=np.hstack([recording.positions[:, kept], np.degrees(vectors) if in_degrees else vectors]),
+        notes=(*recording.notes, f"the quaternions of object {name!r} were converted to rotation vectors"),
+    )
+
 
 LOCKED_MOTION = 0.02  # [rad or m], more than encoder noise
 MIMIC_MISMATCH = 0.02  # [rad or m]
@@ -37,7 +106,8 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
         RecordingError: A joint without a column, a column without a joint, velocities for some joints only.
     """
     robot = request.robot
-    recording = _without_ignored(recording, request)
+    if request.ignore_columns:  # whatever the format
+        recording = recording.without(request.ignores)
     _refuse_repeated(recording)
     recording = with_rotation_vectors(recording, robot.objects, in_degrees=request.units == "degrees")
     names = recording.position_names
@@ -57,29 +127,6 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
         effort_names=robot.joint_names if efforts is not None else (),
         efforts=efforts,
         notes=(*recording.notes, *notes, *said, *also),
-    )
-
-
-def _without_ignored(recording: Recording, request: ReadRequest) -> Recording:
-    """The recording without the columns that the caller does not want, whatever its format."""
-    if not request.ignore_columns:
-        return recording
-    p = [i for i, n in enumerate(recording.position_names) if not request.ignores(n)]
-    v = [i for i, n in enumerate(recording.velocity_names) if not request.ignores(n)]
-    e = [i for i, n in enumerate(recording.effort_names) if not request.ignores(n)]
-    if (len(p), len(v), len(e)) == tuple(
-        map(len, (recording.position_names, recording.velocity_names, recording.effort_names))
-    ):
-        return recording
-    velocities, efforts = recording.velocities, recording.efforts
-    return replace(
-        recording,
-        position_names=tuple(recording.position_names[i] for i in p),
-        positions=recording.positions[:, p],
-        velocity_names=tuple(recording.velocity_names[i] for i in v),
-        velocities=None if velocities is None else velocities[:, v],
-        effort_names=tuple(recording.effort_names[i] for i in e),
-        efforts=None if efforts is None else efforts[:, e],
     )
 
 

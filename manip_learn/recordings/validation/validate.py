@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import advice, counted, named
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.pose_velocities import continuous_rotation_vectors
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.validation.joint_matching import angular_coordinates, match_joints
-from manip_learn.recordings.validation.limit_checks import check_limits
-from manip_learn.recordings.validation.object_poses import object_coordinates
-from manip_learn.recordings.validation.publisher_checks import refuse_two_publishers
-from manip_learn.recordings.validation.time_checks import (
+from manip_learn.recordings.validation.joint_matching import angular_coordinates, match_joints, object_coordinates
+from manip_learn.recordings.validation.motion_checks import (
+    FEWEST,
     bunched_note,
+    check_limits,
+    check_velocities,
+    compare_velocities,
     doubt_slow_time,
     increasing,
     pieces,
+    refuse_two_publishers,
     time_in_seconds,
 )
-from manip_learn.recordings.validation.velocity_checks import FEWEST, check_velocities, compare_velocities
+from manip_learn.recordings.velocities import continuous_rotation_vectors
 from manip_learn.robot import Robot
 
 SHOWN = 5
@@ -150,17 +153,13 @@ def _in_radians(
 def _kept(recording: Recording, keep: np.ndarray) -> Recording:
     """The recording seen through the kept samples, so that later messages still name the right line."""
     index = np.flatnonzero(keep)
-    line_of = recording.line_of
-    return Recording(
-        path=recording.path,
-        name=recording.name,
+    efforts, line_of = recording.efforts, recording.line_of
+    return replace(
+        recording,
         time=recording.time[keep],
-        position_names=recording.position_names,
         positions=recording.positions[keep],
-        effort_names=recording.effort_names,
-        efforts=None if recording.efforts is None else recording.efforts[keep],
-        in_seconds=recording.in_seconds,
-        trusted=recording.trusted,
+        velocities=None,
+        efforts=None if efforts is None else efforts[keep],
         line_of=None if line_of is None else lambda i: line_of(int(index[i])),
     )
 

@@ -1,4 +1,4 @@
-"""Messages of ROS 2 in CDR, the encoding of its bags: JointState, and one sample of a rollout."""
+"""What the records of an MCAP file are called: https://mcap.dev/spec."""
 
 from __future__ import annotations
 
@@ -9,6 +9,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.errors import OutputError
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 1, 2, 3, 4, 5, 6, 7, 8
+STATISTICS, METADATA, METADATA_INDEX, DATA_END = 0x0B, 0x0C, 0x0D, 0x0F
+
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 ROLLOUT_SAMPLE = "manip_learn_msgs/msg/RolloutSample"

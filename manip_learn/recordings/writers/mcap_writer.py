@@ -11,27 +11,25 @@ from typing import final
 
 import numpy as np
 
-from manip_learn.recordings.mcap_layout import (
+from manip_learn.recordings.saved_motion import SavedMotion
+from manip_learn.recordings.writers.joint_state_messages import (
     CHANNEL,
     CHUNK,
     CHUNK_INDEX,
     DATA_END,
+    DEFINITIONS,
+    FOLLOWED_SAMPLE,
     FOOTER,
     HEADER,
+    JOINT_STATE,
     MAGIC,
     MESSAGE,
     MESSAGE_INDEX,
     METADATA,
     METADATA_INDEX,
+    ROLLOUT_SAMPLE,
     SCHEMA,
     STATISTICS,
-)
-from manip_learn.recordings.saved_motion import SavedMotion
-from manip_learn.recordings.writers.joint_state_messages import (
-    DEFINITIONS,
-    FOLLOWED_SAMPLE,
-    JOINT_STATE,
-    ROLLOUT_SAMPLE,
     joint_state_encoder,
     nanoseconds,
     rollout_sample,

@@ -1,18 +1,147 @@
-"""A motion -> a file, in the format that its name asks for."""
+"""A motion -> a file: CSV, JSON lines, NPZ or MCAP by its name, and a JointTrajectory as text."""
 
 from __future__ import annotations
 
+import csv
+import io
+import json
+import math
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import numpy as np
+
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import OutputError
-from manip_learn.recordings.saved_motion import SavedMotion
-from manip_learn.recordings.writers.csv_writer import csv_bytes
-from manip_learn.recordings.writers.jsonl_writer import jsonl_bytes
+from manip_learn.recordings.saved_motion import PREFIX, FileHeader, SavedMotion
+from manip_learn.recordings.writers.joint_state_messages import nanoseconds
 from manip_learn.recordings.writers.mcap_writer import mcap_bytes
-from manip_learn.recordings.writers.npz_writer import npz_bytes
+
+MARK = "# manip_learn "
+VELOCITY_SUFFIX, EFFORT_SUFFIX = "_velocity", "_effort"
+
+
+def column_names(header: FileHeader, with_velocities: bool, with_efforts: bool = False) -> list[str]:
+    """Names of the columns: `time`, postures, velocities, efforts, and of a rollout its curves and status."""
+    joints = list(header.joint_names)
+    is_joints = header.nq in (None, len(joints))
+    postures = joints if is_joints else [f"q[{i}]" for i in range(header.nq or 0)]
+    velocities = [f"{n}{VELOCITY_SUFFIX}" for n in joints] if with_velocities else []
+    efforts = [f"{n}{EFFORT_SUFFIX}" for n in joints] if with_efforts else []
+    following = ["following_error"] if header.follows else []
+    curves = ["manipulability", "task_error", *following, "status"] if header.kind == "rollout" else []
+    return ["time", *postures, *velocities, *efforts, *curves]
+
+
+def column_line(header: FileHeader, with_velocities: bool, with_efforts: bool = False) -> str:
+    """The line of column names; names with commas are quoted."""
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="").writerow(column_names(header, with_velocities, with_efforts))
+    return " ".join(stream.getvalue().splitlines())
+
+
+def csv_bytes(motion: SavedMotion) -> bytes:
+    """The table, UTF-8."""
+    columns = [motion.time[:, None], motion.q, motion.u, motion.effort]
+    curves = motion.manipulability, motion.task_error, motion.following_error
+    columns += [None if c is None else c[:, None] for c in curves]
+    table = np.hstack([c for c in columns if c is not None])
+    words = [[word] for word in motion.status] or [[]] * len(table)
+    named = column_line(motion.header, motion.u is not None, motion.effort is not None)
+    lines = [MARK + motion.header.to_json(), named]
+    lines += [",".join([*map(repr, row), *word]) for row, word in zip(table.tolist(), words, strict=True)]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def jsonl_bytes(motion: SavedMotion) -> bytes:
+    """The lines, UTF-8."""
+    columns: dict[str, list] = {"time": motion.time.tolist(), "q": motion.q.tolist()}
+    for name in ("u", "effort", "manipulability", "task_error", "following_error"):
+        array = getattr(motion, name)
+        if array is not None:
+            columns[name] = array.tolist()
+    if motion.header.kind == "rollout":
+        columns["status"] = [str(word) for word in motion.status]
+    lines = [motion.header.to_json()]
+    for values in zip(*columns.values(), strict=True):
+        sample = {name: _json_value(value) for name, value in zip(columns, values, strict=True)}
+        lines.append(json.dumps(sample, allow_nan=False))
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _json_value(value: object) -> object:
+    """A number, list or word; numbers that JSON lacks become null and the words inf and -inf."""
+    if isinstance(value, list):
+        return [_json_value(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else "inf" if value > 0 else "-inf"
+    return value
+
+
+def npz_bytes(motion: SavedMotion) -> bytes:
+    """The archive."""
+    header = motion.header
+    arrays: dict[str, np.ndarray | None] = {
+        "format": np.array(PREFIX + header.kind),
+        "header": np.array(header.to_json()),
+        "time": motion.time,
+        "q": motion.q,
+        "u": motion.u,
+        "effort": motion.effort,
+        "joint_names": np.array(header.joint_names, dtype=str),
+        "manipulability": motion.manipulability,
+        "task_error": motion.task_error,
+        "following_error": motion.following_error,
+        "status": np.array(motion.status, dtype=str) if header.kind == "rollout" else None,
+    }
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **{name: array for name, array in arrays.items() if array is not None})  # type: ignore[arg-type]
+    return stream.getvalue()
+
+
+TYPE = "trajectory_msgs/msg/JointTrajectory"
+
+
+def joint_trajectory_bytes(motion: SavedMotion) -> bytes:
+    """The text, UTF-8.
+
+    Raises:
+        OutputError: Numbers that are not finite, or times that whole nanoseconds cannot tell apart.
+    """
+    names = motion.header.joint_names
+    if motion.q.shape[1] != len(names):
+        raise OutputError("a JointTrajectory needs one position per joint, the motion has configurations")
+    times = nanoseconds(motion.time, from_first=True).tolist()
+    lines = [
+        MARK + motion.header.to_json(),
+        f'# ros2 topic pub --once <controller>/joint_trajectory {TYPE} "$(cat FILE)"',
+        '{"header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},',
+        f' "joint_names": {json.dumps(list(names))},',
+        ' "points": [',
+    ]
+    velocities = None if motion.u is None else motion.u.tolist()
+    for i, (time, q) in enumerate(zip(times, motion.q.tolist(), strict=True)):
+        sec, nanosec = divmod(time, 1_000_000_000)
+        moving = "" if velocities is None else f', "velocities": {_numbers(velocities[i])}'
+        start = f'{{"sec": {sec}, "nanosec": {nanosec}}}'
+        end = "," if i + 1 < len(times) else ""
+        lines.append(f'  {{"positions": {_numbers(q)}{moving}, "time_from_start": {start}}}{end}')
+    return "\n".join([*lines, " ]}", ""]).encode()
+
+
+def _numbers(values: list[float]) -> str:
+    return f"[{', '.join(map(_number, values))}]"
+
+
+def _number(value: float) -> str:
+    """Shortest text that is read as the same float64; 1e-05 alone would be a word in YAML 1.1."""
+    text = repr(value)
+    if "n" in text:  # nan, inf
+        raise OutputError(f"a JointTrajectory cannot hold the number {text}")
+    digits, mark, exponent = text.partition("e")
+    return text if "." in digits else f"{digits}.0{mark}{exponent}"
+
 
 WRITERS: Mapping[str, Callable[[SavedMotion], bytes]] = {
     ".npz": npz_bytes,
