@@ -22,7 +22,7 @@ from manip_learn.constraint.features import FrameJacobian
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
-from manip_learn.robot.batch.threads import cores
+from manip_learn.robot.batch.postures import cores
 from manip_learn.robot.planar_arm import planar_arm_urdf
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(600)]

@@ -12,7 +12,7 @@ from conftest import TIPS, URDFS, tip_of
 from manip_learn.constraint.features import CentreOfMass, FrameJacobian, Stacked
 from manip_learn.errors import ConfigurationError, MissingExtraError
 from manip_learn.robot.batch.batch_kinematics import CHUNK, BatchKinematics, batch_kinematics
-from manip_learn.robot.description.mimic import Mimic
+from manip_learn.robot.joints import Mimic
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]

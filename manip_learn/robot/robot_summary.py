@@ -1,17 +1,21 @@
-"""Summary of a loaded robot, as plain data for printing."""
+"""Summary of a loaded robot as plain data, with an independent check of its forward kinematics by yourdfpy."""
 
 from __future__ import annotations
 
+import io
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
+from jaxtyping import Float
 
 from manip_learn.errors import MissingExtraError, RobotError
-from manip_learn.robot.cross_check import CrossCheck, cross_check
-from manip_learn.robot.description.mimic import Mimic
-from manip_learn.robot.joints import JointKind
+from manip_learn.robot.description.text import quoted
+from manip_learn.robot.joints import JointKind, Mimic
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import likely_tips
 from manip_learn.robot.visuals.visual_shapes import resolve_meshes
@@ -134,3 +138,124 @@ def _joints(robot: Robot) -> tuple[JointSummary, ...]:
                 )
             )
     return tuple(summaries)
+
+
+if TYPE_CHECKING:
+    import yourdfpy
+
+AGREEMENT = 1e-9
+
+
+@final
+@dataclass(frozen=True)
+class CrossCheck:
+    """How far two readers of one URDF are apart.
+
+    Attributes:
+        largest_difference: Of all entries of all 4x4 link poses [m, and no unit].
+        link: Where it was found.
+        postures: Number of random postures.
+        links: Number of links compared.
+        left_out: What was not compared, in a sentence; empty if everything was.
+    """
+
+    largest_difference: float
+    link: str
+    postures: int
+    links: int
+    left_out: str = ""
+
+    @property
+    def agrees(self) -> bool:
+        """True up to 1e-9."""
+        return self.largest_difference <= AGREEMENT
+
+
+def cross_check(robot: Robot, rng: np.random.Generator, n: int = 10) -> CrossCheck:
+    """Compare the pose of every link at n random postures with what yourdfpy makes of the same URDF.
+
+    Raises:
+        RobotError: The robot did not come from a URDF (`cross-check`), or yourdfpy cannot read it.
+        MissingExtraError: yourdfpy is not installed.
+    """
+    if robot.description is None:
+        raise RobotError(f"robot {robot.name!r} did not come from a URDF: nothing to compare with", code="cross-check")
+    try:
+        import yourdfpy
+    except ImportError as error:
+        raise MissingExtraError("the independent check of forward kinematics", "all") from error
+    try:
+        with _silent("yourdfpy.urdf"):
+            other = _other_robot(yourdfpy, robot)
+            return _compared(other, robot, rng, n)
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError, yourdfpy.urdf.URDFError) as error:
+        raise RobotError(
+            f"yourdfpy cannot read robot {robot.name!r} ({type(error).__name__}: {str(error)[:200]})",
+            code="cross-check",
+        ) from error
+
+
+def _other_robot(yourdfpy, robot: Robot) -> yourdfpy.URDF:
+    bare = {"build_scene_graph": False, "build_collision_scene_graph": False, "load_meshes": False}
+    parsed = yourdfpy.URDF.load(io.BytesIO(robot.description or b""), **bare).robot
+    for link in parsed.links:
+        link.visuals, link.collisions = [], []
+    joints = {j.name: j for j in parsed.joints}
+    # yourdfpy takes a mimic of a mimic for a mimic of a joint at rest: shorten the chains for it
+    for j in parsed.joints:
+        while j.mimic is not None and (leader := joints.get(j.mimic.joint)) is not None and leader.mimic is not None:
+            if leader.type == "fixed":
+                break
+            j.mimic.offset += j.mimic.multiplier * leader.mimic.offset
+            j.mimic.multiplier *= leader.mimic.multiplier
+            j.mimic.joint = leader.mimic.joint
+    for j in parsed.joints:
+        if j.mimic is not None and j.mimic.joint not in joints:  # else validation would have failed: it is locked
+            j.mimic = None
+    return yourdfpy.URDF(robot=parsed, **(bare | {"build_scene_graph": True}))
+
+
+def _compared(other: yourdfpy.URDF, robot: Robot, rng: np.random.Generator, n: int) -> CrossCheck:
+    skipped = [b.name for b in robot.blocks if b.kind not in ("revolute", "prismatic", "continuous")]
+    largest, where = 0.0, other.base_link
+    for _ in range(n):
+        positions = robot.positions(robot.random_configuration(rng)).copy()
+        for b in robot.blocks:
+            if b.name in skipped:
+                positions[b.v] = 0.0
+        by_name = dict(zip(robot.joint_names, positions.tolist(), strict=True))
+        by_name |= robot.locked
+        other.update_cfg({name: by_name.get(name, 0.0) for name in other.actuated_joint_names})
+        base = np.linalg.inv(robot.pose(positions, robot.frame(other.base_link)))
+        for link, theirs in _poses(other).items():
+            ours = base @ robot.pose(positions, robot.frame(link))
+            difference = float(np.abs(ours - theirs).max())
+            if not difference <= largest:
+                largest, where = difference, link
+    left_out = f"the motion of {quoted(skipped)}, which yourdfpy does not move" if skipped else ""
+    return CrossCheck(largest, where, n, len(other.link_map), left_out)
+
+
+def _poses(other: yourdfpy.URDF) -> dict[str, Float[np.ndarray, "4 4"]]:
+    """Pose of each link relative to the root; link by link, since asking for each from the root takes n^3."""
+    below: dict[str, list[str]] = {}
+    for j in other.robot.joints:
+        below.setdefault(j.parent, []).append(j.child)
+    poses, pending = {other.base_link: np.eye(4)}, [other.base_link]
+    while pending:
+        parent = pending.pop()
+        for child in below.get(parent, ()):
+            poses[child] = poses[parent] @ other.get_transform(frame_to=child, frame_from=parent)
+            pending.append(child)
+    return poses
+
+
+@contextmanager
+def _silent(name: str) -> Iterator[None]:
+    """Its warnings concern meshes and mimics, which validation has handled."""
+    logger = logging.getLogger(name)
+    before, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = before

@@ -13,11 +13,19 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from manip_learn.errors import ConfigurationError, MissingExtraError
-from manip_learn.robot.batch.chain import Chain, ChainColumns, chain_to
-from manip_learn.robot.batch.forward_kinematics import SweepBuffers, sweep, tip_position
-from manip_learn.robot.batch.jacobian import ChainMotion, jacobian_vjp, write_derivative, write_jacobian
-from manip_learn.robot.batch.postures import checked_postures, positions_of
-from manip_learn.robot.batch.threads import in_threads
+from manip_learn.robot.batch.chain import (
+    Chain,
+    ChainColumns,
+    ChainMotion,
+    SweepBuffers,
+    chain_to,
+    jacobian_vjp,
+    sweep,
+    tip_position,
+    write_derivative,
+    write_jacobian,
+)
+from manip_learn.robot.batch.postures import checked_postures, in_threads, positions_of
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Reference, Robot
 
