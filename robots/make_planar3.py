@@ -1,4 +1,4 @@
-"""Writes planar3.urdf, or a planar arm with other links: `python robots/make_planar3.py 1 1 1 > robots/planar3.urdf`."""
+"""Writes planar3.urdf or an arm with other links: `python robots/make_planar3.py 1 1 1 > robots/planar3.urdf`."""
 
 from __future__ import annotations
 

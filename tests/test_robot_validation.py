@@ -12,7 +12,7 @@ from urdf_corpus_case import ARM, edited
 from manip_learn.errors import RobotError
 from manip_learn.robot import loading
 from manip_learn.robot.description.validation import validate_urdf
-from manip_learn.robot.loading import robot_from_urdf
+from manip_learn.robot.loading import robot_from_text
 
 PATH = Path("some/arm.urdf")
 
@@ -76,7 +76,7 @@ def test_what_the_c_library_says_is_kept(monkeypatch):
         return built(*arguments)
 
     monkeypatch.setattr(loading.pin, "buildModelFromXML", chatty)
-    robot = robot_from_urdf(ARM.encode(), PATH)
+    robot = robot_from_text(ARM.encode(), PATH)
     assert [w for w in robot.warnings if re.search("the joint is odd", w)]
 
 
@@ -91,7 +91,7 @@ def test_what_the_c_library_says_is_in_the_error(monkeypatch, capfd):
 
     monkeypatch.setattr(loading.pin, "buildModelFromXML", failing)
     with pytest.raises(RobotError, match="the reason") as caught:
-        robot_from_urdf(ARM.encode(), PATH)
+        robot_from_text(ARM.encode(), PATH)
     assert caught.value.code == "pinocchio"
     assert capfd.readouterr().err == ""
 
@@ -102,7 +102,7 @@ def test_a_model_that_lost_something_is_refused(monkeypatch):
     built = loading.pin.buildModelFromXML
     monkeypatch.setattr(loading.pin, "buildModelFromXML", lambda text: built(smaller.decode()))
     with pytest.raises(RobotError, match="3 links, the loaded model 2") as caught:
-        robot_from_urdf(ARM.encode(), PATH)
+        robot_from_text(ARM.encode(), PATH)
     assert caught.value.code == "counts"
 
 

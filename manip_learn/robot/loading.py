@@ -34,13 +34,17 @@ from manip_learn.robot.description.urdf import (
     as_pose,
     kinematic_urdf,
 )
-from manip_learn.robot.description.validation import Mimics, ValidatedRobot, validate_urdf
-from manip_learn.robot.joints import Mimic
+from manip_learn.robot.description.validation import Mimics, validate_urdf
+from manip_learn.robot.joints import COORDINATE_SUFFIXES, Mimic
 from manip_learn.robot.robot import Robot
 
 Base = Literal["fixed", "floating", "planar"]
+Locked = Sequence[str] | Mapping[str, float | None]
 SUFFIXES = (".urdf", ".xml", ".xacro", ".mjcf")
 BASES = {"floating": pin.JointModelFreeFlyer, "planar": pin.JointModelPlanar}
+# numbers of a description, between quotes or spaces
+DECIMAL = re.compile(r'(?<=["\s])-?\d+(\.\d+)?(e[+-]?\d+)?(?=["\s])')
+_one_at_a_time = threading.Lock()
 
 
 def load_robot(
@@ -109,19 +113,44 @@ def robot_from_text(
     root_joint: pin.JointModel | None = None,
     objects: Sequence[str] = (),
 ) -> Robot:
-    """Robot from the text of a URDF or an MJCF file; `path` is where it came from. See `load_robot`.
+    """Robot from the text of a URDF (xacro expanded) or an MJCF file.
+
+    Args:
+        content: The text; of a URDF it is kept as the robot's description, of an MJCF file the URDF that it stands for.
+        path: Where it came from.
+        package_dirs: Folders of mesh packages.
+        locked: Joints to hold still; names, or names -> positions [rad or m].
+        root_joint: Joint between the world and the root link; None if it is fixed.
+        objects: Names of things whose pose is recorded, see `load_robot`.
 
     Raises:
-        RobotError: The description is refused.
+        RobotError: The description is invalid, Pinocchio refuses it, a joint cannot be locked, or an object has the
+            name of a link or joint.
         UnknownNameError: A locked joint that does not exist.
     """
-    if not _is_mjcf(content):
-        return robot_from_urdf(
-            content, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint, objects=objects
-        )
-    validated, urdf = validate_mjcf(content, path, names_of(locked))
-    return robot_from_validated(
-        validated, urdf, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint, objects=objects
+    if _is_mjcf(content):
+        validated, content = validate_mjcf(content, path, names_of(locked))
+    else:
+        validated = validate_urdf(content, path, names_of(locked))
+    urdf = with_objects(validated.urdf, objects)
+    if root_joint is not None and urdf.joint("root_joint") is not None:
+        sentence = f"{path}: a joint is called 'root_joint', the name of the moving base; rename it"
+        raise RobotError(sentence, code="name-reserved", path=path)
+    still = locked_positions(urdf, validated.mimics, locked)
+    model, said = _built(kinematic_urdf(with_fixed(urdf, still)), root_joint, path)
+    _check_counts(model, urdf, still, root_joint, path)
+    _set_unlimited(model)
+    return Robot(
+        model,
+        name=urdf.name,
+        source=path.absolute(),  # meshes are looked up later, perhaps from another folder
+        description=content,
+        package_dirs=[d.absolute() for d in package_dirs],
+        fingerprint=_fingerprint(urdf, still, validated.mimics.followers, root_joint),
+        mimics=[m for m in validated.mimics.followers if m.joint not in still],
+        locked=still,
+        objects=objects,
+        warnings=[*validated.warnings, *said],
     )
 
 
@@ -154,87 +183,8 @@ def _is_mjcf(content: bytes) -> bool:
     return rest.startswith(b"<mujoco")
 
 
-DECIMAL = re.compile(r'(?<=["\s])-?\d+(\.\d+)?(e[+-]?\d+)?(?=["\s])')
-_one_at_a_time = threading.Lock()
-
-
-def robot_from_urdf(
-    content: bytes,
-    path: Path,
-    *,
-    package_dirs: Sequence[Path] = (),
-    locked: Locked = (),
-    root_joint: pin.JointModel | None = None,
-    objects: Sequence[str] = (),
-) -> Robot:
-    """Robot from the text of a URDF.
-
-    Args:
-        content: The URDF, xacro expanded.
-        path: Where it came from.
-        package_dirs: Folders of mesh packages.
-        locked: Joints to hold still; names, or names -> positions [rad or m].
-        root_joint: Joint between the world and the root link; None if it is fixed.
-        objects: Names of things whose pose is recorded, see `load_robot`.
-
-    Raises:
-        RobotError: The description is invalid, or Pinocchio refuses it.
-        UnknownNameError: A locked joint that does not exist.
-    """
-    validated = validate_urdf(content, path, names_of(locked))
-    return robot_from_validated(
-        validated,
-        content,
-        path,
-        package_dirs=package_dirs,
-        locked=locked,
-        root_joint=root_joint,
-        objects=objects,
-    )
-
-
-def robot_from_validated(
-    validated: ValidatedRobot,
-    content: bytes,
-    path: Path,
-    *,
-    package_dirs: Sequence[Path] = (),
-    locked: Locked = (),
-    root_joint: pin.JointModel | None = None,
-    objects: Sequence[str] = (),
-) -> Robot:
-    """Robot from a validated description; `content` is kept as its description. See `robot_from_urdf`.
-
-    Raises:
-        RobotError: Pinocchio refuses it, a joint cannot be locked, or an object has the name of a link or joint.
-        UnknownNameError: A locked joint that does not exist.
-    """
-    urdf, warnings = with_objects(validated.urdf, objects), list(validated.warnings)
-    if root_joint is not None and urdf.joint("root_joint") is not None:
-        raise RobotError(
-            f"{path}: a joint is called 'root_joint', the name of the moving base; rename it",
-            code="name-reserved",
-            path=path,
-        )
-    still = locked_positions(urdf, validated.mimics, locked)
-    model = _built(kinematic_urdf(with_fixed(urdf, still)), root_joint, path, warnings)
-    _check_counts(model, urdf, still, root_joint, path)
-    _set_unlimited(model)
-    return Robot(
-        model,
-        name=urdf.name,
-        source=path.absolute(),  # meshes are looked up later, perhaps from another folder
-        description=content,
-        package_dirs=[d.absolute() for d in package_dirs],
-        fingerprint=_fingerprint(urdf, still, validated.mimics.followers, root_joint),
-        mimics=[m for m in validated.mimics.followers if m.joint not in still],
-        locked=still,
-        objects=objects,
-        warnings=warnings,
-    )
-
-
-def _built(text: str, root_joint: pin.JointModel | None, path: Path, warnings: list[str]) -> pin.Model:
+def _built(text: str, root_joint: pin.JointModel | None, path: Path) -> tuple[pin.Model, list[str]]:
+    """The model, and what Pinocchio said about it."""
     lines: list[str] = []
     try:
         with captured_c_stderr() as lines:
@@ -242,33 +192,24 @@ def _built(text: str, root_joint: pin.JointModel | None, path: Path, warnings: l
     except (ValueError, RuntimeError) as error:
         said = " ".join([*lines, str(error)])
         raise RobotError(f"{path}: Pinocchio refuses the robot: {said[:500]}", code="pinocchio", path=path) from error
-    warnings += [f"Pinocchio: {line}" for line in lines]
-    return model
+    return model, [f"Pinocchio: {line}" for line in lines]
 
 
 def _check_counts(
     model: pin.Model, urdf: UrdfFile, still: Collection[str], root_joint: pin.JointModel | None, path: Path
 ) -> None:
     """Everything in the file must be in the model, and nothing else."""
-    extra = 0 if root_joint is None else 1
     kinds = [f.type for f in model.frames][1:]  # the first is the universe
-    seen = {
-        "links": kinds.count(pin.FrameType.BODY),
-        "joints": kinds.count(pin.FrameType.JOINT) + kinds.count(pin.FrameType.FIXED_JOINT) - extra,
-        "degrees of freedom": model.nv - (0 if root_joint is None else root_joint.nv),
-    }
-    wanted = {
-        "links": len(urdf.links),
-        "joints": len(urdf.joints),
-        "degrees of freedom": sum(j.nv for j in urdf.joints if j.name not in still),
-    }
-    for what, number in wanted.items():
-        if seen[what] != number:
-            raise RobotError(
-                f"{path}: the file has {number} {what}, the loaded model {seen[what]}; please report this file",
-                code="counts",
-                path=path,
-            )
+    bases, base_nv = (0, 0) if root_joint is None else (1, root_joint.nv)
+    joints = kinds.count(pin.FrameType.JOINT) + kinds.count(pin.FrameType.FIXED_JOINT) - bases
+    for what, wanted, seen in (
+        ("links", len(urdf.links), kinds.count(pin.FrameType.BODY)),
+        ("joints", len(urdf.joints), joints),
+        ("degrees of freedom", sum(j.nv for j in urdf.joints if j.name not in still), model.nv - base_nv),
+    ):
+        if seen != wanted:
+            sentence = f"{path}: the file has {wanted} {what}, the loaded model {seen}; please report this file"
+            raise RobotError(sentence, code="counts", path=path)
 
 
 def _set_unlimited(model: pin.Model) -> None:
@@ -321,9 +262,6 @@ def captured_c_stderr() -> Iterator[list[str]]:
                 lines += [line.strip() for line in text.splitlines() if line.strip()]
 
 
-Locked = Sequence[str] | Mapping[str, float | None]
-
-
 def names_of(locked: Locked) -> tuple[str, ...]:
     """The names in what a caller passed as `locked`; a single string counts as one name."""
     return (locked,) if isinstance(locked, str) else tuple(str(n) for n in locked)
@@ -353,10 +291,9 @@ def locked_positions(urdf: UrdfFile, mimics: Mimics, locked: Locked) -> dict[str
         still[name] = _position(by_name[name], value)
     for name in asked:
         if name in leader_of and leader_of[name].leader not in still:
-            raise RobotError(
-                f"joint {name!r} cannot be locked alone: it follows {leader_of[name].leader!r}; lock that joint",
-                code="locked-follower",
-            )
+            leader = leader_of[name].leader
+            sentence = f"joint {name!r} cannot be locked alone: it follows {leader!r}; lock that joint"
+            raise RobotError(sentence, code="locked-follower")
     for m in mimics.followers:
         if m.leader in still:
             still[m.joint] = m.multiplier * still[m.leader] + m.offset
@@ -372,22 +309,21 @@ def _position(joint: UrdfJoint, value: float | None) -> float:
     if value is None:
         return min(max(0.0, lower), upper)
     if joint.nv != 1 and value != 0.0:
-        raise RobotError(
-            f"joint {joint.name!r} is {joint.type} and can be locked only where it is: give no position",
-            code="locked-position",
+        raise _not_lockable(
+            f"joint {joint.name!r} is {joint.type} and can be locked only where it is: give no position"
         )
     try:
         position = float(value)
     except (TypeError, ValueError) as error:
-        raise RobotError(
-            f"joint {joint.name!r}: locked at {value!r}, a number is expected", code="locked-position"
-        ) from error
+        raise _not_lockable(f"joint {joint.name!r}: locked at {value!r}, a number is expected") from error
     if not lower <= position <= upper:
-        raise RobotError(
-            f"joint {joint.name!r}: locked at {position:g}, outside its limits {lower:g} ... {upper:g}",
-            code="locked-position",
-        )
+        where = f"outside its limits {lower:g} ... {upper:g}"
+        raise _not_lockable(f"joint {joint.name!r}: locked at {position:g}, {where}")
     return position
+
+
+def _not_lockable(sentence: str) -> RobotError:
+    return RobotError(sentence, code="locked-position")
 
 
 def with_fixed(urdf: UrdfFile, still: Mapping[str, float]) -> UrdfFile:
@@ -408,9 +344,6 @@ def _fixed(joint: UrdfJoint, position: float) -> UrdfJoint:
             motion[:3, :3] = pin.exp3(position * axis)
         pose = as_pose(as_matrix(joint.pose) @ motion)
     return replace(joint, type="fixed", pose=pose, limit=None, mimic=None)
-
-
-COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def object_names(objects: Sequence[str] | str) -> tuple[str, ...]:
@@ -437,7 +370,9 @@ def with_objects(urdf: UrdfFile, objects: Sequence[str]) -> UrdfFile:
     """
     taken = {link.name for link in urdf.links} | {joint.name for joint in urdf.joints}
     for name in objects:
-        clash = next((n for n in (name, *(f"{name}.{c}" for c in COORDINATES)) if n in taken), None)
+        clash = next(
+            (n for n in (name, *(name + suffix for suffix in COORDINATE_SUFFIXES["floating"])) if n in taken), None
+        )
         if clash is not None:
             raise RobotError(
                 f"object {name!r}: robot {urdf.name!r} has a link or joint {clash!r}; give the object another name",
