@@ -22,10 +22,10 @@ from typing import final
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from manip_learn.robot.batch.postures import positions_of
-from manip_learn.robot.frame import Frame
+from manip_learn.robot.joints import CarryingJoints
 from manip_learn.robot.robot import Robot
 
 SNAP = 4e-16  # a right angle written in decimals misses 0 or 1 by this much
@@ -37,7 +37,6 @@ class Chain:
     """Joints of one degree of freedom that carry a frame, base first.
 
     Attributes:
-        columns: Column of each joint in Pinocchio's tangent vector, shape (n,).
         prismatic: True where the joint slides, shape (n,).
         offset: Added to the joint angle [rad], shape (n,); a prismatic joint turns by it, whatever its position.
         start_rotation: From the first joint's frame (joint at zero) to the base, shape (3, 3).
@@ -49,7 +48,6 @@ class Chain:
         tool_position: Origin of the frame in the last joint's frame [m], shape (3,).
     """
 
-    columns: Int[np.ndarray, " n"]
     prismatic: Bool[np.ndarray, " n"]
     offset: Float[np.ndarray, " n"]
     start_rotation: Float[np.ndarray, "3 3"]
@@ -63,7 +61,7 @@ class Chain:
     @property
     def size(self) -> int:
         """Number of joints n."""
-        return int(self.columns.shape[0])
+        return len(self.prismatic)
 
     def reversed(self) -> Chain:
         """The same joints seen from the frame: frame_from_base, for Jacobians along the frame's own axes.
@@ -79,7 +77,6 @@ class Chain:
             return np.roll(x[::-1], 1, axis=0)
 
         return Chain(
-            columns=self.columns[::-1].copy(),
             prismatic=self.prismatic[::-1].copy(),
             offset=-self.offset[::-1],
             start_rotation=self.tool_rotation.T.copy(),
@@ -92,37 +89,31 @@ class Chain:
         )
 
 
-def chain_to(model: pin.Model, frame: Frame) -> Chain | None:
-    """The chain from the base to a frame.
-
-    None if no joint carries the frame, or if one on the way is not revolute, continuous or prismatic.
-    """
-    joints = [j for j in model.supports[frame.parent_joint] if j > 0]
-    if not joints or any(model.joints[j].nv != 1 or model.joints[j].nq > 2 for j in joints):
-        return None
+def chain_to(carried: CarryingJoints) -> Chain | None:
+    """The chain from the base to the frame that those joints carry; None if an axis is not of unit length."""
+    model = carried.model
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
     placements: list[tuple[np.ndarray, np.ndarray]] = []
     prismatic: list[bool] = []
     turn = np.eye(3)  # from the z-along-the-axis frame of the joint before to the model's frame of that joint
-    for j in joints:
+    for j in range(1, model.njoints):
         S = np.array(data.joints[j].S, dtype=np.float64).reshape(-1)
         slides = not np.any(S[3:])
         axis = S[:3] if slides else S[3:]
-        if (not slides and np.any(S[:3])) or abs(float(np.linalg.norm(axis)) - 1.0) > 1e-12:
+        if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-12:
             return None
         M, z_to_axis = model.jointPlacements[j], _turn_z_to(axis)
         placements.append((turn.T @ M.rotation @ z_to_axis, turn.T @ M.translation))
         prismatic.append(slides)
         turn = z_to_axis
-    M = model.frames[frame.index].placement
+    M = model.frames[carried.index].placement
     placements.append((turn.T @ M.rotation, turn.T @ M.translation))
-    columns = np.array([model.joints[j].idx_v for j in joints], dtype=np.int64)
-    return _assembled(columns, np.array(prismatic, dtype=bool), placements)
+    return _assembled(np.array(prismatic, dtype=bool), placements)
 
 
-def _assembled(columns: np.ndarray, prismatic: np.ndarray, placements: list[tuple[np.ndarray, np.ndarray]]) -> Chain:
-    n = len(columns)
+def _assembled(prismatic: np.ndarray, placements: list[tuple[np.ndarray, np.ndarray]]) -> Chain:
+    n = len(prismatic)
     offset, tilt_cos, tilt_sin, shift = np.zeros(n), np.ones(n), np.zeros(n), np.zeros((n, 3))
     for i in range(1, n):
         R, t = placements[i]
@@ -131,7 +122,6 @@ def _assembled(columns: np.ndarray, prismatic: np.ndarray, placements: list[tupl
         shift[i] = _snapped(_turn_z(a).T @ t)
         offset[i] += c
     return Chain(
-        columns=columns,
         prismatic=prismatic,
         offset=offset,
         start_rotation=_snapped(placements[0][0]),
@@ -182,26 +172,13 @@ class ChainColumns:
         public: Public column of each joint of the chain, shape (j,); None where mimic joints are among them.
     """
 
-    def __init__(self, robot: Robot, chain: Chain):
+    def __init__(self, robot: Robot, carried: CarryingJoints):
         self._robot = robot
-        self._lift: np.ndarray | None = None
-        self.public: np.ndarray | None = None
-        self._select: slice | np.ndarray = slice(0, 0)
-        coupling = robot.coupling
-        columns = None if coupling is None else coupling.columns_of(chain.columns)
-        if coupling is not None and columns is None:
-            # mimic joints: the chain's joints are an affine map of the public ones
-            self._lift = np.ascontiguousarray(coupling.lift[chain.columns])
-            self._offset = coupling.offset[chain.columns][:, None]
-            self.full = False
-            return
-        if columns is None:
-            public = {block.pin_v.start: block.v.start for block in robot.blocks}
-            columns = np.array([public[int(c)] for c in chain.columns], dtype=np.int64)
-        self.public = columns
-        self.full = len(columns) == robot.nv
-        contiguous = np.array_equal(columns, np.arange(columns[0], columns[0] + len(columns)))
-        self._select = slice(int(columns[0]), int(columns[0]) + len(columns)) if contiguous else columns
+        # mimic joints: the chain's joints are an affine map of the public ones
+        self._lift, self._offset = (carried.lift if carried.columns is None else None), carried.offset[:, None]
+        self._select = slice(0, 0) if carried.columns is None else carried.columns
+        self.public = None if carried.columns is None else np.arange(robot.nv)[carried.columns]
+        self.full = self.public is not None and len(self.public) == robot.nv
 
     def positions(self, postures: Float[np.ndarray, "n width"]) -> Float[np.ndarray, "j n"]:
         """Positions of the chain's joints [rad or m], base first."""

@@ -19,6 +19,8 @@ JOINTS = 2  # rows before those of the joints
 SOURCE, TARGET, PRISMATIC, OFFSET, TILT_COS, TILT_SIN, SHIFT = 0, 1, 2, 3, 4, 5, 6
 # columns of the second row, after the tool's position
 SIGN, LOCAL = 3, 4
+# columns of the work space behind a joint's (v, w) and origin
+WEIGHTS, SLIDE, GRADIENT = 9, 15, 18
 ORIGIN = 6  # column of the work space behind a joint's (v, w)
 END_ORIGIN, END_WIDTH = 9, 12  # of the work space's row behind the joints': rotation, then origin of the chain's end
 
@@ -163,21 +165,6 @@ def joint_turns(table, postures, first, size, turns, angle):
 
 
 @compiled
-def jacobians(table, postures, rows, public, out):
-    """Rows of the Jacobians into the public columns of `out` (n, p, nv)."""
-    joints = public.shape[0]
-    turns, angle, work = np.empty((joints, 3 * LANES)), np.empty(LANES), np.empty((joints + 1, END_WIDTH))
-    for first in range(0, postures.shape[0], LANES):
-        size = min(LANES, postures.shape[0] - first)
-        joint_turns(table, postures, first, size, turns, angle)
-        for m in range(size):
-            columns_of(table, 0, joints, turns, 0, m, LANES, work, 0)
-            for i in range(rows.shape[0]):
-                for j in range(joints):
-                    out[first + m, i, public[j]] = work[j, rows[i]]
-
-
-@compiled
 def derivative_of(work, local, out):
     """dJ/dq of one posture, base first, into `out` (6, joints, joints): [r, i, k] = d J_ri / d q_k."""
     joints = out.shape[1]
@@ -204,8 +191,8 @@ def derivative_of(work, local, out):
 
 
 @compiled
-def jacobians_and_derivatives(table, postures, rows, public, out, derivative):
-    """Rows of J (n, p, nv) and dJ/dq (n, p, nv, nv) into public columns."""
+def jacobians(table, postures, rows, public, out, derivative):
+    """Rows of J (n, p, nv), and of dJ/dq (n, p, nv, nv) unless that has no entries, into public columns."""
     joints, local = public.shape[0], table[1, LOCAL] != 0.0
     turns, angle, work = np.empty((joints, 3 * LANES)), np.empty(LANES), np.empty((joints + 1, END_WIDTH))
     block = np.empty((6, joints, joints))
@@ -214,18 +201,18 @@ def jacobians_and_derivatives(table, postures, rows, public, out, derivative):
         joint_turns(table, postures, first, size, turns, angle)
         for m in range(size):
             columns_of(table, 0, joints, turns, 0, m, LANES, work, 0)
+            for i in range(rows.shape[0]):
+                for j in range(joints):
+                    out[first + m, i, public[j]] = work[j, rows[i]]
+            if derivative.shape[0] == 0:
+                continue
             derivative_of(work, local, block)
             for i in range(rows.shape[0]):
                 source, target = block[rows[i]], derivative[first + m, i]
                 for j in range(joints):
-                    out[first + m, i, public[j]] = work[j, rows[i]]
                     line = target[public[j]]
                     for k in range(joints):
                         line[public[k]] = source[j, k]
-
-
-# columns of a joint's row of scratch, after (v, w) and the origin
-WEIGHTS, SLIDE, GRADIENT = 9, 15, 18
 
 
 @compiled_inside
@@ -238,7 +225,7 @@ def six(table, k, at):
 def jacobian_vjp(work, base, joints, local):
     """sum_ij weights_ji dJ_ij / dq_k for each joint k, base first, into the column GRADIENT of the joints' rows.
 
-    The formulas of `robot.batch.jacobian.jacobian_vjp`.
+    The formulas of `robot.batch.chain.jacobian_vjp`.
     """
     f0 = f1 = f2 = m0 = m1 = m2 = 0.0
     for k in range(base, base + joints):  # joints above k
