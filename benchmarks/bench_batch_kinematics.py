@@ -7,9 +7,11 @@ the loop; two threads 1.8 times one. Beside them growth curves over postures and
 from __future__ import annotations
 
 import os
+import runpy
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -22,11 +24,11 @@ from manip_learn.constraint.features import FrameJacobian
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
-from manip_learn.robot.batch.threads import cores
-from manip_learn.robot.planar_arm import planar_arm_urdf
+from manip_learn.robot.batch.postures import cores
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(600)]
 N = 8192
+planar_arm_urdf = runpy.run_path(str(Path(__file__).resolve().parents[1] / "robots/make_planar3.py"))["planar_arm_urdf"]
 COMPILED = find_spec("numba") is not None
 # at least so many times the rate of the bare loop
 PROMISED = {"numpy": 1.0, "compiled": 4.0, "mu and gradient, numpy": 0.5, "mu and gradient, compiled": 1.0}

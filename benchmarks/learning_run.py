@@ -9,8 +9,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "robots"))
 
 import numpy as np
+from make_planar3 import planar_arm_urdf
 from peak_memory import peak_megabytes
 from scale_motions import motions
 
@@ -21,7 +23,6 @@ from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import load_robot
-from manip_learn.robot.planar_arm import planar_arm_urdf
 
 BASE = 500  # trajectories of 100 samples that are made; more are the same with other noise
 NOISE = 0.02

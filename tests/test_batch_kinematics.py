@@ -12,7 +12,7 @@ from conftest import TIPS, URDFS, tip_of
 from manip_learn.constraint.features import CentreOfMass, FrameJacobian, Stacked
 from manip_learn.errors import ConfigurationError, MissingExtraError
 from manip_learn.robot.batch.batch_kinematics import CHUNK, BatchKinematics, batch_kinematics
-from manip_learn.robot.description.mimic import Mimic
+from manip_learn.robot.joints import Mimic
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]
@@ -100,8 +100,8 @@ def test_chain_that_disagrees_with_pinocchio_is_not_used(robot_of: RobotOf, monk
     robot = robot_of("sawyer")
     true_chain = batch_kinematics.chain_to
 
-    def bent(model: pin.Model, frame: object) -> object:
-        chain = true_chain(model, frame)
+    def bent(carried: object) -> object:
+        chain = true_chain(carried)
         chain.shift[2, 0] += 1e-9
         return chain
 

@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 
-from manip_learn.robot.batch.threads import LEAST, cores, in_threads
+from manip_learn.robot.batch.postures import LEAST, cores, in_threads
 
 
 @pytest.mark.parametrize("n", [0, 1, LEAST, 3 * LEAST + 7])

@@ -10,10 +10,10 @@ from urdf_corpus_case import ARM
 from urdf_corpus_joints import mimic_chain
 
 from manip_learn.errors import RobotError
-from manip_learn.robot.cross_check import cross_check
 from manip_learn.robot.description.catalogue import example_robots
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.robot_summary import cross_check
 
 # Refused with good reason: limits 0 ... 0, a mimic of nothing.
 REFUSED = {

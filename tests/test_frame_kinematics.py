@@ -11,10 +11,8 @@ import pytest
 from conftest import tip_of
 
 from manip_learn.robot import load_robot
-from manip_learn.robot.frame_kinematics import FrameKinematics
-from manip_learn.robot.kinematic_hessian import REFERENCES
+from manip_learn.robot.frame_kinematics import REFERENCES, FrameKinematics, vjps
 from manip_learn.robot.robot import Reference, Robot
-from manip_learn.robot.weighted_vjp import vjps
 
 RobotOf = Callable[[str], Robot]
 ROBOTS = ["planar3", "sawyer", "panda", "kinova", "gantry", "wrist", "tree", "mimic", "one"]

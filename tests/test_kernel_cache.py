@@ -16,7 +16,7 @@ pytest.importorskip("numba", reason="the extra 'fast' is not installed")
 import manip_learn as ml  # noqa: E402
 from manip_learn.constraint import compiled_rows
 from manip_learn.control.compiled import step_table  # noqa: E402
-from manip_learn.robot.batch import compiled_vjp, kernel_cache  # noqa: E402
+from manip_learn.robot.batch import compiled_kinematics, kernel_cache  # noqa: E402
 from manip_learn.robot.batch.kernel_cache import CONSTANT_FILES, KERNEL_FILES, PACKAGE, content_stamp  # noqa: E402
 
 
@@ -53,8 +53,6 @@ def test_all_kernel_files_are_known() -> None:
 
 def test_compiled_functions_live_in_that_cache() -> None:
     """The kernels' machine code is kept in the folder that is named after their content."""
-    from manip_learn.robot.batch import compiled_kinematics
-
     assert content_stamp() in compiled_kinematics.jacobians.stats.cache_path
 
 
@@ -92,4 +90,4 @@ def test_simulation_is_imported_without_numba() -> None:
     code = "import sys, manip_learn.control.simulation; print('numba' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=60)
     assert done.stdout.strip() == "False"
-    assert step_table.LEAST_WIDTH == compiled_rows.MIX_WIDTH > compiled_vjp.GRADIENT
+    assert step_table.LEAST_WIDTH == compiled_rows.MIX_WIDTH > compiled_kinematics.GRADIENT

@@ -12,10 +12,8 @@ import pytest
 from urdf_corpus_meshes import OBJ, dae, glb, gltf, stl
 
 from manip_learn.errors import RobotError
-from manip_learn.robot.visuals import mesh_reader
-from manip_learn.robot.visuals.mesh_content import checked_mesh
-from manip_learn.robot.visuals.mesh_paths import find_mesh, mesh_roots
-from manip_learn.robot.visuals.mesh_reader import read_meshes
+from manip_learn.robot.visuals import meshes
+from manip_learn.robot.visuals.meshes import checked_mesh, find_mesh, mesh_roots, read_meshes
 
 
 @pytest.fixture(autouse=True)
@@ -173,7 +171,7 @@ def test_a_mesh_that_kills_its_parser_harms_no_other(tmp_path, monkeypatch, word
     """A hang or a crash is that mesh's fault only: the next one gets a new parser."""
     script = tmp_path / "child.py"
     script.write_text(CHILD, encoding="utf-8")
-    monkeypatch.setattr(mesh_reader, "CHILD", script)
+    monkeypatch.setattr(meshes, "CHILD", script)
     bad = write(tmp_path / "bad.obj", f"# {word}\nv 0 0 0\n".encode())
     good = write(tmp_path / "good.obj", OBJ)
     answers = read_meshes([bad, good], seconds=1.0)
@@ -201,7 +199,7 @@ def test_the_limits_are_real():
     """After limiting itself, the child cannot have a gigabyte, and its processor time ends."""
     script = (
         "import importlib.util, resource, sys\n"
-        f"spec = importlib.util.spec_from_file_location('child', {str(mesh_reader.CHILD)!r})\n"
+        f"spec = importlib.util.spec_from_file_location('child', {str(meshes.CHILD)!r})\n"
         "child = importlib.util.module_from_spec(spec); spec.loader.exec_module(child); child.limit_self()\n"
         "assert resource.getrlimit(resource.RLIMIT_CPU)[0] <= 60\n"
         "try: bytearray(1_000_000_000)\n"
@@ -218,11 +216,11 @@ def test_side_files_cannot_be_reached(tmp_path, monkeypatch):
     np.testing.assert_array_equal(np.sort(vertices.ravel()), [0] * 7 + [1, 1])
     script = tmp_path / "child.py"
     script.write_text(CHILD, encoding="utf-8")
-    monkeypatch.setattr(mesh_reader, "CHILD", script)
+    monkeypatch.setattr(meshes, "CHILD", script)
     assert "parsed ['mesh.obj']" in str(read_meshes([path])[path])
 
 
 def test_no_meshes_no_process(monkeypatch):
     """Nothing is started for nothing."""
-    monkeypatch.setattr(mesh_reader, "_Child", None)
+    monkeypatch.setattr(meshes, "_Child", None)
     assert read_meshes([]) == {}

@@ -19,10 +19,9 @@ from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.errors import RobotError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.description.catalogue import example_robots
-from manip_learn.robot.description.mimic import Mimic
-from manip_learn.robot.loading import load_robot
+from manip_learn.robot.joints import Mimic
+from manip_learn.robot.loading import load_robot, robot_from_text
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.urdf_robot import robot_from_urdf
 
 TYPES = {"a": "revolute", "b": "prismatic", "c": "revolute", "d": "revolute"}
 AXES = {"a": "0 0 1", "b": "0.6 0.8 0", "c": "0 1 0", "d": "1 0 0"}
@@ -55,7 +54,7 @@ def urdf(
 def load(mimics: dict[str, tuple[str, float, float]], **options) -> Robot:
     """The chain."""
     locked = options.pop("locked", ())
-    return robot_from_urdf(urdf(mimics, **options), Path("chain.urdf"), locked=locked)
+    return robot_from_text(urdf(mimics, **options), Path("chain.urdf"), locked=locked)
 
 
 def free_pose(positions: dict[str, float], **options) -> np.ndarray:

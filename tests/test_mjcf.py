@@ -7,10 +7,9 @@ import pytest
 from urdf_corpus_case import ARM
 
 from manip_learn.errors import RobotError
-from manip_learn.robot.cross_check import cross_check
 from manip_learn.robot.loading import load_robot
-from manip_learn.robot.visuals.visual_elements import Box, Capsule, Cylinder, Sphere
-from manip_learn.robot.visuals.visual_shapes import visual_shapes
+from manip_learn.robot.robot_summary import cross_check
+from manip_learn.robot.visuals.visual_shapes import Box, Capsule, Cylinder, Sphere, visual_shapes
 
 GEOM = '<geom type="sphere" size="0.1"/>'
 RADIAN = '<compiler angle="radian"/>'

@@ -28,11 +28,11 @@ from manip_learn.playback import replay
 from manip_learn.playback.page_writer import json_in_html
 from manip_learn.playback.palette import COLOURS, rollout_colours
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.robot.description.catalogue import robot_names
+from manip_learn.robot.description.catalogue import find_robot, robot_names
 from manip_learn.robot.loading import load_robot
-from manip_learn.robot.planar_arm import planar_arm_urdf
 from manip_learn.robot.tips import default_tip, likely_tips
 
+PLANAR3 = find_robot("planar3")
 EVIL = '</script><script>window.hacked=1</script><img src=x onerror="window.hacked=2">'
 
 
@@ -49,7 +49,8 @@ def waving(robot, duration=2.0, dt=0.01, phase=0.0):
 
 def evil_robot(folder):
     """A planar arm whose own name and those of a link and a joint are markup."""
-    urdf = planar_arm_urdf(name=EVIL).replace("link2", escape(EVIL)).replace("joint2", escape("<b>joint</b>"))
+    urdf = PLANAR3.read_text().replace("planar3", escape(EVIL))
+    urdf = urdf.replace("link2", escape(EVIL)).replace("joint2", escape("<b>joint</b>"))
     path = folder / "evil.urdf"
     path.write_text(urdf.replace(escape(EVIL), escape(EVIL, {'"': "&quot;"})), encoding="utf-8")
     return load_robot(path)
@@ -94,7 +95,7 @@ def test_sawyer_replay_is_small_and_whole(robot_of, tmp_path):
 def test_title_is_the_name_that_loads_the_robot(tmp_path):
     """A robot of the catalogue is called as it was asked for, a file of one's own as its description says."""
     own = tmp_path / "arm.urdf"
-    own.write_text(planar_arm_urdf([0.5, 0.5], "old"))
+    own.write_text(PLANAR3.read_text().replace("planar3", "old"))
     for asked, title in (("sawyer", "sawyer"), ("xarm7", "xarm7"), (own, "old")):
         robot = load_robot(asked)
         page = replay(robot, {"a": waving(robot, 0.1)}, tmp_path / "a.html").html.read_text()

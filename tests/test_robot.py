@@ -12,7 +12,7 @@ import pytest
 from conftest import TIPS, URDFS, tip_of
 
 from manip_learn.errors import ConfigurationError, UnknownNameError
-from manip_learn.robot.kinematic_hessian import closed_form, columns_to_joints, pinocchio_order_is_known
+from manip_learn.robot.frame_kinematics import closed_form, columns_to_joints, pinocchio_order_is_known
 from manip_learn.robot.loading import load_robot
 
 ROBOTS = [*URDFS, *TIPS]

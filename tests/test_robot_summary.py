@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from urdf_corpus_case import ARM
 
-from manip_learn.robot.loading import load_robot
+from manip_learn.robot.loading import captured_c_stderr, load_robot
 from manip_learn.robot.robot_summary import inspect_robot
 from manip_learn.robot.tips import likely_tips
-from manip_learn.robot.urdf_robot import captured_c_stderr
 
 
 @pytest.mark.parametrize(

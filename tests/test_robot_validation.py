@@ -10,9 +10,9 @@ from urdf_corpus import corpus
 from urdf_corpus_case import ARM, edited
 
 from manip_learn.errors import RobotError
-from manip_learn.robot import urdf_robot
+from manip_learn.robot import loading
 from manip_learn.robot.description.validation import validate_urdf
-from manip_learn.robot.urdf_robot import robot_from_urdf
+from manip_learn.robot.loading import robot_from_text
 
 PATH = Path("some/arm.urdf")
 
@@ -67,7 +67,7 @@ def test_all_refusals_of_the_corpus_are_sentences(tmp_path):
 
 def test_what_the_c_library_says_is_kept(monkeypatch):
     """Words on the C library's stderr become warnings of the robot; nothing is printed."""
-    built = urdf_robot.pin.buildModelFromXML
+    built = loading.pin.buildModelFromXML
 
     def chatty(*arguments):
         import os
@@ -75,8 +75,8 @@ def test_what_the_c_library_says_is_kept(monkeypatch):
         os.write(2, b"Warning:   the joint is odd\n         at line 7\n")
         return built(*arguments)
 
-    monkeypatch.setattr(urdf_robot.pin, "buildModelFromXML", chatty)
-    robot = robot_from_urdf(ARM.encode(), PATH)
+    monkeypatch.setattr(loading.pin, "buildModelFromXML", chatty)
+    robot = robot_from_text(ARM.encode(), PATH)
     assert [w for w in robot.warnings if re.search("the joint is odd", w)]
 
 
@@ -89,9 +89,9 @@ def test_what_the_c_library_says_is_in_the_error(monkeypatch, capfd):
         os.write(2, b"Error: the reason\n")
         raise ValueError("The XML stream does not contain a valid URDF model.")
 
-    monkeypatch.setattr(urdf_robot.pin, "buildModelFromXML", failing)
+    monkeypatch.setattr(loading.pin, "buildModelFromXML", failing)
     with pytest.raises(RobotError, match="the reason") as caught:
-        robot_from_urdf(ARM.encode(), PATH)
+        robot_from_text(ARM.encode(), PATH)
     assert caught.value.code == "pinocchio"
     assert capfd.readouterr().err == ""
 
@@ -99,10 +99,10 @@ def test_what_the_c_library_says_is_in_the_error(monkeypatch, capfd):
 def test_a_model_that_lost_something_is_refused(monkeypatch):
     """If Pinocchio dropped a link in silence, the counts would tell."""
     smaller = edited(('<link name="tip"/>', ""), (ARM[ARM.index('  <joint name="elbow"') : ARM.index("</robot>")], ""))
-    built = urdf_robot.pin.buildModelFromXML
-    monkeypatch.setattr(urdf_robot.pin, "buildModelFromXML", lambda text: built(smaller.decode()))
+    built = loading.pin.buildModelFromXML
+    monkeypatch.setattr(loading.pin, "buildModelFromXML", lambda text: built(smaller.decode()))
     with pytest.raises(RobotError, match="3 links, the loaded model 2") as caught:
-        robot_from_urdf(ARM.encode(), PATH)
+        robot_from_text(ARM.encode(), PATH)
     assert caught.value.code == "counts"
 
 

@@ -10,9 +10,16 @@ from urdf_corpus_meshes import stl
 
 from manip_learn.robot.description.catalogue import example_package_dir, example_robots
 from manip_learn.robot.loading import load_robot
-from manip_learn.robot.visuals.mesh_content import mesh_colour
-from manip_learn.robot.visuals.visual_elements import Box, Capsule, Cylinder, Sphere, Triangles
-from manip_learn.robot.visuals.visual_shapes import resolve_meshes, visual_shapes
+from manip_learn.robot.visuals.meshes import mesh_colour
+from manip_learn.robot.visuals.visual_shapes import (
+    Box,
+    Capsule,
+    Cylinder,
+    Sphere,
+    Triangles,
+    resolve_meshes,
+    visual_shapes,
+)
 
 TIP = '<link name="tip"/>'
 

@@ -20,10 +20,8 @@ from urdf_corpus_case import Case
 from manip_learn.errors import ManipLearnError, RobotError, UnknownNameError
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.visuals.mesh_paths import find_mesh, mesh_roots
-from manip_learn.robot.visuals.mesh_reader import read_meshes
-from manip_learn.robot.visuals.visual_elements import MeshElement, visual_elements
-from manip_learn.robot.visuals.visual_shapes import visual_shapes
+from manip_learn.robot.visuals.meshes import find_mesh, mesh_roots, read_meshes
+from manip_learn.robot.visuals.visual_shapes import MeshElement, visual_elements, visual_shapes
 
 SECONDS = 30  # a hang, not a measurement: a neighbour may have the processor
 

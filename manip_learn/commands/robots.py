@@ -7,7 +7,7 @@ from typing import Any, final
 
 from manip_learn.errors import ManipLearnError
 from manip_learn.robot.description.catalogue import SHIPPED, example_robots, find_robot, robot_names
-from manip_learn.robot.description.description_file import read_description
+from manip_learn.robot.description.text import read_description
 from manip_learn.robot.description.validation import validate_urdf
 
 

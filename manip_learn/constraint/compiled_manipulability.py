@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from manip_learn.constraint.compiled_rows import MIX_WIDTH, joint_weights, mix_rows, rows_vjp
-from manip_learn.robot.batch.compiled_kinematics import LANES, LOCAL, columns_of, joint_turns
-from manip_learn.robot.batch.compiled_vjp import GRADIENT
+from manip_learn.robot.batch.compiled_kinematics import GRADIENT, LANES, LOCAL, columns_of, joint_turns
 from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 
 

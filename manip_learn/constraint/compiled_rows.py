@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from manip_learn.constraint.features.weighed_velocity import FREE, FREE_ROWS, ON_AXIS, SLOPES, WIDTH
-from manip_learn.robot.batch.compiled_vjp import GRADIENT, WEIGHTS, jacobian_vjp
+from manip_learn.robot.batch.compiled_kinematics import GRADIENT, WEIGHTS, jacobian_vjp
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 # columns of a row of Lambda in the work space, behind its six weights: their slopes along p, and scratch

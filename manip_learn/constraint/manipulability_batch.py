@@ -19,8 +19,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.weighed_velocity import compiled_form
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_of
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics, kernels
-from manip_learn.robot.batch.postures import checked_postures, positions_of
-from manip_learn.robot.batch.threads import in_threads
+from manip_learn.robot.batch.postures import checked_postures, in_threads, positions_of
 
 LEAST_LENGTH_RATIO = 1e-3  # shortest orthogonalised row over longest row of A; below it the SVD takes over
 

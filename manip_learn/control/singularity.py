@@ -13,7 +13,7 @@ from scipy.linalg.lapack import dsyev  # pyright: ignore[reportAttributeAccessIs
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
 from manip_learn.constraint.small_matrices import svd
-from manip_learn.robot.weighted_vjp import vjps
+from manip_learn.robot.frame_kinematics import vjps
 
 # [rad/s] speed at which a singularity is left
 ESCAPE_SPEED = 0.2

@@ -12,8 +12,16 @@ from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.playback.shapes import Appearance, Shape, TriangleMesh
 from manip_learn.playback.stick_figure import rods, stick_figure
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.visuals.visual_elements import Box, Capsule, Cylinder, Sphere, Triangles, Visual
-from manip_learn.robot.visuals.visual_shapes import said_once, visual_shapes
+from manip_learn.robot.visuals.visual_shapes import (
+    Box,
+    Capsule,
+    Cylinder,
+    Sphere,
+    Triangles,
+    Visual,
+    said_once,
+    visual_shapes,
+)
 
 MAX_TRIANGLES = 60_000  # about 0.9 MB in the page
 

@@ -1,4 +1,9 @@
-"""Kinematics of one frame: its pose, its Jacobian and the derivative, from one pass over the joints that carry it."""
+"""Kinematics of one frame: its pose, its Jacobian and the derivative, from one pass over the joints that carry it.
+
+Pinocchio 4.1 hands `getFrameKinematicHessian` out with the right shape (6, nv, nv) and scrambled entries: a
+column-major buffer read as row-major. It is put into the right order behind a self-test. `closed_form` needs no Hessian
+and serves as the judge, and as the substitute should a Pinocchio release change the memory order.
+"""
 
 from __future__ import annotations
 
@@ -9,21 +14,163 @@ from typing import Any, Protocol, final
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from manip_learn.robot.carrying_joints import carrying_joints
-from manip_learn.robot.description.mimic import Coupling
 from manip_learn.robot.frame import Frame
-from manip_learn.robot.joints import JointBlock
-from manip_learn.robot.kinematic_hessian import (
-    REFERENCES,
-    closed_form,
-    columns_to_joints,
-    pinocchio_order_is_known,
-    reordered,
-)
-from manip_learn.robot.weighted_vjp import WeightedVjp
+from manip_learn.robot.joints import Coupling, JointBlock, carrying_joints
+
+REFERENCES = {"world": pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, "local": pin.ReferenceFrame.LOCAL}
+
+
+def closed_form(
+    J: Float[np.ndarray, "6 nv"], joint_of_column: Int[np.ndarray, " nv"], reference: str
+) -> Float[np.ndarray, "6 nv nv"]:
+    """dJ_i/dq_k from the Jacobian's own columns; entry [i, j, k] = d J_ij / d q_k.
+
+    With columns (v_i, w_i) at the frame's origin along world axes, for joint k at or above joint i on the chain:
+    d v_i / d q_k = w_k x v_i and d w_i / d q_k = w_k x w_i; for k below i: d v_i / d q_k = w_i x v_k, d w_i = 0.
+    In the frame's own axes: dS_i / dq_k = S_i x S_k for k below i, else 0 (motion cross product).
+
+    Args:
+        J: Frame Jacobian, linear rows first.
+        joint_of_column: Pinocchio joint id of each column; columns outside the frame's chain are zero in J.
+        reference: `"world"` (LOCAL_WORLD_ALIGNED) or `"local"`.
+    """
+    v, w = J[:3].T, J[3:].T
+    i, k = joint_of_column[:, None], joint_of_column[None, :]
+    if reference == "world":
+        above = (k <= i)[..., None]
+        dv = np.where(above, np.cross(w[None, :], v[:, None]), np.cross(w[:, None], v[None, :]))
+        dw = np.where(above, np.cross(w[None, :], w[:, None]), 0.0)
+    else:
+        below = (k > i)[..., None]
+        dv = np.where(below, np.cross(w[:, None], v[None, :]) + np.cross(v[:, None], w[None, :]), 0.0)
+        dw = np.where(below, np.cross(w[:, None], w[None, :]), 0.0)
+    return np.concatenate([dv, dw], axis=2).transpose(2, 0, 1)
+
+
+def centre_of_mass_derivative(
+    model: pin.Model,
+    Jc: Float[np.ndarray, "3 nv"],
+    w: Float[np.ndarray, "nv 3"],
+    joint_of_column: Int[np.ndarray, " nv"],
+) -> Float[np.ndarray, "3 nv nv"]:
+    """dJc_i/dq_k of the centre of mass's Jacobian Jc, with the joints' angular columns w along the base axes.
+
+    For joint k at or above joint i: d Jc_i / d q_k = w_k x Jc_i; for k below i: w_i x Jc_k; else 0.
+    """
+    owner, c = joint_of_column, Jc.T
+    is_above = np.zeros((model.njoints, model.njoints), dtype=bool)
+    for j in range(model.njoints):
+        is_above[list(model.supports[j]), j] = True
+    k_above_i = is_above[owner[None, :], owner[:, None]]
+    i_above_k = is_above[owner[:, None], owner[None, :]] & ~k_above_i
+    H = np.where(k_above_i[..., None], np.cross(w[None, :], c[:, None]), 0.0)
+    H += np.where(i_above_k[..., None], np.cross(w[:, None], c[None, :]), 0.0)
+    return H.transpose(2, 0, 1)
+
+
+def reordered(H: np.ndarray, nv: int) -> Float[np.ndarray, "6 nv nv"]:
+    """Entries [i, j, k] = d J_ij / d q_k out of Pinocchio's mislabelled buffer."""
+    return H.reshape(nv, nv, 6).transpose(2, 1, 0)
+
+
+def pinocchio_order_is_known(model: pin.Model) -> bool:
+    """True if `reordered` gives the closed form on this model: checked once per robot, in every reference frame."""
+    if model.nv == 0:
+        return False
+    data = model.createData()
+    rng = np.random.default_rng(0)
+    q = pin.integrate(model, pin.neutral(model), rng.uniform(-1.0, 1.0, model.nv))
+    index = _deepest_frame(model)
+    joint_of_column = columns_to_joints(model)
+    pin.computeJointKinematicHessians(model, data, q)
+    for name, reference in REFERENCES.items():
+        J = pin.computeFrameJacobian(model, data, q, index, reference).reshape(6, model.nv)
+        H = pin.getFrameKinematicHessian(model, data, index, reference)
+        if H.size != 6 * model.nv**2:
+            return False
+        if not np.allclose(reordered(H, model.nv), closed_form(J, joint_of_column, name), rtol=0.0, atol=1e-9):
+            return False
+    return True
+
+
+def columns_to_joints(model: pin.Model) -> Int[np.ndarray, " nv"]:
+    """Pinocchio joint id of each tangent coordinate."""
+    owner = np.zeros(model.nv, dtype=np.int64)
+    for j in range(1, model.njoints):
+        joint = model.joints[j]
+        owner[joint.idx_v : joint.idx_v + joint.nv] = j
+    return owner
+
+
+def _deepest_frame(model: pin.Model) -> int:
+    depth = [len(model.supports[frame.parentJoint]) for frame in model.frames]
+    return int(np.argmax(depth))
+
+
+@final
+class WeightedVjp:
+    """weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, from dJ/dq in Pinocchio's order.
+
+    Args:
+        by_joint: shape (n, 6 n), the derivative along each joint of the model; entry [k, 6 i + j] is dJ_ji / dq_k.
+        selection: Lambda.
+        columns: Which of the robot's joints those of the model are; None for all of them.
+        lift: Velocities of the model's joints from those of the robot's; None where they are the same.
+        nv: Number of the robot's joints.
+    """
+
+    __slots__ = ("_by_joint", "_columns", "_lift", "_nv", "_selection")
+
+    def __init__(
+        self,
+        by_joint: Float[np.ndarray, "n m"],
+        selection: Float[np.ndarray, "s 6"],
+        columns: Any,
+        lift: Float[np.ndarray, "n nv"] | None,
+        nv: int,
+    ):
+        self._by_joint, self._selection, self._columns, self._lift, self._nv = by_joint, selection, columns, lift, nv
+
+    def __call__(self, weights: Float[np.ndarray, "s nv"]) -> Float[np.ndarray, " nv"]:
+        """The product."""
+        lift, columns = self._lift, self._columns
+        if lift is not None:
+            return self._by_joint.dot(lift.dot(weights.T).dot(self._selection).reshape(-1)).dot(lift)
+        if columns is None:
+            return self._by_joint.dot(weights.T.dot(self._selection).reshape(-1))
+        out = np.zeros(self._nv)
+        out[columns] = self._by_joint.dot(weights.T[columns].dot(self._selection).reshape(-1))
+        return out
+
+    def many(self, weights: Float[np.ndarray, "s m"]) -> Float[np.ndarray, "k nv"]:
+        """The products of matrices that stand side by side, one row for each, in one go."""
+        selection, by_joint, lift, columns = self._selection, self._by_joint, self._lift, self._columns
+        if lift is None and columns is None:
+            return weights.T.dot(selection).reshape(-1, by_joint.shape[1]).dot(by_joint.T)
+        nv = self._nv
+        stack = weights.T.reshape(-1, nv, weights.shape[0])
+        stack = stack[:, columns] if lift is None else np.matmul(lift, stack)
+        rows = stack.dot(selection).reshape(stack.shape[0], -1).dot(by_joint.T)
+        if lift is not None:
+            return rows.dot(lift)
+        out = np.zeros((rows.shape[0], nv))
+        out[:, columns] = rows
+        return out
+
+
+def vjps(
+    vjp: Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]],
+    weights: Float[np.ndarray, "s m"],
+    number: int,
+) -> Float[np.ndarray, "number nv"]:
+    """The vector-Jacobian products of matrices that stand side by side, in one go where that is known."""
+    if isinstance(vjp, WeightedVjp):
+        return vjp.many(weights)
+    return np.array([vjp(matrix) for matrix in np.split(weights, number, axis=1)])
+
 
 DOUBLE = np.dtype(np.float64)  # of this machine's byte order
 

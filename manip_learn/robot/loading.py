@@ -2,26 +2,49 @@
 
 from __future__ import annotations
 
+import hashlib
+import math
 import os
-from collections.abc import Mapping, Sequence
+import re
+import sys
+import tempfile
+import threading
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import pinocchio as pin
 
-from manip_learn.errors import RobotError
+from manip_learn.errors import RobotError, UnknownNameError
 from manip_learn.robot.description.catalogue import find_robot
-from manip_learn.robot.description.description_file import read_description
-from manip_learn.robot.description.locking import Locked, names_of
-from manip_learn.robot.description.mjcf_reader import validate_mjcf
-from manip_learn.robot.description.objects import object_names
-from manip_learn.robot.description.xacro_file import expanded_xacro
+from manip_learn.robot.description.mjcf import validate_mjcf
+from manip_learn.robot.description.text import expanded_xacro, read_description
+from manip_learn.robot.description.urdf import (
+    LARGE,
+    MAX_NAME,
+    RESERVED,
+    Pose,
+    UrdfFile,
+    UrdfJoint,
+    UrdfLink,
+    as_matrix,
+    as_pose,
+    kinematic_urdf,
+)
+from manip_learn.robot.description.validation import Mimics, validate_urdf
+from manip_learn.robot.joints import COORDINATE_SUFFIXES, Mimic
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.urdf_robot import robot_from_urdf, robot_from_validated
 
 Base = Literal["fixed", "floating", "planar"]
+Locked = Sequence[str] | Mapping[str, float | None]
 SUFFIXES = (".urdf", ".xml", ".xacro", ".mjcf")
 BASES = {"floating": pin.JointModelFreeFlyer, "planar": pin.JointModelPlanar}
+# numbers of a description, between quotes or spaces
+DECIMAL = re.compile(r'(?<=["\s])-?\d+(\.\d+)?(e[+-]?\d+)?(?=["\s])')
+_one_at_a_time = threading.Lock()
 
 
 def load_robot(
@@ -90,19 +113,44 @@ def robot_from_text(
     root_joint: pin.JointModel | None = None,
     objects: Sequence[str] = (),
 ) -> Robot:
-    """Robot from the text of a URDF or an MJCF file; `path` is where it came from. See `load_robot`.
+    """Robot from the text of a URDF (xacro expanded) or an MJCF file.
+
+    Args:
+        content: The text; of a URDF it is kept as the robot's description, of an MJCF file the URDF that it stands for.
+        path: Where it came from.
+        package_dirs: Folders of mesh packages.
+        locked: Joints to hold still; names, or names -> positions [rad or m].
+        root_joint: Joint between the world and the root link; None if it is fixed.
+        objects: Names of things whose pose is recorded, see `load_robot`.
 
     Raises:
-        RobotError: The description is refused.
+        RobotError: The description is invalid, Pinocchio refuses it, a joint cannot be locked, or an object has the
+            name of a link or joint.
         UnknownNameError: A locked joint that does not exist.
     """
-    if not _is_mjcf(content):
-        return robot_from_urdf(
-            content, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint, objects=objects
-        )
-    validated, urdf = validate_mjcf(content, path, names_of(locked))
-    return robot_from_validated(
-        validated, urdf, path, package_dirs=package_dirs, locked=locked, root_joint=root_joint, objects=objects
+    if _is_mjcf(content):
+        validated, content = validate_mjcf(content, path, names_of(locked))
+    else:
+        validated = validate_urdf(content, path, names_of(locked))
+    urdf = with_objects(validated.urdf, objects)
+    if root_joint is not None and urdf.joint("root_joint") is not None:
+        sentence = f"{path}: a joint is called 'root_joint', the name of the moving base; rename it"
+        raise RobotError(sentence, code="name-reserved", path=path)
+    still = locked_positions(urdf, validated.mimics, locked)
+    model, said = _built(kinematic_urdf(with_fixed(urdf, still)), root_joint, path)
+    _check_counts(model, urdf, still, root_joint, path)
+    _set_unlimited(model)
+    return Robot(
+        model,
+        name=urdf.name,
+        source=path.absolute(),  # meshes are looked up later, perhaps from another folder
+        description=content,
+        package_dirs=[d.absolute() for d in package_dirs],
+        fingerprint=_fingerprint(urdf, still, validated.mimics.followers, root_joint),
+        mimics=[m for m in validated.mimics.followers if m.joint not in still],
+        locked=still,
+        objects=objects,
+        warnings=[*validated.warnings, *said],
     )
 
 
@@ -133,3 +181,205 @@ def _is_mjcf(content: bytes) -> bool:
         if rest.startswith(begin):
             rest = rest.partition(end)[2].lstrip()
     return rest.startswith(b"<mujoco")
+
+
+def _built(text: str, root_joint: pin.JointModel | None, path: Path) -> tuple[pin.Model, list[str]]:
+    """The model, and what Pinocchio said about it."""
+    lines: list[str] = []
+    try:
+        with captured_c_stderr() as lines:
+            model = pin.buildModelFromXML(text) if root_joint is None else pin.buildModelFromXML(text, root_joint)
+    except (ValueError, RuntimeError) as error:
+        said = " ".join([*lines, str(error)])
+        raise RobotError(f"{path}: Pinocchio refuses the robot: {said[:500]}", code="pinocchio", path=path) from error
+    return model, [f"Pinocchio: {line}" for line in lines]
+
+
+def _check_counts(
+    model: pin.Model, urdf: UrdfFile, still: Collection[str], root_joint: pin.JointModel | None, path: Path
+) -> None:
+    """Everything in the file must be in the model, and nothing else."""
+    kinds = [f.type for f in model.frames][1:]  # the first is the universe
+    bases, base_nv = (0, 0) if root_joint is None else (1, root_joint.nv)
+    joints = kinds.count(pin.FrameType.JOINT) + kinds.count(pin.FrameType.FIXED_JOINT) - bases
+    for what, wanted, seen in (
+        ("links", len(urdf.links), kinds.count(pin.FrameType.BODY)),
+        ("joints", len(urdf.joints), joints),
+        ("degrees of freedom", sum(j.nv for j in urdf.joints if j.name not in still), model.nv - base_nv),
+    ):
+        if seen != wanted:
+            sentence = f"{path}: the file has {wanted} {what}, the loaded model {seen}; please report this file"
+            raise RobotError(sentence, code="counts", path=path)
+
+
+def _set_unlimited(model: pin.Model) -> None:
+    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    velocity = np.array(model.velocityLimit)
+    lower[lower <= -LARGE], upper[upper >= LARGE], velocity[velocity >= LARGE] = -np.inf, np.inf, np.inf
+    model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit = lower, upper, velocity
+
+
+def _fingerprint(
+    urdf: UrdfFile, still: dict[str, float], followers: Sequence[Mimic], root_joint: pin.JointModel | None
+) -> str:
+    """Hash of kinematics and masses: comments, meshes, colours, the order of elements and the last digit, which
+    differs between machines, do not count.
+    """
+    lines = sorted(kinematic_urdf(urdf).splitlines())
+    lines += sorted(f'locked {name} "{position!r}"' for name, position in still.items())
+    lines += sorted(f'mimic {m.joint} {m.leader} "{m.multiplier!r} {m.offset!r}"' for m in followers)
+    lines.append(f"base {'fixed' if root_joint is None else root_joint.shortname()}")
+    text = DECIMAL.sub(lambda found: repr(round(float(found.group()), 12) + 0.0), "\n".join(lines))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@contextmanager
+def captured_c_stderr() -> Iterator[list[str]]:
+    """Collect the lines written to file descriptor 2; the list is filled when the block ends, also by an error.
+
+    The descriptor belongs to the whole process: what other threads print meanwhile is collected too.
+    """
+    lines: list[str] = []
+    with _one_at_a_time:
+        if sys.stderr is not None:
+            sys.stderr.flush()
+        try:
+            saved = os.dup(2)
+        except OSError:  # no stderr, as in a service: nothing visible is lost
+            yield lines
+            return
+        with tempfile.TemporaryFile() as sink:
+            os.dup2(sink.fileno(), 2)
+            try:
+                yield lines
+            finally:
+                if sys.stderr is not None:
+                    sys.stderr.flush()
+                os.dup2(saved, 2)
+                os.close(saved)
+                sink.seek(0)
+                text = sink.read(1_000_000).decode("utf-8", "replace")
+                lines += [line.strip() for line in text.splitlines() if line.strip()]
+
+
+def names_of(locked: Locked) -> tuple[str, ...]:
+    """The names in what a caller passed as `locked`; a single string counts as one name."""
+    return (locked,) if isinstance(locked, str) else tuple(str(n) for n in locked)
+
+
+def locked_positions(urdf: UrdfFile, mimics: Mimics, locked: Locked) -> dict[str, float]:
+    """Position of every joint that stands still: locked ones, their followers, and followers of fixed joints.
+
+    A joint locked by name alone stands at zero, or at the limit nearest to zero.
+
+    Returns:
+        Joint name -> position [rad or m], in file order; 0 for floating and planar joints, which is accepted again.
+
+    Raises:
+        UnknownNameError: A name that is no joint.
+        RobotError: Codes `locked-follower`, `locked-position`.
+    """
+    asked = {name: (locked.get(name) if isinstance(locked, Mapping) else None) for name in names_of(locked)}
+    by_name = {j.name: j for j in urdf.joints}
+    leader_of = {m.joint: m for m in mimics.followers}
+    still = dict(mimics.resting)
+    for name, value in asked.items():
+        if name not in by_name:
+            raise UnknownNameError("joint", name, by_name, f"robot {urdf.name!r}")
+        if by_name[name].nv == 0 or name in leader_of or name in still:
+            continue
+        still[name] = _position(by_name[name], value)
+    for name in asked:
+        if name in leader_of and leader_of[name].leader not in still:
+            leader = leader_of[name].leader
+            sentence = f"joint {name!r} cannot be locked alone: it follows {leader!r}; lock that joint"
+            raise RobotError(sentence, code="locked-follower")
+    for m in mimics.followers:
+        if m.leader in still:
+            still[m.joint] = m.multiplier * still[m.leader] + m.offset
+    return {j.name: still[j.name] for j in urdf.joints if j.name in still}
+
+
+def _position(joint: UrdfJoint, value: float | None) -> float:
+    limit = joint.limit
+    lower, upper = -math.inf, math.inf
+    if limit is not None and limit.lower is not None and limit.upper is not None and joint.type != "continuous":
+        # limits that contradict each other say nothing
+        lower, upper = (limit.lower, limit.upper) if limit.lower <= limit.upper else (lower, upper)
+    if value is None:
+        return min(max(0.0, lower), upper)
+    if joint.nv != 1 and value != 0.0:
+        raise _not_lockable(
+            f"joint {joint.name!r} is {joint.type} and can be locked only where it is: give no position"
+        )
+    try:
+        position = float(value)
+    except (TypeError, ValueError) as error:
+        raise _not_lockable(f"joint {joint.name!r}: locked at {value!r}, a number is expected") from error
+    if not lower <= position <= upper:
+        where = f"outside its limits {lower:g} ... {upper:g}"
+        raise _not_lockable(f"joint {joint.name!r}: locked at {position:g}, {where}")
+    return position
+
+
+def _not_lockable(sentence: str) -> RobotError:
+    return RobotError(sentence, code="locked-position")
+
+
+def with_fixed(urdf: UrdfFile, still: Mapping[str, float]) -> UrdfFile:
+    """The same robot with those joints fixed where they stand.
+
+    Pinocchio's own reduction of a model leaves frames with parents that lead in a circle.
+    """
+    return replace(urdf, joints=tuple(_fixed(j, still[j.name]) if j.name in still else j for j in urdf.joints))
+
+
+def _fixed(joint: UrdfJoint, position: float) -> UrdfJoint:
+    pose = joint.pose
+    if position != 0.0 and joint.nv == 1:
+        motion, axis = np.eye(4), np.array(joint.axis)
+        if joint.type == "prismatic":
+            motion[:3, 3] = position * axis
+        else:
+            motion[:3, :3] = pin.exp3(position * axis)
+        pose = as_pose(as_matrix(joint.pose) @ motion)
+    return replace(joint, type="fixed", pose=pose, limit=None, mimic=None)
+
+
+def object_names(objects: Sequence[str] | str) -> tuple[str, ...]:
+    """The names in what a caller passed as `objects`; a single string counts as one name.
+
+    Raises:
+        RobotError: Code `object-name`: no name, an unprintable one, or the same twice.
+    """
+    names = (objects,) if isinstance(objects, str) else tuple(objects)
+    for i, name in enumerate(names):
+        usable = isinstance(name, str) and name.strip() == name and 0 < len(name) <= MAX_NAME and name.isprintable()
+        if not usable or name in RESERVED:
+            raise RobotError(f"objects: {name!r} cannot be the name of an object", code="object-name")
+        if name in names[:i]:
+            raise RobotError(f"objects: {name!r} is named twice", code="object-name")
+    return names
+
+
+def with_objects(urdf: UrdfFile, objects: Sequence[str]) -> UrdfFile:
+    """The robot with a link on a floating joint of the same name for each object, its pose in the root link's frame.
+
+    Raises:
+        RobotError: Code `object-name`: a link, joint or coordinate of the robot has the name.
+    """
+    taken = {link.name for link in urdf.links} | {joint.name for joint in urdf.joints}
+    for name in objects:
+        clash = next(
+            (n for n in (name, *(name + suffix for suffix in COORDINATE_SUFFIXES["floating"])) if n in taken), None
+        )
+        if clash is not None:
+            raise RobotError(
+                f"object {name!r}: robot {urdf.name!r} has a link or joint {clash!r}; give the object another name",
+                code="object-name",
+            )
+    links = tuple(UrdfLink(name, 0, None) for name in objects)
+    joints = tuple(
+        UrdfJoint(name, 0, "floating", urdf.root, name, Pose(), (1.0, 0.0, 0.0), None, None) for name in objects
+    )
+    return replace(urdf, links=(*urdf.links, *links), joints=(*urdf.joints, *joints))

@@ -16,11 +16,9 @@ from numpy.typing import ArrayLike
 
 from manip_learn.errors import ConfigurationError, UnknownNameError
 from manip_learn.robot import html_card
-from manip_learn.robot.description.mimic import Coupling, Mimic
 from manip_learn.robot.frame import Frame, FrameLike
-from manip_learn.robot.frame_kinematics import FrameKinematics, is_plain
-from manip_learn.robot.joints import JointBlock, build_coupling, joint_kind, joint_limits
-from manip_learn.robot.kinematic_hessian import centre_of_mass_derivative, columns_to_joints
+from manip_learn.robot.frame_kinematics import FrameKinematics, centre_of_mass_derivative, columns_to_joints, is_plain
+from manip_learn.robot.joints import Coupling, JointBlock, Mimic, build_coupling, joint_kind, joint_limits
 
 Reference = Literal["world", "local"]
 MOST_NAMES = 14  # of joints that a `repr` shows

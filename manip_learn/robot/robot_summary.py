@@ -1,22 +1,25 @@
-"""Summary of a loaded robot, as plain data for printing."""
+"""Summary of a loaded robot as plain data, with an independent check of its forward kinematics by yourdfpy."""
 
 from __future__ import annotations
 
+import io
+import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, RobotError
-from manip_learn.robot.cross_check import CrossCheck, cross_check
-from manip_learn.robot.description.mimic import Mimic
-from manip_learn.robot.joints import JointKind
+from manip_learn.robot.description.text import quoted
+from manip_learn.robot.joints import JointKind, Mimic
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import likely_tips
 from manip_learn.robot.visuals.visual_shapes import resolve_meshes
 
 UNITS: dict[JointKind, str] = {"prismatic": "m"}
+# largest difference of an entry of two poses [m, and no unit]; rounding along 100 joints stays below
+AGREEMENT = 1e-9
 
 
 @final
@@ -39,6 +42,31 @@ class JointSummary:
     lower: float
     upper: float
     velocity: float
+
+
+@final
+@dataclass(frozen=True)
+class CrossCheck:
+    """How far two readers of one URDF are apart.
+
+    Attributes:
+        largest_difference: Of all entries of the 4x4 poses of all links relative to their parents [m, and no unit].
+        link: Where it was found.
+        postures: Number of random postures.
+        links: Number of links compared.
+        left_out: What was not compared, in a sentence; empty if everything was.
+    """
+
+    largest_difference: float
+    link: str
+    postures: int
+    links: int
+    left_out: str = ""
+
+    @property
+    def agrees(self) -> bool:
+        """True up to 1e-9."""
+        return self.largest_difference <= AGREEMENT
 
 
 @final
@@ -134,3 +162,64 @@ def _joints(robot: Robot) -> tuple[JointSummary, ...]:
                 )
             )
     return tuple(summaries)
+
+
+def cross_check(robot: Robot, rng: np.random.Generator, n: int = 10) -> CrossCheck:
+    """Compare the pose of every link at n random postures with what yourdfpy makes of the same URDF.
+
+    Raises:
+        RobotError: The robot did not come from a URDF (`cross-check`), or yourdfpy cannot read it.
+        MissingExtraError: yourdfpy is not installed.
+    """
+    if robot.description is None:
+        raise RobotError(f"robot {robot.name!r} did not come from a URDF: nothing to compare with", code="cross-check")
+    try:
+        import yourdfpy
+    except ImportError as error:
+        raise MissingExtraError("the independent check of forward kinematics", "all") from error
+    logger = logging.getLogger("yourdfpy.urdf")  # its warnings concern meshes and mimics, which validation has handled
+    before, logger.disabled = logger.disabled, True
+    try:
+        return _compared(_read_by(yourdfpy, robot.description), robot, rng, n)
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError, yourdfpy.urdf.URDFError) as error:
+        said = f"({type(error).__name__}: {str(error)[:200]})"
+        raise RobotError(f"yourdfpy cannot read robot {robot.name!r} {said}", code="cross-check") from error
+    finally:
+        logger.disabled = before
+
+
+def _read_by(yourdfpy: Any, description: bytes) -> Any:
+    """The `yourdfpy.URDF` of a description, without its shapes."""
+    bare = {"build_scene_graph": False, "build_collision_scene_graph": False, "load_meshes": False}
+    parsed = yourdfpy.URDF.load(io.BytesIO(description), **bare).robot
+    for link in parsed.links:
+        link.visuals, link.collisions = [], []
+    joints = {j.name: j for j in parsed.joints}
+    for j in (j for j in parsed.joints if j.mimic is not None):
+        if j.mimic.joint not in joints:  # else validation would have failed: it is locked
+            j.mimic = None
+            continue
+        # yourdfpy takes a mimic of a mimic for a mimic of a joint at rest: shorten the chains for it
+        while (leader := joints[j.mimic.joint]).mimic is not None and leader.type != "fixed":
+            j.mimic.offset += j.mimic.multiplier * leader.mimic.offset
+            j.mimic.multiplier *= leader.mimic.multiplier
+            j.mimic.joint = leader.mimic.joint
+    return yourdfpy.URDF(robot=parsed, **(bare | {"build_scene_graph": True}))
+
+
+def _compared(other: Any, robot: Robot, rng: np.random.Generator, n: int) -> CrossCheck:
+    skipped = [b.name for b in robot.blocks if b.kind not in ("revolute", "prismatic", "continuous")]
+    moves = np.array([b.name not in skipped for b in robot.blocks for _ in b.coordinate_names])
+    largest, where = 0.0, other.base_link
+    for _ in range(n):
+        positions = np.where(moves, robot.positions(robot.random_configuration(rng)), 0.0)
+        by_name = dict(zip(robot.joint_names, positions.tolist(), strict=True)) | robot.locked
+        other.update_cfg({name: by_name.get(name, 0.0) for name in other.actuated_joint_names})
+        poses = {link: robot.pose(positions, link) for link in other.link_map}
+        for j in other.robot.joints:  # link by link: asking for the pose of each in the base takes n^3
+            ours = np.linalg.solve(poses[j.parent], poses[j.child])
+            difference = float(np.abs(ours - other.get_transform(frame_to=j.child, frame_from=j.parent)).max())
+            if not difference <= largest:
+                largest, where = difference, j.child
+    left_out = f"the motion of {quoted(skipped)}, which yourdfpy does not move" if skipped else ""
+    return CrossCheck(largest, where, n, len(other.link_map), left_out)

@@ -10,17 +10,18 @@ from manip_learn.constraint.compiled_rows import joint_weights, rows_vjp
 from manip_learn.constraint.small_matrices import LEAST_SINGULAR_RATIO
 from manip_learn.control.compiled.step_table import CHAIN, FORM, MATRICES, N_JOINTS
 from manip_learn.robot.batch.compiled_kinematics import (
+    GRADIENT,
     JOINTS,
     LARGEST_ANGLE,
     LOCAL,
     OFFSET,
     PRISMATIC,
     SIGN,
+    SLIDE,
     SOURCE,
     TARGET,
     sine_and_cosine,
 )
-from manip_learn.robot.batch.compiled_vjp import GRADIENT, SLIDE
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 SWEEPS = 30  # of Jacobi rotations; six are usual

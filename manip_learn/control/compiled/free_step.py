@@ -64,8 +64,7 @@ from manip_learn.control.compiled.step_table import (
     VELOCITY,
 )
 from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE
-from manip_learn.robot.batch.compiled_kinematics import END_ORIGIN, LOCAL, columns_of
-from manip_learn.robot.batch.compiled_vjp import GRADIENT, SLIDE, six
+from manip_learn.robot.batch.compiled_kinematics import END_ORIGIN, GRADIENT, LOCAL, SLIDE, columns_of, six
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 from manip_learn.robot.rotations import SMALL_ANGLE
 

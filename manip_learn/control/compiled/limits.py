@@ -35,8 +35,7 @@ from manip_learn.control.limits import POSITION as BY_POSITION
 from manip_learn.control.limits import VELOCITY as BY_VELOCITY
 from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE
 from manip_learn.control.tip_limits import MOST_ROWS, RESERVE
-from manip_learn.robot.batch.compiled_kinematics import JOINTS, SOURCE, TARGET, columns_of
-from manip_learn.robot.batch.compiled_vjp import SLIDE
+from manip_learn.robot.batch.compiled_kinematics import JOINTS, SLIDE, SOURCE, TARGET, columns_of
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 # A frame at a posture has three rows of its Jacobian and one per wall, behind which are its bound [m/s] and whether it

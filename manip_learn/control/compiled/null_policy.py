@@ -29,7 +29,7 @@ from manip_learn.control.compiled.step_table import (
     WRAPS,
 )
 from manip_learn.control.singularity import GROWTH, SEED_SPEED
-from manip_learn.robot.batch.compiled_vjp import GRADIENT
+from manip_learn.robot.batch.compiled_kinematics import GRADIENT
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 

@@ -13,12 +13,21 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from manip_learn.errors import ConfigurationError, MissingExtraError
-from manip_learn.robot.batch.chain import Chain, ChainColumns, chain_to
-from manip_learn.robot.batch.forward_kinematics import SweepBuffers, sweep, tip_position
-from manip_learn.robot.batch.jacobian import ChainMotion, jacobian_vjp, write_derivative, write_jacobian
-from manip_learn.robot.batch.postures import checked_postures, positions_of
-from manip_learn.robot.batch.threads import in_threads
+from manip_learn.robot.batch.chain import (
+    Chain,
+    ChainColumns,
+    ChainMotion,
+    SweepBuffers,
+    chain_to,
+    jacobian_vjp,
+    sweep,
+    tip_position,
+    write_derivative,
+    write_jacobian,
+)
+from manip_learn.robot.batch.postures import checked_postures, in_threads, positions_of
 from manip_learn.robot.frame import Frame
+from manip_learn.robot.joints import carrying_joints
 from manip_learn.robot.robot import Reference, Robot
 
 COMPILED_FROM = 50_000  # postures: fewer are done in NumPy before numba is even imported
@@ -80,12 +89,13 @@ class BatchKinematics:
     def __init__(self, robot: Robot, frame: Frame):
         self._robot = robot
         self._frame = frame
-        chain = chain_to(robot.pinocchio_model, frame)
+        carried = carrying_joints(robot.pinocchio_model, frame, robot.blocks, robot.coupling)
+        chain = None if carried is None else chain_to(carried)
         self.fast = chain is not None
-        if chain is not None:
+        if carried is not None and chain is not None:
             self._chain: Chain = chain
             self._reversed = chain.reversed()
-            self._columns = ChainColumns(robot, chain)
+            self._columns = ChainColumns(robot, carried)
             self.fast = self._agrees_with_pinocchio()
 
     def jacobian(
@@ -110,26 +120,7 @@ class BatchKinematics:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
             MissingExtraError: `compiled=True` without numba.
         """
-        postures = checked_postures(self._robot, q)
-        numba_kernels, n = kernels(compiled, len(postures)), len(postures)
-        if not self.fast:
-            return self._looped(postures, reference, rows)[0]
-        public = self._columns.public
-        if numba_kernels is not None and public is not None:
-            J, table = self._new_table(n, len(rows), self._robot.nv), self.chain_table(reference)
-            positions = positions_of(self._robot, postures)
-            fill = numba_kernels.jacobians
-            in_threads(n, workers, lambda p: fill(table, positions[p], np.array(rows), public, J[p]))
-            return J
-        out = self._new_table(len(rows), self._robot.nv, n)
-
-        def write(some: slice) -> None:
-            here = out[..., some]
-            for part, motion in self._motions(postures[some], reference, CHUNK):
-                write_jacobian(motion, rows, self._columns, here[..., part])
-
-        in_threads(n, workers, write)
-        return out.transpose(2, 0, 1)
+        return self._tables(q, reference, rows, compiled, workers, derivative=False)[0]
 
     def jacobian_and_derivative(
         self,
@@ -148,28 +139,7 @@ class BatchKinematics:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
             MissingExtraError: `compiled=True` without numba.
         """
-        postures = checked_postures(self._robot, q)
-        numba_kernels = kernels(compiled, len(postures))
-        if not self.fast:
-            return self._looped(postures, reference, rows)
-        p, n, nv = len(rows), len(postures), self._robot.nv
-        public = self._columns.public
-        if numba_kernels is not None and public is not None:
-            J, H = self._new_table(n, p, nv), self._new_table(n, p, nv, nv)
-            table, positions = self.chain_table(reference), positions_of(self._robot, postures)
-            fill = numba_kernels.jacobians_and_derivatives
-            in_threads(n, workers, lambda k: fill(table, positions[k], np.array(rows), public, J[k], H[k]))
-            return J, H
-        J, H = self._new_table(p, nv, n), self._new_table(p, nv, nv, n)
-
-        def write(some: slice) -> None:
-            J_here, H_here = J[..., some], H[..., some]
-            for part, motion in self._motions(postures[some], reference, DERIVATIVE_CHUNK):
-                write_jacobian(motion, rows, self._columns, J_here[..., part])
-                write_derivative(motion, rows, self._columns, H_here[..., part])
-
-        in_threads(n, workers, write)
-        return J.transpose(2, 0, 1), H.transpose(3, 0, 1, 2)
+        return self._tables(q, reference, rows, compiled, workers, derivative=True)
 
     def vjp(
         self,
@@ -250,6 +220,40 @@ class BatchKinematics:
         return out.transpose(2, 0, 1)
 
     # ---- plumbing -------------------------------------------------------------------------------------------------
+
+    def _tables(
+        self,
+        q: ArrayLike,
+        reference: Reference,
+        rows: Sequence[int],
+        compiled: bool | None,
+        workers: int | None,
+        derivative: bool,
+    ) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "m p nv nv"]]:
+        """J, and dJ/dq, which has no entries unless it is asked for (or comes from Pinocchio's loop)."""
+        postures = checked_postures(self._robot, q)
+        numba_kernels = kernels(compiled, len(postures))
+        if not self.fast:
+            return self._looped(postures, reference, rows)
+        p, n, nv, public = len(rows), len(postures), self._robot.nv, self._columns.public
+        n_H = n if derivative else 0
+        if numba_kernels is not None and public is not None:
+            J, H = self._new_table(n, p, nv), self._new_table(n_H, p, nv, nv)
+            table, positions = self.chain_table(reference), positions_of(self._robot, postures)
+            fill = numba_kernels.jacobians
+            in_threads(n, workers, lambda k: fill(table, positions[k], np.array(rows), public, J[k], H[k]))
+            return J, H
+        J, H = self._new_table(p, nv, n), self._new_table(p, nv, nv, n_H)
+
+        def write(some: slice) -> None:
+            J_here, H_here = J[..., some], H[..., some]
+            for part, motion in self._motions(postures[some], reference, DERIVATIVE_CHUNK if derivative else CHUNK):
+                write_jacobian(motion, rows, self._columns, J_here[..., part])
+                if derivative:
+                    write_derivative(motion, rows, self._columns, H_here[..., part])
+
+        in_threads(n, workers, write)
+        return J.transpose(2, 0, 1), H.transpose(3, 0, 1, 2)
 
     def _motions(self, postures: np.ndarray, reference: str, chunk: int) -> Iterator[tuple[slice, ChainMotion]]:
         """Axes and lever arms of the joints, base first, chunk by chunk; each overwrites the one before."""

@@ -1,4 +1,4 @@
-"""The joints between the base and one frame, rewritten for batch kinematics.
+"""The joints between the base and one frame, and their Jacobian columns at many postures.
 
 Each joint axis is turned into the z axis of its own frame; each fixed rotation in between is split into
 Rz(a) Rx(b) Rz(c), whose outer turns are added to the joint angles before and after it (as Denavit and Hartenberg do;
@@ -8,20 +8,24 @@ but no origin slides along its axis, which is what makes their form blow up for 
     fixed_i = Trans(t_i) Rx(b_i),   [joint i] = Rz(q_i + offset_i) or Tz(q_i) Rz(offset_i)
 
 so that a step along the chain turns two columns twice, and nothing else.
+
+Arrays of many postures are (3, n) or (3, joints, n): component, joint (base first), posture. The postures come last, so
+that every NumPy call runs over contiguous memory that fits into the second-level cache.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from manip_learn.robot.batch.postures import positions_of
-from manip_learn.robot.frame import Frame
+from manip_learn.robot.joints import CarryingJoints
 from manip_learn.robot.robot import Robot
 
 SNAP = 4e-16  # a right angle written in decimals misses 0 or 1 by this much
@@ -33,7 +37,6 @@ class Chain:
     """Joints of one degree of freedom that carry a frame, base first.
 
     Attributes:
-        columns: Column of each joint in Pinocchio's tangent vector, shape (n,).
         prismatic: True where the joint slides, shape (n,).
         offset: Added to the joint angle [rad], shape (n,); a prismatic joint turns by it, whatever its position.
         start_rotation: From the first joint's frame (joint at zero) to the base, shape (3, 3).
@@ -45,7 +48,6 @@ class Chain:
         tool_position: Origin of the frame in the last joint's frame [m], shape (3,).
     """
 
-    columns: Int[np.ndarray, " n"]
     prismatic: Bool[np.ndarray, " n"]
     offset: Float[np.ndarray, " n"]
     start_rotation: Float[np.ndarray, "3 3"]
@@ -59,7 +61,7 @@ class Chain:
     @property
     def size(self) -> int:
         """Number of joints n."""
-        return int(self.columns.shape[0])
+        return len(self.prismatic)
 
     def reversed(self) -> Chain:
         """The same joints seen from the frame: frame_from_base, for Jacobians along the frame's own axes.
@@ -75,7 +77,6 @@ class Chain:
             return np.roll(x[::-1], 1, axis=0)
 
         return Chain(
-            columns=self.columns[::-1].copy(),
             prismatic=self.prismatic[::-1].copy(),
             offset=-self.offset[::-1],
             start_rotation=self.tool_rotation.T.copy(),
@@ -88,37 +89,31 @@ class Chain:
         )
 
 
-def chain_to(model: pin.Model, frame: Frame) -> Chain | None:
-    """The chain from the base to a frame.
-
-    None if no joint carries the frame, or if one on the way is not revolute, continuous or prismatic.
-    """
-    joints = [j for j in model.supports[frame.parent_joint] if j > 0]
-    if not joints or any(model.joints[j].nv != 1 or model.joints[j].nq > 2 for j in joints):
-        return None
+def chain_to(carried: CarryingJoints) -> Chain | None:
+    """The chain from the base to the frame that those joints carry; None if an axis is not of unit length."""
+    model = carried.model
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
     placements: list[tuple[np.ndarray, np.ndarray]] = []
     prismatic: list[bool] = []
     turn = np.eye(3)  # from the z-along-the-axis frame of the joint before to the model's frame of that joint
-    for j in joints:
+    for j in range(1, model.njoints):
         S = np.array(data.joints[j].S, dtype=np.float64).reshape(-1)
         slides = not np.any(S[3:])
         axis = S[:3] if slides else S[3:]
-        if (not slides and np.any(S[:3])) or abs(float(np.linalg.norm(axis)) - 1.0) > 1e-12:
+        if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-12:
             return None
         M, z_to_axis = model.jointPlacements[j], _turn_z_to(axis)
         placements.append((turn.T @ M.rotation @ z_to_axis, turn.T @ M.translation))
         prismatic.append(slides)
         turn = z_to_axis
-    M = model.frames[frame.index].placement
+    M = model.frames[carried.index].placement
     placements.append((turn.T @ M.rotation, turn.T @ M.translation))
-    columns = np.array([model.joints[j].idx_v for j in joints], dtype=np.int64)
-    return _assembled(columns, np.array(prismatic, dtype=bool), placements)
+    return _assembled(np.array(prismatic, dtype=bool), placements)
 
 
-def _assembled(columns: np.ndarray, prismatic: np.ndarray, placements: list[tuple[np.ndarray, np.ndarray]]) -> Chain:
-    n = len(columns)
+def _assembled(prismatic: np.ndarray, placements: list[tuple[np.ndarray, np.ndarray]]) -> Chain:
+    n = len(prismatic)
     offset, tilt_cos, tilt_sin, shift = np.zeros(n), np.ones(n), np.zeros(n), np.zeros((n, 3))
     for i in range(1, n):
         R, t = placements[i]
@@ -127,7 +122,6 @@ def _assembled(columns: np.ndarray, prismatic: np.ndarray, placements: list[tupl
         shift[i] = _snapped(_turn_z(a).T @ t)
         offset[i] += c
     return Chain(
-        columns=columns,
         prismatic=prismatic,
         offset=offset,
         start_rotation=_snapped(placements[0][0]),
@@ -178,26 +172,13 @@ class ChainColumns:
         public: Public column of each joint of the chain, shape (j,); None where mimic joints are among them.
     """
 
-    def __init__(self, robot: Robot, chain: Chain):
+    def __init__(self, robot: Robot, carried: CarryingJoints):
         self._robot = robot
-        self._lift: np.ndarray | None = None
-        self.public: np.ndarray | None = None
-        self._select: slice | np.ndarray = slice(0, 0)
-        coupling = robot.coupling
-        columns = None if coupling is None else coupling.columns_of(chain.columns)
-        if coupling is not None and columns is None:
-            # mimic joints: the chain's joints are an affine map of the public ones
-            self._lift = np.ascontiguousarray(coupling.lift[chain.columns])
-            self._offset = coupling.offset[chain.columns][:, None]
-            self.full = False
-            return
-        if columns is None:
-            public = {block.pin_v.start: block.v.start for block in robot.blocks}
-            columns = np.array([public[int(c)] for c in chain.columns], dtype=np.int64)
-        self.public = columns
-        self.full = len(columns) == robot.nv
-        contiguous = np.array_equal(columns, np.arange(columns[0], columns[0] + len(columns)))
-        self._select = slice(int(columns[0]), int(columns[0]) + len(columns)) if contiguous else columns
+        # mimic joints: the chain's joints are an affine map of the public ones
+        self._lift, self._offset = (carried.lift if carried.columns is None else None), carried.offset[:, None]
+        self._select = slice(0, 0) if carried.columns is None else carried.columns
+        self.public = None if carried.columns is None else np.arange(robot.nv)[carried.columns]
+        self.full = self.public is not None and len(self.public) == robot.nv
 
     def positions(self, postures: Float[np.ndarray, "n width"]) -> Float[np.ndarray, "j n"]:
         """Positions of the chain's joints [rad or m], base first."""
@@ -231,3 +212,252 @@ class ChainColumns:
         if self._lift is not None:
             return np.matmul(self._lift, weights)
         return weights[:, self._select]
+
+
+@final
+@dataclass(frozen=True)
+class SweepBuffers:
+    """Memory of one chunk, used again for the next; belongs to one call, so that threads never share it.
+
+    Attributes:
+        axis: shape (3, joints, n), unit axis of each joint.
+        origin: shape (3, joints, n) [m], origin of each joint's frame.
+        scratch: shape (6, 3, n).
+        work: shape (2, 3, n), free after a sweep.
+    """
+
+    axis: Float[np.ndarray, "3 j n"]
+    origin: Float[np.ndarray, "3 j n"]
+    scratch: Float[np.ndarray, "6 3 n"]
+    work: Float[np.ndarray, "2 3 n"]
+
+    @staticmethod
+    def of(joints: int, n: int) -> SweepBuffers:
+        """Memory for a chain of that many joints and chunks of n postures."""
+        return SweepBuffers(
+            np.empty((3, joints, n)), np.empty((3, joints, n)), np.empty((6, 3, n)), np.empty((2, 3, n))
+        )
+
+    def first(self, n: int) -> SweepBuffers:
+        """The part for a last, smaller chunk."""
+        return SweepBuffers(self.axis[..., :n], self.origin[..., :n], self.scratch[..., :n], self.work[..., :n])
+
+
+@final
+@dataclass(frozen=True)
+class Tip:
+    """Pose of the last joint's frame after its motion; columns of the rotation and the origin, each (3, n)."""
+
+    x: Float[np.ndarray, "3 n"]
+    y: Float[np.ndarray, "3 n"]
+    z: Float[np.ndarray, "3 n"]
+    origin: Float[np.ndarray, "3 n"]
+
+
+def sweep(chain: Chain, position: Float[np.ndarray, "j n"], buffers: SweepBuffers) -> Tip:
+    """Fill `buffers.axis` and `buffers.origin`, base first, and return the pose at the end of the chain.
+
+    Args:
+        chain: The chain.
+        position: Joint positions [rad or m] in the chain's order, offsets not yet added.
+        buffers: Overwritten; the returned tip points into it.
+    """
+    axis, origin = buffers.axis, buffers.origin
+    x_now, x_next, y_now, y_next, y_tilted, work = buffers.scratch
+    angle = position + chain.offset[:, None]
+    if chain.prismatic.any():
+        angle[chain.prismatic] = chain.offset[chain.prismatic, None]
+    cos, sin = np.cos(angle), np.sin(angle)
+
+    x, y, z = (column[:, None] for column in chain.start_rotation.T)
+    for i in range(chain.size):
+        p, w = origin[:, i], axis[:, i]
+        if i == 0:
+            p[...], w[...] = chain.start_position[:, None], z
+        else:
+            _shift(origin[:, i - 1], x, y, z, chain.shift[i], p, work)
+            y = _tilt(y, z, chain.tilt_cos[i], chain.tilt_sin[i], w, y_tilted, work)
+        z = w
+        if chain.prismatic[i]:
+            p += np.multiply(z, position[i], out=work)
+        np.multiply(x, cos[i], out=x_next)
+        x_next += np.multiply(y, sin[i], out=work)
+        np.multiply(y, cos[i], out=y_next)
+        y_next -= np.multiply(x, sin[i], out=work)
+        x, y = x_next, y_next
+        x_now, x_next, y_now, y_next = x_next, x_now, y_next, y_now
+    return Tip(x, y, z, origin[:, -1])
+
+
+def tip_position(
+    tip: Tip, offset: Float[np.ndarray, " 3"], work: Float[np.ndarray, "2 3 n"]
+) -> Float[np.ndarray, "3 n"]:
+    """Where a point fixed to the last joint's frame is [m]."""
+    out = work[0]
+    _shift(tip.origin, tip.x, tip.y, tip.z, offset, out, work[1])
+    return out
+
+
+def _shift(
+    p: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, t: np.ndarray, out: np.ndarray, work: np.ndarray
+) -> None:
+    """Out = p + [x y z] t, leaving out the zeros of t."""
+    start = p
+    for column, length in ((x, t[0]), (y, t[1]), (z, t[2])):
+        if length != 0.0:
+            np.add(start, np.multiply(column, length, out=work), out=out)
+            start = out
+    if start is p:
+        out[...] = p
+
+
+def _tilt(
+    y: np.ndarray, z: np.ndarray, c: float, s: float, z_out: np.ndarray, y_out: np.ndarray, work: np.ndarray
+) -> np.ndarray:
+    """Turn (y, z) about x: z goes into `z_out`, the new y comes back. Right angles cost no multiplication."""
+    if c == 1.0 and s == 0.0:  # a tilt of 1e-9 has a cosine of 1, too
+        z_out[...] = z
+        return y
+    if c == 0.0 and s == 1.0:
+        np.negative(y, out=z_out)
+        return z
+    np.multiply(z, c, out=z_out)
+    z_out -= np.multiply(y, s, out=work)
+    np.multiply(y, c, out=y_out)
+    y_out += np.multiply(z, s, out=work)
+    return y_out
+
+
+AFTER = ((1, 2), (2, 0), (0, 1))  # (a x b)_r = a_i b_j - a_j b_i with i, j = AFTER[r]
+
+
+@final
+class ChainMotion:
+    """Columns (v_j, w_j) of a frame's Jacobian: (w_j x lever_j, w_j) if joint j turns, (axis, 0) if it slides.
+
+    Args:
+        axis: Unit axes of the joints, along the base axes or the frame's own; may be overwritten.
+        lever: From the joint to the frame's origin [m].
+        prismatic: Which joints slide.
+        reference: `"world"` or `"local"`: along which axes.
+
+    Attributes:
+        w: Angular columns.
+        reference: As given.
+    """
+
+    def __init__(
+        self,
+        axis: Float[np.ndarray, "3 j n"],
+        lever: Float[np.ndarray, "3 j n"],
+        prismatic: Bool[np.ndarray, " j"],
+        reference: str,
+    ):
+        self.w = axis
+        self.reference = reference
+        self._lever = lever
+        self._sliding = np.flatnonzero(prismatic)
+        self._slides = axis[:, self._sliding]  # a copy
+        self._v: np.ndarray | None = None
+        if self._sliding.size:
+            self.w[:, self._sliding] = 0.0
+
+    def write_linear(self, r: int, out: Float[np.ndarray, "j n"], work: Float[np.ndarray, "j n"]) -> None:
+        """Component r of the linear columns."""
+        cross_row(self.w, self._lever, r, out, work)
+        if self._sliding.size:
+            out[self._sliding] = self._slides[r]
+
+    @property
+    def v(self) -> Float[np.ndarray, "3 j n"]:
+        """Linear columns."""
+        if self._v is None:
+            self._v = np.empty(self.w.shape)
+            work = np.empty(self.w.shape[1:])
+            for r in range(3):
+                self.write_linear(r, self._v[r], work)
+        return self._v
+
+
+def write_jacobian(
+    motion: ChainMotion, rows: Sequence[int], columns: ChainColumns, out: Float[np.ndarray, "p nv n"]
+) -> None:
+    """Rows (0 .. 5: x y z rx ry rz) of the Jacobian into public columns."""
+    joints, n = motion.w.shape[1:]
+    work = np.empty((2, joints, n))
+    for target, row in zip(out, rows, strict=True):
+        if row >= 3:
+            columns.scatter(motion.w[row - 3], target)
+            continue
+        direct = columns.view(target)
+        motion.write_linear(row, work[0] if direct is None else direct, work[1])
+        if direct is None:
+            columns.scatter(work[0], target)
+
+
+def write_derivative(
+    motion: ChainMotion, rows: Sequence[int], columns: ChainColumns, out: Float[np.ndarray, "p nv nv n"]
+) -> None:
+    """Rows of dJ/dq into public columns: entry [r, i, k] = d J_ri / d q_k (see `frame_kinematics.closed_form`)."""
+    joints, n = motion.w.shape[1:]
+    block = np.empty((1, joints, joints, n))
+    write = _write_world if motion.reference == "world" else _write_local
+    for position, row in enumerate(rows):
+        write(motion, row, block[0])
+        columns.scatter_pairs(block, out[position : position + 1])
+
+
+def _write_world(motion: ChainMotion, row: int, out: np.ndarray) -> None:
+    w, joints, r = motion.w, motion.w.shape[1], row % 3
+    lower_column = motion.v if row < 3 else w
+    work = np.empty(out.shape[1:])
+    for k in range(joints):
+        # w_k x v_i for every joint i from k on
+        cross_row(w[:, k, None], lower_column[:, k:], r, out[k:, k], work[k:])
+        # the joint above turns the velocity that the lower one gives, whichever of the two the derivative is along
+        out[k, k:] = out[k:, k] if row < 3 else 0.0
+
+
+def _write_local(motion: ChainMotion, row: int, out: np.ndarray) -> None:
+    w, joints, r = motion.w, motion.w.shape[1], row % 3
+    v = motion.v if row < 3 else w
+    work = np.empty(out.shape[1:])
+    i, j = AFTER[r]
+    for k in range(joints):
+        block = out[k, k + 1 :]
+        cross_row(w[:, k, None], v[:, k + 1 :], r, block, work[k + 1 :])
+        if row < 3:
+            block += np.multiply(v[i, k], w[j, k + 1 :], out=work[k + 1 :])
+            block -= np.multiply(v[j, k], w[i, k + 1 :], out=work[k + 1 :])
+        out[k:, k] = 0.0
+
+
+def jacobian_vjp(motion: ChainMotion, weights: Float[np.ndarray, "6 j n"]) -> Float[np.ndarray, "j n"]:
+    """sum_ri weights_ri dJ_ri / dq_k for each joint k, in time linear in the joints and without dJ/dq.
+
+    The sums over the joints below or above k are running sums of cross products.
+    """
+    w, v, cv, cw = motion.w, motion.v, weights[:3], weights[3:]
+    out = np.zeros(w.shape[1:])
+    if motion.reference == "world":
+        moment = np.cumsum((cross(v, cv) + cross(w, cw))[:, ::-1], axis=1)[:, ::-1]
+        force = np.cumsum(cross(cv, w), axis=1)
+        out += np.sum(w * moment, axis=0)
+        out[1:] += np.sum(v[:, 1:] * force[:, :-1], axis=0)
+        return out
+    force = np.cumsum(cross(cv, w), axis=1)[:, :-1]
+    moment = np.cumsum(cross(cv, v) + cross(cw, w), axis=1)[:, :-1]
+    out[1:] = np.sum(v[:, 1:] * force + w[:, 1:] * moment, axis=0)
+    return out
+
+
+def cross_row(a: np.ndarray, b: np.ndarray, r: int, out: np.ndarray, work: np.ndarray) -> None:
+    """Component r of a x b, for arrays (3, ...) that broadcast against each other."""
+    i, j = AFTER[r]
+    np.multiply(a[i], b[j], out=out)
+    out -= np.multiply(a[j], b[i], out=work)
+
+
+def cross(a: Float[np.ndarray, "3 j n"], b: Float[np.ndarray, "3 j n"]) -> Float[np.ndarray, "3 j n"]:
+    """A x b over the first axis."""
+    return np.stack([a[i] * b[j] - a[j] * b[i] for i, j in AFTER])

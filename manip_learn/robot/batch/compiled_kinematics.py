@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.robot.batch.chain import Chain
-from manip_learn.robot.batch.kernel_cache import compiled
+from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 
 WIDTH = 12  # columns of the table
 JOINTS = 2  # rows before those of the joints
@@ -19,6 +19,8 @@ JOINTS = 2  # rows before those of the joints
 SOURCE, TARGET, PRISMATIC, OFFSET, TILT_COS, TILT_SIN, SHIFT = 0, 1, 2, 3, 4, 5, 6
 # columns of the second row, after the tool's position
 SIGN, LOCAL = 3, 4
+# columns of the work space behind a joint's (v, w) and origin
+WEIGHTS, SLIDE, GRADIENT = 9, 15, 18
 ORIGIN = 6  # column of the work space behind a joint's (v, w)
 END_ORIGIN, END_WIDTH = 9, 12  # of the work space's row behind the joints': rotation, then origin of the chain's end
 
@@ -163,21 +165,6 @@ def joint_turns(table, postures, first, size, turns, angle):
 
 
 @compiled
-def jacobians(table, postures, rows, public, out):
-    """Rows of the Jacobians into the public columns of `out` (n, p, nv)."""
-    joints = public.shape[0]
-    turns, angle, work = np.empty((joints, 3 * LANES)), np.empty(LANES), np.empty((joints + 1, END_WIDTH))
-    for first in range(0, postures.shape[0], LANES):
-        size = min(LANES, postures.shape[0] - first)
-        joint_turns(table, postures, first, size, turns, angle)
-        for m in range(size):
-            columns_of(table, 0, joints, turns, 0, m, LANES, work, 0)
-            for i in range(rows.shape[0]):
-                for j in range(joints):
-                    out[first + m, i, public[j]] = work[j, rows[i]]
-
-
-@compiled
 def derivative_of(work, local, out):
     """dJ/dq of one posture, base first, into `out` (6, joints, joints): [r, i, k] = d J_ri / d q_k."""
     joints = out.shape[1]
@@ -204,8 +191,8 @@ def derivative_of(work, local, out):
 
 
 @compiled
-def jacobians_and_derivatives(table, postures, rows, public, out, derivative):
-    """Rows of J (n, p, nv) and dJ/dq (n, p, nv, nv) into public columns."""
+def jacobians(table, postures, rows, public, out, derivative):
+    """Rows of J (n, p, nv), and of dJ/dq (n, p, nv, nv) unless that has no entries, into public columns."""
     joints, local = public.shape[0], table[1, LOCAL] != 0.0
     turns, angle, work = np.empty((joints, 3 * LANES)), np.empty(LANES), np.empty((joints + 1, END_WIDTH))
     block = np.empty((6, joints, joints))
@@ -214,11 +201,52 @@ def jacobians_and_derivatives(table, postures, rows, public, out, derivative):
         joint_turns(table, postures, first, size, turns, angle)
         for m in range(size):
             columns_of(table, 0, joints, turns, 0, m, LANES, work, 0)
+            for i in range(rows.shape[0]):
+                for j in range(joints):
+                    out[first + m, i, public[j]] = work[j, rows[i]]
+            if derivative.shape[0] == 0:
+                continue
             derivative_of(work, local, block)
             for i in range(rows.shape[0]):
                 source, target = block[rows[i]], derivative[first + m, i]
                 for j in range(joints):
-                    out[first + m, i, public[j]] = work[j, rows[i]]
                     line = target[public[j]]
                     for k in range(joints):
                         line[public[k]] = source[j, k]
+
+
+@compiled_inside
+def six(table, k, at):
+    """Six neighbouring entries of a row."""
+    return table[k, at], table[k, at + 1], table[k, at + 2], table[k, at + 3], table[k, at + 4], table[k, at + 5]
+
+
+@compiled_inside
+def jacobian_vjp(work, base, joints, local):
+    """sum_ij weights_ji dJ_ij / dq_k for each joint k, base first, into the column GRADIENT of the joints' rows.
+
+    The formulas of `robot.batch.chain.jacobian_vjp`.
+    """
+    f0 = f1 = f2 = m0 = m1 = m2 = 0.0
+    for k in range(base, base + joints):  # joints above k
+        v0, v1, v2, w0, w1, w2 = six(work, k, 0)
+        a0, a1, a2, b0, b1, b2 = six(work, k, WEIGHTS)
+        total = v0 * f0 + v1 * f1 + v2 * f2
+        if local:
+            total += w0 * m0 + w1 * m1 + w2 * m2
+            m0 += a1 * v2 - a2 * v1 + b1 * w2 - b2 * w1
+            m1 += a2 * v0 - a0 * v2 + b2 * w0 - b0 * w2
+            m2 += a0 * v1 - a1 * v0 + b0 * w1 - b1 * w0
+        work[k, GRADIENT] = total
+        f0 += a1 * w2 - a2 * w1
+        f1 += a2 * w0 - a0 * w2
+        f2 += a0 * w1 - a1 * w0
+    if local:
+        return
+    for k in range(base + joints - 1, base - 1, -1):  # joint k and those below
+        v0, v1, v2, w0, w1, w2 = six(work, k, 0)
+        a0, a1, a2, b0, b1, b2 = six(work, k, WEIGHTS)
+        m0 += v1 * a2 - v2 * a1 + w1 * b2 - w2 * b1
+        m1 += v2 * a0 - v0 * a2 + w2 * b0 - w0 * b2
+        m2 += v0 * a1 - v1 * a0 + w0 * b1 - w1 * b0
+        work[k, GRADIENT] += w0 * m0 + w1 * m1 + w2 * m2

@@ -29,7 +29,6 @@ _LOGGER = logging.getLogger("manip_learn")
 PACKAGE = Path(__file__).resolve().parents[2]
 KERNEL_FILES = (
     "robot/batch/compiled_kinematics.py",
-    "robot/batch/compiled_vjp.py",
     "constraint/compiled_rows.py",
     "constraint/compiled_manipulability.py",
     "control/compiled/step_table.py",

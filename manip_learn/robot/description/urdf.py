@@ -1,25 +1,140 @@
-"""XML nodes -> links and joints, every number checked."""
+"""What a URDF says about kinematics: plain data with line numbers, read with every number checked, and written."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import final
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
 
 from manip_learn.errors import RobotError, closest_names
-from manip_learn.robot.description.diagnostics import Diagnostics, quoted, shortened
-from manip_learn.robot.description.urdf_elements import (
-    DEGREES_OF_FREEDOM,
-    ZERO,
-    Pose,
-    UrdfInertial,
-    UrdfJoint,
-    UrdfLimit,
-    UrdfLink,
-    UrdfMimic,
-    Vector,
-)
-from manip_learn.robot.description.xml_node import XmlNode, number, vector
+from manip_learn.robot.description.text import Diagnostics, XmlNode, number, quoted, shortened, vector
+
+Vector = tuple[float, float, float]
+ZERO: Vector = (0.0, 0.0, 0.0)
+DEGREES_OF_FREEDOM = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
+Matrix = Float[np.ndarray, "4 4"]
+
+
+@final
+@dataclass(frozen=True)
+class Pose:
+    """Translation [m] and roll, pitch, yaw [rad] about fixed axes."""
+
+    xyz: Vector = ZERO
+    rpy: Vector = ZERO
+
+
+@final
+@dataclass(frozen=True)
+class UrdfInertial:
+    """Mass [kg], its pose, and ixx ixy ixz iyy iyz izz [kg m^2]."""
+
+    pose: Pose
+    mass: float
+    inertia: tuple[float, ...]
+
+
+@final
+@dataclass(frozen=True)
+class UrdfLink:
+    """One link."""
+
+    name: str
+    line: int
+    inertial: UrdfInertial | None
+
+
+@final
+@dataclass(frozen=True)
+class UrdfLimit:
+    """The `<limit>` of one joint, None for each number that is not given [rad or m, per second, N m or N]."""
+
+    line: int
+    lower: float | None
+    upper: float | None
+    velocity: float | None
+    effort: float | None
+
+
+@final
+@dataclass(frozen=True)
+class UrdfMimic:
+    """The `<mimic>` of one joint as written: position = multiplier * position of `leader` + offset."""
+
+    line: int
+    leader: str
+    multiplier: float
+    offset: float
+
+
+@final
+@dataclass(frozen=True)
+class UrdfJoint:
+    """One joint; `axis` is of unit length."""
+
+    name: str
+    line: int
+    type: str
+    parent: str
+    child: str
+    pose: Pose
+    axis: Vector
+    limit: UrdfLimit | None
+    mimic: UrdfMimic | None
+
+    @property
+    def nv(self) -> int:
+        """Degrees of freedom, those of mimic joints included."""
+        return DEGREES_OF_FREEDOM[self.type]
+
+
+@final
+@dataclass(frozen=True)
+class UrdfFile:
+    """A checked robot description.
+
+    Attributes:
+        name: Name of the robot.
+        links: In file order.
+        joints: In file order.
+        root: Name of the root link.
+    """
+
+    name: str
+    links: tuple[UrdfLink, ...]
+    joints: tuple[UrdfJoint, ...]
+    root: str
+
+    def joint(self, name: str) -> UrdfJoint | None:
+        """The joint of that name, or None."""
+        return next((j for j in self.joints if j.name == name), None)
+
+
+def as_pose(T: Matrix) -> Pose:
+    """xyz and roll, pitch, yaw of a homogeneous matrix."""
+    x, y, z = (float(c) for c in T[:3, 3])
+    R = T[:3, :3]
+    # atan2 throughout: exact also where the pitch is a quarter turn
+    pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
+    if math.hypot(R[0, 0], R[1, 0]) > 1e-9:
+        yaw, roll = math.atan2(R[1, 0], R[0, 0]), math.atan2(R[2, 1], R[2, 2])
+    else:
+        yaw, roll = math.atan2(-R[0, 1], R[1, 1]), 0.0
+    return Pose((x, y, z), (roll, pitch, yaw))
+
+
+def as_matrix(pose: Pose) -> Matrix:
+    """Homogeneous matrix of xyz and roll, pitch, yaw."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(*pose.rpy), pose.xyz
+    return T
+
 
 KNOWN_ATTRIBUTES = {
     "origin": {"xyz", "rpy"},
@@ -240,3 +355,71 @@ def _warn_unknown_children(node: XmlNode, known: set[str], where: str, log: Diag
         near = [] if log.is_full else closest_names(shortened(child.tag).lower(), known, n=1)
         hint = f"; did you mean <{near[0]}>?" if near else ""
         log.warn(child.line, f"{where}: <{shortened(child.tag)}> is ignored{hint}")
+
+
+UNLIMITED = 1_000.0  # [rad or m] larger limits mean "no limit" in practice
+LARGE = 1e300  # what C++ reads as a number and no joint reaches
+
+
+def kinematic_urdf(
+    urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None = None, *, with_mimics: bool = False
+) -> str:
+    """Plain URDF of links and joints.
+
+    Args:
+        urdf: A validated description.
+        visuals: Link -> `<visual>` elements to put in; Pinocchio gets none.
+        with_mimics: Whether to write `<mimic>`; for Pinocchio mimic joints are joints of their own.
+    """
+    parts = [f"<robot name={quoteattr(urdf.name)}>"]
+    parts += [_link_text(link, (visuals or {}).get(link.name, ())) for link in urdf.links]
+    parts += [_joint_text(joint, with_mimics) for joint in urdf.joints]
+    parts.append("</robot>")
+    return "\n".join(parts)
+
+
+def _link_text(link: UrdfLink, visuals: Sequence[str]) -> str:
+    inside = ("" if link.inertial is None else _inertial_text(link.inertial)) + "".join(visuals)
+    return f"<link name={quoteattr(link.name)}>{inside}</link>"
+
+
+def _inertial_text(inertial: UrdfInertial) -> str:
+    entries = " ".join(f'{key}="{value!r}"' for key, value in zip(INERTIA, inertial.inertia, strict=True))
+    return f'<inertial>{_origin_text(inertial.pose)}<mass value="{inertial.mass!r}"/><inertia {entries}/></inertial>'
+
+
+def _joint_text(joint: UrdfJoint, with_mimics: bool) -> str:
+    x, y, z = joint.axis
+    mimic = ""
+    if with_mimics and joint.mimic is not None:
+        m = joint.mimic
+        mimic = f'<mimic joint={quoteattr(m.leader)} multiplier="{m.multiplier!r}" offset="{m.offset!r}"/>'
+    return (
+        f'<joint name={quoteattr(joint.name)} type="{joint.type}">{_origin_text(joint.pose)}'
+        f"<parent link={quoteattr(joint.parent)}/><child link={quoteattr(joint.child)}/>"
+        f'<axis xyz="{x!r} {y!r} {z!r}"/>{_limit_text(joint)}{mimic}</joint>'
+    )
+
+
+def _origin_text(pose: Pose) -> str:
+    xyz, rpy = (" ".join(repr(c) for c in v) for v in (pose.xyz, pose.rpy))
+    return f'<origin xyz="{xyz}" rpy="{rpy}"/>'
+
+
+def _limit_text(joint: UrdfJoint) -> str:
+    if joint.type not in ("revolute", "prismatic", "continuous"):
+        return ""
+    limit = joint.limit
+    lower, upper, velocity, effort = (
+        (None,) * 4 if limit is None else (limit.lower, limit.upper, limit.velocity, limit.effort)
+    )
+    lower, upper = _bound(lower, -LARGE), _bound(upper, LARGE)
+    if lower >= upper:  # of a locked joint, else validation would have refused it
+        lower, upper = -LARGE, LARGE
+    velocity = LARGE if velocity is None or velocity <= 0.0 else min(velocity, LARGE)
+    effort = LARGE if effort is None or effort < 0.0 else effort
+    return f'<limit lower="{lower!r}" upper="{upper!r}" velocity="{velocity!r}" effort="{effort!r}"/>'
+
+
+def _bound(value: float | None, otherwise: float) -> float:
+    return otherwise if value is None or abs(value) > UNLIMITED else value

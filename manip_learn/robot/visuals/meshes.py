@@ -1,0 +1,486 @@
+"""Mesh addresses -> files inside the robot's folders -> triangles.
+
+A file is examined without parsing (kind, references to other files), then parsed in a child process that may crash,
+hang or run out of memory.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import selectors
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+import zipfile
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import final
+from urllib.parse import unquote
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from manip_learn.errors import RobotError, advice, counted
+from manip_learn.robot.description.catalogue import example_package_dir
+from manip_learn.robot.description.text import read_regular_file
+
+LEVELS_UP = 6
+PACKAGE_FILE = "package.xml"
+# A URDF often lives in <package>/urdf next to <package>/meshes, with or without a package.xml.
+URDF_FOLDERS = ("urdf", "urdfs", "robots", "robot", "xacro", "description")
+
+
+@final
+@dataclass(frozen=True)
+class MeshRoots:
+    """Where meshes of one robot may be looked up, in this order.
+
+    Attributes:
+        beside: Folders for relative addresses, that of the URDF first.
+        above: Folders that may contain any package.
+        walked: Folders above the URDF; a package in them must contain the URDF or a package.xml, so that
+            `package://etc/...` does not lead out of /.
+        own: Packages by the name in their package.xml, for folders that were renamed.
+    """
+
+    beside: tuple[Path, ...]
+    above: tuple[Path, ...]
+    walked: tuple[Path, ...]
+    own: dict[str, Path]
+
+
+def mesh_roots(urdf: Path, package_dirs: Sequence[Path]) -> MeshRoots:
+    """Folders of a robot: its own, given ones, those above, of ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, example data."""
+    folder = urdf.resolve().parent
+    given = [Path(d).resolve() for d in package_dirs]
+    ancestors = [p for p in (folder, *folder.parents[:LEVELS_UP]) if p != p.parent]
+    beside = [folder, *given]
+    package = next((p for p in ancestors if (p / PACKAGE_FILE).is_file()), None)
+    if package is not None:
+        beside.append(package)
+    elif folder.name.lower() in URDF_FOLDERS:
+        beside.append(folder.parent)
+    named = [*given, *_folders_of("ROS_PACKAGE_PATH")]
+    own = {name: p for p in [*ancestors, *named] if (name := _package_name(p))}
+    above = [*given, folder, *_folders_of("ROS_PACKAGE_PATH"), *(p / "share" for p in _folders_of("AMENT_PREFIX_PATH"))]
+    # a given folder may be the package itself
+    own |= {p.name: p for p in named if p.name not in own}
+    data = example_package_dir()
+    above += [data] if data is not None else []
+    return MeshRoots(tuple(dict.fromkeys(beside)), tuple(dict.fromkeys(above)), tuple(ancestors), own)
+
+
+def _folders_of(variable: str) -> list[Path]:
+    return [Path(d) for d in os.environ.get(variable, "").split(os.pathsep) if d]
+
+
+def _package_name(folder: Path) -> str:
+    file = folder / PACKAGE_FILE
+    if not file.is_file():
+        return ""
+    with file.open("rb") as opened:
+        found = re.search(rb"<name>\s*([\w.-]+)\s*</name>", opened.read(20_000))
+    return found.group(1).decode() if found else ""
+
+
+def find_mesh(uri: str, roots: MeshRoots) -> Path:
+    """The file that a mesh address means, symbolic links resolved.
+
+    Raises:
+        RobotError: Codes `mesh-scheme`, `mesh-missing`, `mesh-outside`.
+    """
+    try:
+        return _found(uri, roots)
+    except (OSError, ValueError, RuntimeError) as error:  # names too long, NUL bytes, circular links
+        raise RobotError(f"mesh {uri[:200]!r} cannot be looked up ({error})", code="mesh-missing") from error
+
+
+def _found(uri: str, roots: MeshRoots) -> Path:
+    scheme, separator, rest = uri.partition("://")
+    if not separator:
+        return _first_inside(uri, uri.replace("\\", "/"), roots.beside, roots.beside)
+    if scheme in ("package", "model"):
+        package, _, inside = unquote(rest).partition("/")
+        if package in ("", ".", "..") or not inside:
+            raise RobotError(f"mesh {uri[:200]!r} names no package and file", code="mesh-missing")
+        folders = _package_folders(package, roots)
+        return _first_inside(uri, inside, folders, folders)
+    if scheme == "file":
+        return _first_inside(uri, unquote(rest), roots.beside, roots.beside)
+    raise RobotError(
+        f"mesh {uri[:200]!r}: addresses of the kind {scheme[:20]!r} are not read; use package:// or a path",
+        code="mesh-scheme",
+    )
+
+
+def _package_folders(package: str, roots: MeshRoots) -> tuple[Path, ...]:
+    folders = [roots.own[package]] if package in roots.own else []
+    folders += [d / package for d in roots.above]
+    urdf_folder = roots.beside[0]
+    for d in roots.walked:
+        candidate = d / package
+        if urdf_folder.is_relative_to(candidate) or (candidate / PACKAGE_FILE).is_file():
+            folders.append(candidate)
+    return tuple(folders)
+
+
+def _first_inside(uri: str, name: str, folders: tuple[Path, ...], allowed: tuple[Path, ...]) -> Path:
+    outside = None
+    for folder in folders:
+        candidate = folder / name
+        if not candidate.exists():
+            continue
+        real = candidate.resolve()
+        if any(real.is_relative_to(a.resolve()) for a in allowed):
+            return real
+        outside = real
+    if outside is not None:
+        raise RobotError(
+            f"mesh {uri[:200]!r} leads to {outside}, outside the robot's folders"
+            + advice("; if that is meant, name its folder with {}", "package_dirs=[...]", "--package-dir FOLDER"),
+            code="mesh-outside",
+        )
+    raise RobotError(
+        f"mesh {uri[:200]!r} was not found"
+        + advice("; name the folder that contains its package with {}", "package_dirs=[...]", "--package-dir FOLDER"),
+        code="mesh-missing",
+    )
+
+
+Colour = tuple[float, float, float, float]
+MAX_MESH_BYTES = 50_000_000
+HEAD = 4_096
+MAX_SIDE_FILES = 500
+MAX_BUFFERS = 10
+WINDOWS_PATH = re.compile(r"(file:/*)?[A-Za-z]:[\\/]")
+# each pattern stops at the next "<", so that the time is linear in the size of the file, whatever is in it
+PIECE = re.compile(rb"<(?:triangles|polylist|polygons)\b([^<>]*)>")
+BOUND = re.compile(rb"<instance_material\b([^<>]*)>")
+MATERIAL = re.compile(rb"<material\b([^<>]*)>\s*<instance_effect\b([^<>]*)>")
+DIFFUSE = re.compile(rb"<diffuse>\s*<color[^<>]*>([^<]*)<")
+
+
+def checked_mesh(path: Path) -> bytes:
+    """Content of a mesh file whose kind is known and which stands alone.
+
+    Args:
+        path: A file inside the robot's folders.
+
+    Raises:
+        RobotError: Codes `mesh-kind`, `mesh-size`, `mesh-content`, `mesh-side-file`, `mesh-missing`.
+    """
+    kind = path.suffix.lower()
+    if kind not in CHECKS:
+        raise _refusal(path, "mesh-kind", f"{kind or 'no extension'!r} is not one of {', '.join(CHECKS)}")
+    content = _read(path)
+    CHECKS[kind](content, path)
+    return content
+
+
+def _read(path: Path) -> bytes:
+    try:
+        content = read_regular_file(path, MAX_MESH_BYTES)
+    except (OSError, ValueError) as error:
+        code = {errno.EFBIG: "mesh-size", errno.ENXIO: "mesh-kind"}.get(getattr(error, "errno", 0), "mesh-missing")
+        raise _refusal(path, code, str(error)) from error
+    if not content:
+        raise _refusal(path, "mesh-content", "it is empty")
+    return content
+
+
+def _check_stl(content: bytes, path: Path) -> None:
+    if len(content) >= 84:
+        triangles = struct.unpack_from("<I", content, 80)[0]
+        if len(content) == 84 + 50 * triangles and triangles > 0:
+            return
+    if content[:HEAD].lstrip().startswith(b"solid") and b"facet" in content[:HEAD] and b"\0" not in content[:HEAD]:
+        return
+    raise _refusal(path, "mesh-content", "its size does not fit the number of triangles it states")
+
+
+def _check_obj(content: bytes, path: Path) -> None:
+    if b"\0" in content or not re.search(rb"^[ \t]*v[ \t]", content, re.MULTILINE):
+        raise _refusal(path, "mesh-content", "it has no OBJ vertices")
+    # materials are not read, but the parser would open the file that is named
+    _check_names(re.findall(rb"^[ \t]*(?:mtllib|maplib|call|csh)[ \t]+(.+)$", content, re.MULTILINE), path)
+
+
+def _check_dae(content: bytes, path: Path) -> None:
+    text = content.lstrip(b"\xef\xbb\xbf \t\r\n")
+    if not text.startswith(b"<") or b"<COLLADA" not in content[:HEAD] or b"\0" in content:
+        raise _refusal(path, "mesh-content", "it is no COLLADA document")
+    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+        raise _refusal(path, "mesh-content", "it has a <!DOCTYPE>")
+    names = re.findall(rb"<init_from>([^<]*)<", content)
+    for attributes in re.findall(rb"<instance_(?:geometry|node|controller)\b([^<>]*)", content):
+        found = re.search(rb"\burl\s?=\s?[\"']([^\"'#]*)", attributes[:2000])
+        names += [found.group(1)] if found and found.group(1) else []
+    _check_names(names, path)
+
+
+def _check_ply(content: bytes, path: Path) -> None:
+    if not content.startswith(b"ply") or b"end_header" not in content[: 16 * HEAD]:
+        raise _refusal(path, "mesh-content", "it has no PLY header")
+
+
+def _check_glb(content: bytes, path: Path) -> None:
+    if len(content) < 20 or content[:4] != b"glTF":
+        raise _refusal(path, "mesh-content", "it has no glTF header")
+    size, kind = struct.unpack_from("<I4s", content, 12)
+    if kind != b"JSON" or size > len(content) - 20:
+        raise _refusal(path, "mesh-content", "its first chunk is no JSON")
+    _check_gltf(content[20 : 20 + size], path)
+
+
+def _check_gltf(content: bytes, path: Path) -> None:
+    try:
+        document = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise _refusal(path, "mesh-content", f"it is no JSON ({str(error)[:80]})") from error
+    if not isinstance(document, dict) or "asset" not in document:
+        raise _refusal(path, "mesh-content", "it is no glTF document")
+    for group in ("buffers", "images"):
+        for uri in _addresses(document, group):
+            _check_name(uri, path)
+            if group == "buffers" and ("/" in uri or not uri.lower().endswith(".bin")):
+                reason = f"it reads the file {uri[:80]!r}; only a .bin file beside it is read"
+                raise _refusal(path, "mesh-side-file", reason)
+
+
+def _addresses(document: dict[str, object], group: str) -> list[str]:
+    """Files that a glTF document names; data in place of a file is none."""
+    items = document.get(group)
+    uris = {str(i["uri"]) for i in items if isinstance(i, dict) and "uri" in i} if isinstance(items, list) else set()
+    return sorted(uri for uri in uris if not uri.startswith("data:"))
+
+
+def buffer_files(content: bytes, path: Path) -> dict[str, bytes]:
+    """The .bin files that a checked .gltf reads: name -> content. Other formats have none.
+
+    Raises:
+        RobotError: Codes `mesh-missing`, `mesh-size`, `mesh-kind`, `mesh-side-file`.
+    """
+    if path.suffix.lower() != ".gltf":
+        return {}
+    names = _addresses(json.loads(content), "buffers")
+    if len(names) > MAX_BUFFERS:
+        raise _refusal(path, "mesh-side-file", f"it reads {len(names)} files, at most {MAX_BUFFERS} are read")
+    return {name: _read(path.parent / name) for name in names}
+
+
+def _check_names(names: list[bytes], path: Path) -> None:
+    different = {name.strip() for name in names}
+    if len(different) > MAX_SIDE_FILES:
+        raise _refusal(path, "mesh-side-file", f"it names {counted(len(different), 'other file')}")
+    for name in sorted(different):
+        _check_name(name.decode("utf-8", "replace"), path)
+
+
+def _check_name(name: str, path: Path) -> None:
+    """A file that a mesh names must lie in its package; it is not read, but another program might."""
+    if WINDOWS_PATH.match(name) and os.name != "nt":
+        return  # where the texture was on its author's machine: leads nowhere
+    name = name.removeprefix("file://").replace("\\", "/")
+    folder = path.parent.resolve()
+    package = next((p.parent for p in (folder, *folder.parents) if p.name.lower() == "meshes"), folder.parent)
+    try:
+        is_inside = (folder / name).resolve().is_relative_to(package)
+    except (OSError, ValueError, RuntimeError):
+        is_inside = False
+    if "://" in name or "\0" in name or not is_inside:
+        raise _refusal(path, "mesh-side-file", f"it names the file {name[:80]!r}, outside its own folder")
+
+
+def _refusal(path: Path, code: str, reason: str) -> RobotError:
+    return RobotError(f"mesh {path}: {reason}", code=code, path=path)
+
+
+CHECKS = {
+    ".stl": _check_stl,
+    ".obj": _check_obj,
+    ".dae": _check_dae,
+    ".ply": _check_ply,
+    ".glb": _check_glb,
+    ".gltf": _check_gltf,
+}
+
+
+def mesh_colour(path: Path) -> Colour | None:
+    """Diffuse colour of the material with the most polygons; None for other formats, textures, and what is unclear."""
+    if path.suffix.lower() != ".dae":
+        return None
+    try:
+        content = read_regular_file(path, MAX_MESH_BYTES)
+    except OSError:
+        return None
+    effects = {}
+    for effect in content.split(b"<effect")[1:]:
+        found = DIFFUSE.search(effect)
+        colour = _rgba(found.group(1)) if found else None
+        if colour is not None:
+            effects[_value(effect.partition(b">")[0], b"id")] = colour
+    materials = {_value(a, b"id"): _value(b, b"url").removeprefix(b"#") for a, b in MATERIAL.findall(content)}
+    targets = {_value(a, b"symbol"): _value(a, b"target").removeprefix(b"#") for a in BOUND.findall(content)}
+    polygons: Counter[Colour] = Counter()
+    for attributes in PIECE.findall(content):
+        symbol, count = _value(attributes, b"material"), _value(attributes, b"count")
+        colour = effects.get(materials.get(targets.get(symbol, symbol), b""))
+        if colour is not None and count.isdigit():
+            polygons[colour] += int(count[:9])
+    return polygons.most_common(1)[0][0] if polygons else None
+
+
+def _value(attributes: bytes, name: bytes) -> bytes:
+    found = re.search(rb"\b" + name + rb"\s?=\s?[\"']([^\"']*)", attributes[:2000])
+    return found.group(1) if found else b""
+
+
+def _rgba(text: bytes) -> Colour | None:
+    try:
+        numbers = [min(max(float(word), 0.0), 1.0) for word in text.split()]
+    except ValueError:
+        return None
+    if len(numbers) not in (3, 4) or any(x != x for x in numbers):
+        return None
+    # exporters disagree on what the fourth number means: a mesh is not transparent by it
+    return (numbers[0], numbers[1], numbers[2], 1.0)
+
+
+CHILD = Path(__file__).with_name("mesh_child.py")
+START_SECONDS = 30.0  # for the parser to be loaded, from a cold disk on a busy machine
+SECONDS = 5.0  # for one mesh
+ALL_SECONDS = 60.0  # for all meshes of one robot
+MAX_FACES = 2_000_000
+
+Mesh = tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]]
+
+
+def read_meshes(paths: Sequence[Path], seconds: float = SECONDS) -> dict[Path, Mesh | RobotError]:
+    """Vertices [m, unscaled] and faces of each mesh, or why there are none. No error is raised.
+
+    Args:
+        paths: Files inside the robot's folders.
+        seconds: Time for one mesh [s].
+    """
+    out: dict[Path, Mesh | RobotError] = {}
+    end = time.monotonic() + ALL_SECONDS
+    with tempfile.TemporaryDirectory(prefix="manip_learn_") as folder:
+        child: _Child | None = None
+        for i, path in enumerate(dict.fromkeys(paths)):
+            # the parser sees a copy that is alone in its folder, so that it finds no side files
+            alone = Path(folder) / str(i)
+            alone.mkdir()
+            try:
+                copy = alone / f"mesh{path.suffix.lower()}"
+                content = checked_mesh(path)
+                copy.write_bytes(content)
+                for name, side in buffer_files(content, path).items():
+                    (alone / name).write_bytes(side)
+                child = child or _Child(Path(folder))
+                child.wait_until_ready(path)
+                child.parse(copy, alone / "out.npz", path, min(seconds, end - time.monotonic()))
+                out[path] = _loaded(alone / "out.npz", path)
+            except RobotError as error:
+                out[path] = error
+                if child is not None and child.is_lost:
+                    child.close()
+                    child = None
+            finally:
+                for file in alone.iterdir():
+                    file.unlink()
+        if child is not None:
+            child.close()
+    return out
+
+
+class _Child:
+    """One parsing process; serves many meshes until one of them kills it."""
+
+    def __init__(self, folder: Path):
+        environment = {k: v for k, v in os.environ.items() if k in ("PATH", "SYSTEMROOT", "LD_LIBRARY_PATH", "TMPDIR")}
+        self.is_lost = self._is_ready = False
+        self._process = subprocess.Popen(
+            [sys.executable, "-I", str(CHILD)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            cwd=folder,
+            env={**environment, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+        )
+        if self._process.stdin is None or self._process.stdout is None:
+            raise RobotError("the process that parses meshes has no pipes", code="mesh-parser")
+        self._stdin, self._stdout = self._process.stdin, self._process.stdout
+
+    def wait_until_ready(self, original: Path) -> None:
+        """Wait for the parser to be loaded; what that takes does not count as the time of a mesh.
+
+        Raises:
+            RobotError: Codes `mesh-parser`, `mesh-time`.
+        """
+        if not self._is_ready:
+            self._answer(original, START_SECONDS, "starting the parser")
+            self._is_ready = True
+
+    def parse(self, copy: Path, output: Path, original: Path, seconds: float) -> None:
+        """Have one mesh parsed.
+
+        Raises:
+            RobotError: Codes `mesh-parser`, `mesh-time`.
+        """
+        try:
+            self._stdin.write(json.dumps({"input": str(copy), "output": str(output)}).encode() + b"\n")
+            self._stdin.flush()
+        except OSError as error:
+            self.is_lost = True
+            raise _failed(original, "mesh-parser", "the parsing process is gone") from error
+        self._answer(original, seconds, "parsing")
+
+    def _answer(self, original: Path, seconds: float, activity: str) -> None:
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._stdout, selectors.EVENT_READ)
+            if seconds <= 0.0 or not selector.select(seconds):
+                self.is_lost = True
+                raise _failed(original, "mesh-time", f"{activity} took more than {max(seconds, 0.0):.3g} s")
+        line = self._stdout.readline()
+        if not line.endswith(b"\n"):
+            self.is_lost = True
+            raise _failed(original, "mesh-parser", "the parser crashed or ran out of memory")
+        answer = json.loads(line)
+        if not answer.get("ok"):
+            self.is_lost = True  # its memory is not reused
+            raise _failed(original, "mesh-parser", str(answer.get("reason", "it cannot be parsed")))
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.communicate()
+
+
+def _loaded(file: Path, original: Path) -> Mesh:
+    try:
+        with np.load(file, allow_pickle=False) as data:
+            vertices, faces = data["vertices"], data["faces"]
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise _failed(original, "mesh-parser", "its triangles could not be read back") from error
+    is_usable = (
+        vertices.ndim == faces.ndim == 2
+        and vertices.shape[1:] == faces.shape[1:] == (3,)
+        and 0 < len(faces) <= MAX_FACES
+        and len(vertices) > 0
+        and int(faces.max()) < len(vertices)
+        and bool(np.isfinite(vertices).all())
+    )
+    if not is_usable:
+        raise _failed(original, "mesh-content", "it has no triangles, too many, or vertices that are not finite")
+    return vertices.astype(np.float64), faces.astype(np.int64)
+
+
+def _failed(path: Path, code: str, reason: str) -> RobotError:
+    return RobotError(f"mesh {path}: {reason}", code=code, path=path)
