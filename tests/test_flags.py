@@ -60,7 +60,7 @@ def reached(command: str) -> set[str]:
 
 
 # the program itself, and what writes a command line of `learn` for a page; a test of the page runs that line
-WRITERS = ("cli.py", "commands/typed_command.py", "playback/recording_choice.py")
+WRITERS = ("cli.py", "commands/typed_command.py", "playback/replay_page.py")
 NAMED = [
     (source.relative, line, flag, advised, source.name)
     for source in SOURCES.values()
