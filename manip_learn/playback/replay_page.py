@@ -244,6 +244,10 @@ class ReplayResult:
     bytes: int
     notes: tuple[str, ...]
 
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON answer of `manip-learn replay`."""
+        return {"html": str(self.html), "bytes": self.bytes, "notes": list(self.notes)}
+
     def _repr_html_(self) -> str:
         """The page itself, within a notebook: as text, because notebooks do not serve every file."""
         page = escape(self.html.read_text(encoding="utf-8"))
