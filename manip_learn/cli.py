@@ -4,270 +4,103 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Annotated, Any
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Annotated, Any, final
 
 import typer
 
-from manip_learn.commands import arguments as shared
-from manip_learn.commands.output import answer, progress, refused_by_system, waiting
-from manip_learn.commands.plan_options import PlanOptions
-from manip_learn.commands.read_options import ReadOptions
-from manip_learn.commands.refusal import nobody_reads, refuse
-from manip_learn.commands.robot_options import RobotOptions
-from manip_learn.commands.shared_options import GroupedCommand, flags_of, takes_shared_options
-from manip_learn.commands.typed_command import typed
-from manip_learn.commands.vectors import direction as direction_of
-from manip_learn.commands.vectors import joined_vectors, vector
+from manip_learn.commands import options
+from manip_learn.commands.command_line import (
+    PROGRAM,
+    GroupedCommand,
+    flags_of,
+    joined_vectors,
+    parsed_by,
+    typed,
+)
+from manip_learn.commands.output import answer, nobody_reads, progress, refuse, refused_by_system, waiting
 from manip_learn.errors import ManipLearnError, advice_for_command
 
 COMPLETION = "_MANIP_LEARN_COMPLETE"  # set by the shell that asks for completions
 
+
+@final
+@dataclass(frozen=True)
+class Command:
+    """One command.
+
+    Attributes:
+        name: As it is typed.
+        options: Dataclass of its arguments and options; its docstring is the help.
+        work: File in `commands` and function that does the work: options and progress -> an answer with `to_dict`, or
+            an iterator of answers, each of which says more than the one before.
+        printers: Functions in `commands.tables` that print the answers.
+        waiting: What is shown meanwhile, where no progress is known.
+    """
+
+    name: str
+    options: type
+    work: str
+    printers: tuple[str, ...]
+    waiting: str = ""
+
+    def __call__(self, given: Any) -> None:
+        """Do the work, and print the answers; under --json the last one alone."""
+        file, function = self.work.split(".")
+        work = getattr(import_module(f"manip_learn.commands.{file}"), function)
+        with waiting(given.as_json, self.waiting) if self.waiting else progress(given.as_json) as report:
+            answers = work(given, report)
+        explain = {"explain": given.explain} if "explain" in vars(given) else {}
+        each = answers if isinstance(answers, Iterator) else [answers]
+        for last, printer in zip(each, self.printers, strict=True):
+            if not given.as_json:  # at once: what follows may take long
+                answer(False, {}, printer, last, **explain)
+        if given.as_json:
+            answer(True, last.to_dict())
+
+
+COMMANDS = (
+    Command("robots", options.RobotsOptions, "robots.known_robots", ("print_robots",)),
+    Command("demo", options.DemoOptions, "demo.demo", ("print_demo",)),
+    Command("inspect", options.InspectOptions, "robots.inspect", ("print_robot", "print_cross_check")),
+    Command("learn", options.LearnOptions, "learn.learn", ("print_learnt",)),
+    Command("audit", options.AuditOptions, "audit.audit", ("print_audit",)),
+    Command("control", options.ControlOptions, "control.control", ("print_controlled",)),
+    Command("replay", options.ReplayOptions, "replay.replay", ("print_replayed",), "writing the replay"),
+    Command("export", options.ExportOptions, "export.export", ("print_exported",), "writing"),
+    Command("reproduce", options.ReproduceOptions, "reproduce.reproduce", ("print_reproduction",)),
+    Command("warm-up", options.WarmUpOptions, "warm_up.warm_up", ("print_warm_up",)),
+)
 app = typer.Typer(
-    name="manip-learn",
+    name=PROGRAM,
     help="Learn which directions a demonstrated task constrains, and keep the arm away from its singularities.",
     epilog="Start with: manip-learn demo",
     add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+for each_command in COMMANDS:
+    app.command(each_command.name, cls=GroupedCommand)(parsed_by(each_command.options, each_command))
+
+
+def print_version(asked: bool) -> None:
+    """Print the version and leave, if it was asked for."""
+    if asked:
+        from importlib.metadata import version
+
+        typer.echo(f"{PROGRAM} {version(PROGRAM)}")
+        raise typer.Exit
 
 
 @app.callback()
-def front(version: shared.Version = False) -> None:
+def front(
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version and exit.", callback=print_version, is_eager=True)
+    ] = False,
+) -> None:
     """Learn which directions a demonstrated task constrains, and keep the arm away from its singularities."""
-
-
-@app.command(cls=GroupedCommand)
-def robots(as_json: shared.Json = False) -> None:
-    """List the robots that can be named, with their joints."""
-    from manip_learn.commands.robots import known_robots
-
-    listed = known_robots()
-    answer(as_json, listed.to_dict(), "print_robots", listed)
-
-
-@app.command(cls=GroupedCommand)
-def demo(
-    robot: Annotated[str, typer.Option(help="sawyer or planar3.")] = "sawyer",
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("demo_out"),
-    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the replay.")] = True,
-    explain: shared.Explain = False,
-    as_json: shared.Json = False,
-) -> None:
-    """Learn from shipped recordings, compare three policies, write the replay."""
-    from manip_learn.commands.demo import demo as run
-
-    with progress(as_json) as report:
-        result = run(robot, out, browser and not as_json, report)
-    answer(as_json, result.to_dict(), "print_demo", result, explain=explain)
-
-
-@app.command(cls=GroupedCommand)
-@takes_shared_options
-def inspect(
-    robot: shared.RobotName,
-    *,
-    robot_options: RobotOptions,
-    as_json: shared.Json = False,
-) -> None:
-    """Show joints, frames, limits and warnings of a robot."""
-    from manip_learn.commands.inspect import inspect as run
-    from manip_learn.commands.inspect import summary_dict
-
-    steps = run(robot, robot_options)
-    summary = next(steps)
-    if not as_json:  # at once: the library that checks it takes longer to load than the robot
-        answer(False, {}, "print_robot", summary)
-    summary = next(steps)
-    answer(as_json, summary_dict(summary), "print_cross_check", summary)
-
-
-@app.command(cls=GroupedCommand)
-@takes_shared_options
-def learn(
-    robot: shared.RobotName,
-    recordings: shared.Recordings,
-    frame: shared.GuidedFrame = None,
-    relative_to: shared.SeenFrom = None,
-    axes: Annotated[str, typer.Option(help="xyz, pose, planar, rotation, or any of 'x y z rx ry rz'.")] = "xyz",
-    reference: Annotated[str, typer.Option(help="world, local, or auto (the larger gap).")] = "auto",
-    constraints: Annotated[int | None, typer.Option(help="Number of constraints; default: from the data.")] = None,
-    estimator: Annotated[str, typer.Option(help="auto, null-space, joint or separate.")] = "auto",
-    out: Annotated[Path | None, typer.Option(help="Constraint file to write (JSON).")] = None,
-    html: Annotated[Path | None, typer.Option(help="Replay of the recordings to write, with their phases.")] = None,
-    *,
-    robot_options: RobotOptions,
-    options: ReadOptions,
-    phases: shared.Phases = "auto",
-    mechanism: Annotated[str, typer.Option(help="auto: say what holds the hand (hinge, line, ...); off.")] = "auto",
-    strength: Annotated[
-        float | None, typer.Option(help="How much less than by chance a row must be used to be believed; default: 1.8.")
-    ] = None,
-    start: Annotated[float | None, typer.Option("--from", help="Leave out what was recorded before [s].")] = None,
-    until: Annotated[float | None, typer.Option(help="Leave out what was recorded after [s].")] = None,
-    points: Annotated[int | None, typer.Option(help="Use at most this many samples of each trajectory.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the bootstrap and of random starts.")] = 0,
-    dask: shared.Dask = None,
-    explain: shared.Explain = False,
-    as_json: shared.Json = False,
-) -> None:
-    """Learn a constraint from recordings and report it."""
-    from manip_learn.commands.learn import learn as run
-
-    with progress(as_json) as report:
-        learnt = run(
-            robot, recordings, frame=frame, relative_to=relative_to, axes=axes, reference=reference,
-            n_constraints=constraints, estimator=estimator, out=out, html=html, seed=seed, points=points,
-            phases=phases, mechanism=mechanism, strength=strength, start=start, until=until,
-            robot_options=robot_options, options=options, dask=dask, progress=report
-        )  # fmt: skip
-    answer(as_json, learnt.to_dict(), "print_learnt", learnt, explain=explain)
-
-
-@app.command(cls=GroupedCommand)
-@takes_shared_options
-def audit(
-    robot: shared.RobotName,
-    constraint: shared.ConstraintFile,
-    recordings: shared.Recordings,
-    csv: Annotated[Path | None, typer.Option(help="Table to write, one line per episode (CSV).")] = None,
-    *,
-    robot_options: RobotOptions,
-    options: ReadOptions,
-    dask: shared.Dask = None,
-    explain: shared.Explain = False,
-    as_json: shared.Json = False,
-) -> None:
-    """Judge recorded episodes by a constraint: rank them, and name those to leave out."""
-    from manip_learn.commands.audit import audit as run
-
-    with progress(as_json) as report:
-        audited = run(
-            robot, constraint, recordings, csv=csv, robot_options=robot_options, options=options, dask=dask,
-            progress=report
-        )  # fmt: skip
-    answer(as_json, audited.to_dict(), "print_audit", audited, explain=explain)
-
-
-@app.command(cls=GroupedCommand)
-@takes_shared_options
-def control(
-    robot: shared.RobotName,
-    constraint: shared.ConstraintFile,
-    start: shared.Start = None,
-    along: Annotated[float | None, typer.Option(help="Way along a line or a plane [m].")] = None,
-    turn: Annotated[float | None, typer.Option(help="Angle about a hinge, a screw or a ball [degrees].")] = None,
-    direction: Annotated[str | None, typer.Option(help="Which way, where several are free: x,y,z.")] = None,
-    speed: Annotated[float | None, typer.Option(help="Of the hand [m/s], or of a turn [degrees/s].")] = None,
-    keep_orientation: Annotated[bool, typer.Option("--keep-orientation", help="The hand does not turn.")] = False,
-    target: shared.Target = None,
-    rows: Annotated[str, typer.Option(help="all: go to the target; held: its held rows only (the paper).")] = "all",
-    policy: Annotated[str, typer.Option(help="manipulability, zero or attractor.")] = "manipulability",
-    rest: Annotated[str | None, typer.Option(help="Rest posture of the attractor [rad].")] = None,
-    gain: Annotated[float, typer.Option(help="Gain of the policy.")] = 3.0,
-    task_gain: Annotated[float, typer.Option(help="Gain of the task [1/s].")] = 1.0,
-    duration: Annotated[float | None, typer.Option(help="Duration [s]; default: of the way, else 5.")] = None,
-    dt: Annotated[float, typer.Option(help="Time step [s].")] = 0.01,
-    inverse: Annotated[str, typer.Option(help="damped, exact or truncated.")] = "damped",
-    tolerance: Annotated[float, typer.Option(help="Distance to the target that counts as reached [m or rad].")] = 0.01,
-    check: Annotated[bool, typer.Option("--check", help="Write nothing and refuse if it gets less far.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Rollout file to write: .npz, .csv, .jsonl or .mcap.")] = None,
-    *,
-    planned: PlanOptions | None,
-    robot_options: RobotOptions,
-    explain: shared.Explain = False,
-    as_json: shared.Json = False,
-) -> None:
-    """Do the task that was learnt: along what is free, or to a point, clear of the task's singularities."""
-    from manip_learn.commands.control import control as run
-
-    with progress(as_json) as report:
-        result = run(
-            robot, constraint, start=vector("--start", start), target=vector("--target", target), along=along,
-            turn=turn, direction=direction_of(direction), speed=speed, keep_orientation=keep_orientation, rows=rows,
-            check=check, planned=planned, policy=policy, rest=vector("--rest", rest), gain=gain, task_gain=task_gain,
-            duration=duration, dt=dt, inverse=inverse, tolerance=tolerance, out=out, robot_options=robot_options,
-            progress=report
-        )  # fmt: skip
-    answer(as_json, result.to_dict(), "print_controlled", result, explain=explain)
-
-
-@app.command(cls=GroupedCommand)
-@takes_shared_options
-def replay(
-    robot: shared.RobotName,
-    rollouts: shared.Rollouts,
-    html: Annotated[Path, typer.Option(help="File to write.")] = Path("replay.html"),
-    open_browser: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
-    tip: shared.Tip = None,
-    constraint: shared.Shown = None,
-    *,
-    robot_options: RobotOptions,
-    options: ReadOptions,
-    as_json: shared.Json = False,
-) -> None:
-    """Write a browser replay with the manipulability plot: one file, no server, no network."""
-    from manip_learn.commands.replay import replay as run
-
-    with waiting(as_json, "writing the replay"):
-        page = run(
-            robot, rollouts, html=html, open_browser=open_browser, tip=tip, robot_options=robot_options,
-            options=options, constraint_file=constraint
-        )  # fmt: skip
-    content = {"html": str(page.html), "bytes": page.bytes, "notes": list(page.notes)}
-    answer(as_json, content, "print_replayed", page)
-
-
-@app.command(cls=GroupedCommand)
-@takes_shared_options
-def export(
-    robot: shared.RobotName,
-    files: shared.Exported,
-    out: shared.ExportOut,
-    to: shared.ExportTo = None,
-    *,
-    robot_options: RobotOptions,
-    options: ReadOptions,
-    as_json: shared.Json = False,
-) -> None:
-    """Write recordings or rollouts as MCAP, CSV, LeRobot data, for Rerun, or as a JointTrajectory for a controller."""
-    from manip_learn.commands.export import export as run
-
-    with waiting(as_json, "writing"):
-        result = run(robot, files, out, to, robot_options, options)
-    answer(as_json, result.to_dict(), "print_exported", result)
-
-
-@app.command(cls=GroupedCommand)
-def reproduce(
-    experiment: Annotated[
-        str, typer.Argument(help="table, rmse, singular-start, near-singular-start, sawyer, beyond or all.")
-    ],
-    trials: Annotated[int, typer.Option(help="Repetitions; 50 in the paper.")] = 50,
-    seed: Annotated[int, typer.Option(help="Random seed; the same seed gives the same numbers.")] = 0,
-    out: Annotated[Path | None, typer.Option(help="Folder for numbers, figures and replays.")] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes; default: all cores.")] = None,
-    backend: Annotated[str, typer.Option(help="loky, threading or dask.")] = "loky",
-    as_json: shared.Json = False,
-) -> None:
-    """Run the experiments of "Learning Singularity Avoidance", and compare with the printed numbers."""
-    from manip_learn.commands.reproduce import reproduce as run
-
-    with progress(as_json) as report:
-        result = run(experiment, trials=trials, seed=seed, out=out, workers=workers, backend=backend, progress=report)
-    answer(as_json, result.to_dict(), "print_reproduction", result)
-
-
-@app.command("warm-up", cls=GroupedCommand)
-def warm_up(as_json: shared.Json = False) -> None:
-    """Compile once what control loops compile, so that the first one on this machine starts at once."""
-    from manip_learn.commands.warm_up import warm_up as run
-
-    with progress(as_json) as report:
-        warmed = run(report)
-    answer(as_json, warmed.to_dict(), "print_warm_up", warmed)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -284,9 +117,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
     command = get_command(app)
     with advice_for_command(flags_of(command, arguments)), typed(arguments):
-        code = _run(
-            lambda: command.main(arguments, prog_name="manip-learn", standalone_mode=False), "--json" in arguments
-        )
+        code = _run(lambda: command.main(arguments, prog_name=PROGRAM, standalone_mode=False), "--json" in arguments)
     if argv is None:
         sys.exit(code)
     return code
@@ -302,7 +133,7 @@ def _run(command: Callable[[], Any], as_json: bool) -> int:
         return refuse(str(error), as_json, error.code, error.facts())
     except usage_error as error:
         context = getattr(error, "ctx", None)
-        where = f"manip-learn {context.info_name}" if context and context.parent else "manip-learn"
+        where = f"{PROGRAM} {context.info_name}" if context and context.parent else PROGRAM
         return refuse(f"{error.format_message().rstrip('.')}: see `{where} --help`", as_json, "usage")
     except (typer.Abort, KeyboardInterrupt):
         print("interrupted", file=sys.stderr)

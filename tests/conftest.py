@@ -15,7 +15,9 @@ import pytest
 from shape_checker import install_shape_checks
 
 hypothesis.settings.register_profile("default", max_examples=25, deadline=None, derandomize=True)
-hypothesis.settings.register_profile("fuzz", max_examples=int(os.environ.get("HYPOTHESIS_EXAMPLES", "2000")), deadline=None, print_blob=True)
+hypothesis.settings.register_profile(
+    "fuzz", max_examples=int(os.environ.get("HYPOTHESIS_EXAMPLES", "2000")), deadline=None, print_blob=True
+)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 if os.environ.get("CHECK_SHAPES", "1") != "0":

@@ -12,7 +12,7 @@ import pytest
 from test_playback import data_in
 
 from manip_learn.cli import main
-from manip_learn.commands.vectors import joined_vectors
+from manip_learn.commands.command_line import joined_vectors
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
 DRAWER = sorted(map(str, (DATA / "sawyer_drawer").glob("*.csv")))[:6]
@@ -265,7 +265,7 @@ def test_our_own_failure_is_no_traceback(run, monkeypatch):
     def broken(*_arguments, **_options):
         raise ZeroDivisionError("oh")
 
-    monkeypatch.setattr("manip_learn.commands.inspect.summarise", broken)
+    monkeypatch.setattr("manip_learn.commands.robots.summarise", broken)
     code, out, err = run("inspect", "sawyer")
     assert (code, out) == (1, "")
     assert "internal error" in err

@@ -13,9 +13,16 @@ from test_cli import DRAWER, FRAME
 from manip_learn.cli import main
 from manip_learn.commands.control import Controlled
 from manip_learn.commands.learn import learn
-from manip_learn.commands.tables import AUDIT_TERMS, ROLLOUT_TERMS, print_controlled, print_learnt
-from manip_learn.commands.wide_tables import SHOWN_ORDER, audit_table
-from manip_learn.commands.words import WORDS
+from manip_learn.commands.options import LearnOptions
+from manip_learn.commands.tables import (
+    AUDIT_TERMS,
+    ROLLOUT_TERMS,
+    SHOWN_ORDER,
+    WORDS,
+    audit_table,
+    print_controlled,
+    print_learnt,
+)
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.control.controller import ResolvedRateController
@@ -67,7 +74,7 @@ def test_an_audit_is_readable() -> None:
 
 def test_learning_explains_its_words() -> None:
     """A number has its scale beside it, and each word its line; --explain says more."""
-    learnt = learn("sawyer", DRAWER, frame=FRAME[1])
+    learnt = learn(LearnOptions("sawyer", list(DRAWER), frame=FRAME[1]))
     text = " ".join(printed(60, print_learnt, learnt).split())
     assert f"gap {learnt.report.gap:,.0f} (10 is clear)" in text
     for term in ("row", "gap", "left out", "uncertainty", "strength"):
@@ -78,7 +85,7 @@ def test_learning_explains_its_words() -> None:
 
 def test_an_axis_that_nothing_determines_has_no_angle() -> None:
     """An uncertainty beyond any angle is said in words: +- 1,600 degrees means nothing to a reader."""
-    learnt = learn("sawyer", DRAWER, frame=FRAME[1])
+    learnt = learn(LearnOptions("sawyer", list(DRAWER), frame=FRAME[1]))
     found = learnt.report.mechanism
     assert found is not None and "direction known to 0.00" in printed(100, print_learnt, learnt)
     lost = dataclasses.replace(found, uncertainty={**found.uncertainty, "axis": 1600.0})

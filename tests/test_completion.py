@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from manip_learn.commands.completion import constraint_completions, robot_completions
+from manip_learn.commands.options import constraint_completions, robot_completions
 
 
 def offered(line: str, folder: Path, shell: str = "bash") -> list[str]:

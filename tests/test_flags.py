@@ -12,12 +12,14 @@ from library_source import Source, library
 from test_floors import own_imports
 from typer.main import get_command
 
+from manip_learn.cli import COMMANDS as DECLARED
 from manip_learn.cli import app
-from manip_learn.commands.shared_options import flags_of
+from manip_learn.commands.command_line import flags_of
 from manip_learn.errors import FLAG
 
 PROGRAM = get_command(app)
 COMMANDS = sorted(PROGRAM.commands)
+FILES = {command.name: command.work.partition(".")[0] for command in DECLARED}
 SOURCES = {source.name: source for source in library()}
 # flags of other programs: of `ros2 topic pub`, and of the program that writes the planar arms
 FOREIGN = {"--once", "--name"}
@@ -50,7 +52,7 @@ def texts(source: Source) -> Iterator[tuple[str, int, bool]]:
 
 def reached(command: str) -> set[str]:
     """Names of the files that a command imports, directly or not."""
-    found, open_ = set(), [f"commands.{command}"]
+    found, open_ = set(), [f"commands.{FILES[command]}"]
     while open_:
         name = open_.pop()
         if name in found or name not in SOURCES:
@@ -61,7 +63,7 @@ def reached(command: str) -> set[str]:
 
 
 # the program itself, and what writes a command line of `learn` for a page; a test of the page runs that line
-WRITERS = ("cli.py", "commands/typed_command.py", "playback/recording_choice.py")
+WRITERS = ("cli.py", "commands/options.py", "commands/command_line.py", "playback/replay_page.py")
 
 
 @cache

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
-from manip_learn.playback.furniture import furniture_of
 from manip_learn.playback.kinematic_tree import kinematic_tree
+from manip_learn.playback.mechanism_drawing import furniture_of
 from manip_learn.playback.recorded_motion import recorded_motion
 
 N = 60  # samples of each stage

@@ -8,6 +8,7 @@ import pytest
 from test_playback import waving
 
 from manip_learn.control.rollout import Rollout
+from manip_learn.playback.appearance import Appearance
 from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
 from manip_learn.playback.recorded_motion import (
     MAX_CURVE_POINTS,
@@ -17,7 +18,6 @@ from manip_learn.playback.recorded_motion import (
     recorded_motion,
 )
 from manip_learn.playback.scene_data import scene_data
-from manip_learn.playback.shapes import Appearance
 
 ROBOTS = ("planar3", "sawyer", "panda", "kinova", "gantry", "wrist", "humanoid", "rover", "tree", "mimic")
 

@@ -7,13 +7,10 @@ import pytest
 from conftest import URDFS
 from test_playback import unpacked, waving
 
-from manip_learn.playback.appearance import appearance
-from manip_learn.playback.decimation import decimated
+from manip_learn.playback.appearance import TriangleMesh, appearance, decimated, z_to
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.recorded_motion import recorded_motion
 from manip_learn.playback.scene_data import scene_data
-from manip_learn.playback.shapes import TriangleMesh
-from manip_learn.playback.stick_figure import z_to
 from manip_learn.robot.loading import load_robot
 
 

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from manip_learn.cli import main
+from manip_learn.commands.command_line import learning_command, typed, typed_command
 from manip_learn.commands.demo import shipped_recordings
-from manip_learn.commands.typed_command import learning_command, typed, typed_command
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
 from manip_learn.control.controller import ResolvedRateController
@@ -25,10 +25,9 @@ from manip_learn.control.tasks import PointAttractor
 from manip_learn.errors import ConstraintMismatchError, TargetError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.playback import RecordingChoice, replay
-from manip_learn.playback.constraint_marks import SIX
-from manip_learn.playback.evidence import evidence_of
-from manip_learn.playback.held_directions import held_directions
-from manip_learn.playback.tracks import extremes
+from manip_learn.playback.constraint_marks import SIX, held_directions
+from manip_learn.playback.recorded_motion import extremes
+from manip_learn.playback.replay_page import evidence_of
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import numbers_read

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
-from manip_learn.commands.cluster import cluster_client
-from manip_learn.commands.robot_loading import robot_of_constraint
-from manip_learn.commands.robot_options import RobotOptions
+from manip_learn.commands.loading import cluster_client, robot_of_constraint
+from manip_learn.commands.options import AuditOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.learning.audit import AuditReport, audit_episodes
-from manip_learn.recordings.load_demonstrations import ReadOptions
 from manip_learn.recordings.recording_source import RecordingSource
 from manip_learn.recordings.trajectory_source import Progress
 
@@ -29,25 +27,15 @@ class Audited:
         return {**self.report.to_dict(), "csv": None if self.out is None else str(self.out)}
 
 
-def audit(
-    robot_name: str,
-    constraint_file: str,
-    recordings: list[str],
-    *,
-    csv: Path | None = None,
-    robot_options: RobotOptions | None = None,
-    options: ReadOptions | None = None,
-    dask: str | None = None,
-    progress: Progress | None = None,
-) -> Audited:
+def audit(options: AuditOptions, progress: Progress | None = None) -> Audited:
     """Measure and rank the episodes in some recordings; write them as CSV if a file is named.
 
     Raises:
         ManipLearnError: Anything that is wrong with the robot, the constraint file, the recordings or the output.
     """
-    robot = robot_of_constraint(robot_name, constraint_file, robot_options or RobotOptions())
-    constraint = Constraint.load(constraint_file, robot)
-    source = RecordingSource(recordings, robot, **(options or {}))
-    with cluster_client(dask) as client:
+    robot = robot_of_constraint(options.robot, options.constraint, options.loading)
+    constraint = Constraint.load(options.constraint, robot)
+    source = RecordingSource(options.recordings, robot, **options.reading.keywords())
+    with cluster_client(options.dask) as client:
         report = audit_episodes(constraint, source, client=client, progress=progress)
-    return Audited(report, None if csv is None else report.save_csv(csv))
+    return Audited(report, None if options.csv is None else report.save_csv(options.csv))

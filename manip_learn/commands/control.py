@@ -10,9 +10,8 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_learn.commands.plan_options import PlanOptions
-from manip_learn.commands.robot_loading import robot_of_constraint
-from manip_learn.commands.robot_options import RobotOptions
+from manip_learn.commands.loading import robot_of_constraint
+from manip_learn.commands.options import ControlOptions, PlanOptions, vector
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.control.command import Status
@@ -20,7 +19,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.limits import check_inside
 from manip_learn.control.planning.grasp import GraspCone
 from manip_learn.control.planning.plan import Plan, plan
-from manip_learn.control.policies import ASCENT_GAIN, JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
+from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, motion
@@ -147,80 +146,78 @@ class Controlled:
         }
 
 
-def control(
-    robot_name: str,
-    constraint_file: str,
-    *,
-    start: list[float] | None = None,
-    target: list[float] | None = None,
-    along: float | None = None,
-    turn: float | None = None,
-    direction: list[float] | str | None = None,
-    speed: float | None = None,
-    keep_orientation: bool = False,
-    rows: str = "all",
-    check: bool = False,
-    planned: PlanOptions | None = None,
-    policy: str = "manipulability",
-    rest: list[float] | None = None,
-    gain: float = ASCENT_GAIN,
-    task_gain: float = 1.0,
-    duration: float | None = None,
-    dt: float = 0.01,
-    inverse: str = "damped",
-    tolerance: float = 0.01,
-    out: Path | None = None,
-    robot_options: RobotOptions | None = None,
-    progress: Progress | None = None,
-) -> Controlled:
+def control(options: ControlOptions, progress: Progress | None = None) -> Controlled:
     """Simulate a controller and write the rollout to a file if one is named.
 
     Raises:
         TargetError: A target beside a way, an unknown word for `rows`, a plan without a way; with `check`, a way or a
             target that is not reached, before anything is written.
-        NoPlanError: With `planned`, from no posture can the whole way be done.
+        NoPlanError: With `--plan`, from no posture can the whole way be done.
         ManipLearnError: Anything else that is wrong with the robot, the constraint file, the numbers or the output.
     """
-    robot = robot_of_constraint(robot_name, constraint_file, robot_options or RobotOptions())
-    constraint = Constraint.load(constraint_file, robot)
-    if target is not None and not (along is None and turn is None):
+    start, target = vector("--start", options.start), vector("--target", options.target)
+    direction, rest = _direction(options.direction), vector("--rest", options.rest)
+    robot = robot_of_constraint(options.robot, options.constraint, options.loading)
+    constraint = Constraint.load(options.constraint, robot)
+    moves = options.along is not None or options.turn is not None
+    if target is not None and moves:
         raise TargetError("--target names the point, --along and --turn the way: give one of them")
-    if rows not in ROWS:
-        raise TargetError(f"--rows must be {' or '.join(ROWS)}, not {rows!r}")
-    moves = along is not None or turn is not None
-    if planned is not None and (policy != "manipulability" or rest or duration is not None or inverse != "damped"):
+    if options.rows not in ROWS:
+        raise TargetError(f"--rows must be {' or '.join(ROWS)}, not {options.rows!r}")
+    if options.planned.plan and (
+        options.policy != "manipulability" or rest or options.duration is not None or options.inverse != "damped"
+    ):
         raise TargetError("a plan has its own null-space motion: leave --policy, --rest, --duration and --inverse out")
     q0, whence = _start(robot, constraint, start, moves or target is not None)
-    task: Task = Hold()
-    if moves:
-        angle = None if turn is None else math.radians(turn)
-        rate = speed if turn is None or speed is None else math.radians(speed)
-        task = motion(constraint, along, angle, direction=direction, speed=rate, keep_orientation=keep_orientation)
-    elif target is not None and rows == "all" and isinstance(constraint.features, WeighedVelocity):
-        task = motion_to(constraint, target, q0, speed=speed, keep_orientation=keep_orientation)
-    elif target is not None:
-        task = PointAttractor(target, task_gain, speed, driven="all" if rows == "all" else "held")
-        task.displacement(task.rows(constraint), q0)  # a wrong size is refused before the simulation
+    task = _task(options, constraint, q0, target, direction)
     found, way = None, None
-    if planned is not None:
-        found, rollout, way = follow(planned, constraint, task, q0, dt, progress)
+    if options.planned.plan:
+        found, rollout, way = follow(options.planned, constraint, task, q0, options.dt, progress)
     else:
-        null_motion = null_policy(policy, task, constraint, robot, gain, rest)
-        law = ResolvedRateController(constraint, task, null_motion, inverse, dt=dt)  # type: ignore[arg-type]
+        policy = null_policy(options.policy, task, constraint, robot, options.gain, rest)
+        law = ResolvedRateController(constraint, task, policy, options.inverse, dt=options.dt)  # type: ignore[arg-type]
         if isinstance(task, FreeDirection):
-            rollout, way = simulate_way(robot, law, q0, dt, duration, progress=progress)
+            rollout, way = simulate_way(robot, law, q0, options.dt, options.duration, progress=progress)
         else:
-            length = _long_enough(law.task_error(q0), tolerance, task_gain) if duration is None else duration
-            rollout = simulate(robot, law, q0, length, dt, progress=progress)
+            length = options.duration
+            if length is None:
+                length = _long_enough(law.task_error(q0), options.tolerance, options.task_gain)
+            rollout = simulate(robot, law, q0, length, options.dt, progress=progress)
     aim = aim_of(constraint, task, rollout) if isinstance(task, PointAttractor) else None
-    verb = verb_of(constraint, rollout, way)
-    done = Controlled(
-        rollout, None, tolerance, place_of(constraint), aim, way, whence, verb, found, _hint(task, direction)
-    )
-    if check and not done.reached:
+    verb, hint = verb_of(constraint, rollout, way), _hint(task, direction)
+    done = Controlled(rollout, None, options.tolerance, place_of(constraint), aim, way, whence, verb, found, hint)
+    if options.check and not done.reached:
         because = "" if way is None else f": stopped by {way.stopped_by}"
         raise TargetError(f"{done.sentence}{because}; ask for less, or start elsewhere (--start)", code="not-reached")
-    return replace(done, out=rollout.save(out) if out is not None else None)
+    return replace(done, out=rollout.save(options.out) if options.out is not None else None)
+
+
+def _direction(text: str | None) -> list[float] | str | None:
+    """The numbers of a direction, or the name of the row of a mechanism."""
+    named = text is not None and text.strip().isidentifier()
+    return text.strip() if text is not None and named else vector("--direction", text)
+
+
+def _task(
+    options: ControlOptions,
+    constraint: Constraint,
+    q0: np.ndarray,
+    target: list[float] | None,
+    direction: list[float] | str | None,
+) -> Task:
+    """The way or the target that was named; else to stay on what is held."""
+    speed, keep = options.speed, options.keep_orientation
+    if options.along is not None or options.turn is not None:
+        angle = None if options.turn is None else math.radians(options.turn)
+        rate = speed if angle is None or speed is None else math.radians(speed)
+        return motion(constraint, options.along, angle, direction=direction, speed=rate, keep_orientation=keep)
+    if target is None:
+        return Hold()
+    if options.rows == "all" and isinstance(constraint.features, WeighedVelocity):
+        return motion_to(constraint, target, q0, speed=speed, keep_orientation=keep)
+    task = PointAttractor(target, options.task_gain, speed, driven="all" if options.rows == "all" else "held")
+    task.displacement(task.rows(constraint), q0)  # a wrong size is refused before the simulation
+    return task
 
 
 def follow(

@@ -11,7 +11,7 @@ import numpy as np
 
 from manip_learn.commands.control import Controlled, follow, null_policy, place_of, verb_of
 from manip_learn.commands.learn import Learnt, learn
-from manip_learn.commands.plan_options import PlanOptions
+from manip_learn.commands.options import DemoOptions, LearnOptions, PlanOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.planning.plan import Plan
@@ -117,25 +117,20 @@ def shipped_recordings() -> Path:
     return installed if installed.is_dir() else Path(__file__).resolve().parents[2] / "examples" / "data"
 
 
-def demo(robot_name: str, out: Path, open_browser: bool, progress: Progress | None = None) -> Demo:
+def demo(options: DemoOptions, progress: Progress | None = None) -> Demo:
     """Learn, compare a plan and three policies from a nearly singular start, write constraint, rollouts and replay.
 
     Raises:
         UnknownNameError: There is no demo for that robot.
         OutputError: The output folder cannot be written.
     """
-    if robot_name not in SCENES:
-        raise UnknownNameError("demo robot", robot_name, SCENES)
-    scene, said = SCENES[robot_name], progress or (lambda _step, _share: None)
+    if options.robot not in SCENES:
+        raise UnknownNameError("demo robot", options.robot, SCENES)
+    scene, out, said = SCENES[options.robot], options.out, progress or (lambda _step, _share: None)
     said("learning from the recordings", 0.0)
-    learnt = learn(
-        robot_name,
-        [str(shipped_recordings() / scene.recordings)],
-        frame=scene.frame,
-        axes=scene.axes,
-        out=out / "constraint.json",
-    )
-    robot = load_robot(robot_name)
+    shipped, file = str(shipped_recordings() / scene.recordings), out / "constraint.json"
+    learnt = learn(LearnOptions(options.robot, [shipped], frame=scene.frame, axes=scene.axes, out=file))
+    robot = load_robot(options.robot)
     rollouts = {}
     for i, (name, controller) in enumerate(controllers(robot, learnt.constraint, scene).items()):
         said(f"moving with the {name} policy", 0.5 + 0.1 * i)
@@ -148,7 +143,7 @@ def demo(robot_name: str, out: Path, open_browser: bool, progress: Progress | No
     if scene.along is not None:
         said("planning in which posture to take hold", 0.8)
         start = np.array(scene.start)
-        found, rollout, way = follow(PlanOptions(), learnt.constraint, scene.way(learnt.constraint), start, DT)
+        found, rollout, way = follow(PlanOptions(plan=True), learnt.constraint, scene.way(learnt.constraint), start, DT)
         rollouts = {"plan": _written("plan", out, learnt.constraint, rollout, way, found), **rollouts}
     said("writing the replay", 0.9)
     page = replay(
@@ -158,7 +153,7 @@ def demo(robot_name: str, out: Path, open_browser: bool, progress: Progress | No
         tip=scene.frame,
         title=scene.title,
         report=learnt.report,
-        open_browser=open_browser,
+        open_browser=options.browser and not options.as_json,
     )
     said("done", 1.0)
     return Demo(learnt, rollouts, page, scene.story)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.commands.robot_loading import load_for_files
-from manip_learn.commands.robot_options import RobotOptions
+from manip_learn.commands.loading import load_for_files
+from manip_learn.commands.options import ExportOptions
 from manip_learn.errors import OutputError, counted
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.load_demonstrations import ReadOptions
 from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajectory
+from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.recordings.writers.mcap_writer import mcap_bytes
 from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes
 from manip_learn.robot.robot import Robot
@@ -58,33 +58,19 @@ class Exported:
         }
 
 
-def export(
-    robot_name: str,
-    recordings: list[str],
-    out: Path,
-    to: str | None = None,
-    robot_options: RobotOptions | None = None,
-    options: ReadOptions | None = None,
-) -> Exported:
+def export(options: ExportOptions, progress: Progress | None = None) -> Exported:
     """Read recordings or rollouts, and write them in another format.
-
-    Args:
-        robot_name: Their robot; joints are locked as the files say.
-        recordings: Files, or a folder of them.
-        out: File for one trajectory; folder for several, or for LeRobot data.
-        to: Format of the files in a folder; of a file its ending says it.
-        robot_options: Joints to hold still, folders of meshes, objects, and whether xacro may be expanded.
-        options: Keywords of `load_demonstrations`.
 
     Raises:
         OutputError: A format that is not known, several trajectories for one file, or it cannot be written.
         ManipLearnError: Anything that is wrong with the robot or the recordings.
     """
-    kind = _format(out, to)
-    robot = load_for_files(robot_name, recordings, robot_options or RobotOptions())
+    out, keywords = options.out, options.reading.keywords()
+    kind = _format(out, options.to)
+    robot = load_for_files(options.robot, options.files, options.loading)
     if kind == RERUN:
-        return _to_rerun(robot, recordings, out, options)
-    demonstrations = load_demonstrations(recordings, robot, **(options or {}))
+        return _to_rerun(robot, options.files, out, keywords)
+    demonstrations = load_demonstrations(options.files, robot, **keywords)
     motions = [motion_of_trajectory(t, robot) for t in demonstrations]
     if kind == LEROBOT:
         from manip_learn.recordings.writers.lerobot_writer import write_lerobot
@@ -103,12 +89,12 @@ def export(
     return Exported(kind, files, len(motions), sum(len(m.time) for m in motions), demonstrations.notes)
 
 
-def _to_rerun(robot: Robot, files: list[str], out: Path, options: ReadOptions | None) -> Exported:
+def _to_rerun(robot: Robot, files: list[str], out: Path, keywords: Mapping[str, Any]) -> Exported:
     """All of them in one file, rollouts with their curves."""
-    from manip_learn.commands.named_motions import named_motions
+    from manip_learn.commands.replay import named_motions
     from manip_learn.playback.rerun_recording import write_rerun
 
-    read = named_motions(files, robot, options)
+    read = named_motions(files, robot, keywords)
     path = write_rerun(robot, read.motions, out)
     samples = sum(len(motion.time) for motion in read.motions.values())
     return Exported(RERUN, (path,), len(read.motions), samples, tuple(read.notes))

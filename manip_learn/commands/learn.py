@@ -7,27 +7,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final, get_args
 
-from manip_learn.commands.cluster import cluster_client
-from manip_learn.commands.recording_loading import load_for_recordings, source_for_recordings
-from manip_learn.commands.robot_options import RobotOptions
-from manip_learn.commands.typed_command import typed_command
+from manip_learn.commands.command_line import typed_command
+from manip_learn.commands.loading import cluster_client, load_for_files
+from manip_learn.commands.options import LearnOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeFrameJacobian
-from manip_learn.errors import FeatureError, RecordingError
+from manip_learn.errors import FeatureError, ManipLearnError, RecordingError, UnknownNameError
 from manip_learn.learning import ConstraintLearner, LearningReport
-from manip_learn.learning.candidate import EstimatorName
 from manip_learn.learning.deciding import BELIEVED_STRENGTH
 from manip_learn.learning.learner import ESTIMATORS, Switch
+from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
-from manip_learn.recordings.load_demonstrations import ReadOptions, numbers_read
+from manip_learn.recordings.load_demonstrations import numbers_read
 from manip_learn.recordings.preprocessing import subsample
+from manip_learn.recordings.recording_source import RecordingSource
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.robot import Reference, Robot
+from manip_learn.robot.tips import distance_to_last_joint, likely_tips
 
 if TYPE_CHECKING:
     from manip_learn.playback import ReplayResult
 
+SHOWN = 6  # likely tips that a refusal lists
 REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": ("local",), "auto": ("world", "local")}
 
 
@@ -74,110 +76,134 @@ def _described(constraint: Constraint, report: LearningReport) -> dict[str, Any]
     }
 
 
-def learn(
-    robot_name: str,
-    recordings: list[str],
-    *,
-    frame: str | None = None,
-    relative_to: str | None = None,
-    axes: str = "xyz",
-    reference: str = "auto",
-    n_constraints: int | None = None,
-    estimator: str = "auto",
-    out: Path | None = None,
-    html: Path | None = None,
-    seed: int = 0,
-    points: int | None = None,
-    phases: str = "auto",
-    mechanism: str = "auto",
-    strength: float | None = None,
-    start: float | None = None,
-    until: float | None = None,
-    robot_options: RobotOptions | None = None,
-    options: ReadOptions | None = None,
-    dask: str | None = None,
-    progress: Progress | None = None,
-) -> Learnt:
+def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
     """Learn a constraint from recordings; write it, and a replay of the recordings, to files if they are named.
 
     With `relative_to` the velocity of the frame is seen from that other one, in its axes; `reference` does not count.
 
     Raises:
         FeatureError: Unknown axes or reference.
-        RecordingError: `points` or `html` together with `dask`.
+        RecordingError: An option that works on recordings in memory, together with `dask`.
         ManipLearnError: Anything else that is wrong with the robot, the recordings, the settings or the output.
     """
-    if reference not in REFERENCES:
-        raise FeatureError(f"--reference must be world, local or auto, not {reference!r}")
-    for option, value in (("--points", points), ("--html", html)):
-        if value is not None and dask is not None:
+    if options.reference not in REFERENCES:
+        raise FeatureError(f"--reference must be world, local or auto, not {options.reference!r}")
+    _refuse_beside_dask(options)
+    if progress is not None:
+        progress("reading", 0.0)
+    robot, demos, frame, notes = load_to_learn(options)
+    if isinstance(demos, Demonstrations) and (options.start is not None or options.until is not None):
+        demos = Demonstrations([t[options.start : options.until] for t in demos], demos.notes)
+    recorded = demos
+    if options.points is not None and isinstance(demos, Demonstrations):
+        demos = Demonstrations([subsample(t, options.points) for t in with_velocities(demos, robot)], demos.notes)
+    candidates: list[FeatureMap] = [FrameJacobian(robot, frame, options.axes, r) for r in REFERENCES[options.reference]]
+    if options.relative_to is not None:
+        candidates = [RelativeFrameJacobian(robot, frame, options.relative_to, options.axes)]
+    learner = ConstraintLearner(
+        candidates,
+        options.constraints,
+        _one_of(ESTIMATORS, "--estimator", options.estimator),
+        phases=_one_of(get_args(Switch), "--phases", options.phases),
+        mechanism=_one_of(get_args(Switch), "--mechanism", options.mechanism),
+        seed=options.seed,
+        strength=BELIEVED_STRENGTH if options.strength is None else options.strength,
+    )
+    with cluster_client(options.dask) as client:
+        learner.fit(demos, client=client, progress=progress)
+    written = learner.constraint_.save(options.out) if options.out is not None else None
+    page = None
+    if options.html is not None and isinstance(recorded, Demonstrations):
+        numbers = numbers_read(options.recordings, robot, **options.reading.keywords())
+        page = _replay_of_recordings(robot, recorded, learner, options.html, frame, numbers)
+    return Learnt(learner.constraints_, learner.reports_, frame, written, tuple(notes), page)
+
+
+def choose_frame(robot: Robot, frame: str | None) -> str:
+    """The frame that was named, checked; or the only likely tip.
+
+    Raises:
+        UnknownNameError: No such frame.
+        ManipLearnError: None was named and there is more than one candidate.
+    """
+    tips = likely_tips(robot)
+    if frame is None and len(tips) == 1:
+        return tips[0]
+    if frame in robot.frame_names:
+        return robot.frame(frame).name
+    shown = ", ".join(f"{tip} ({distance_to_last_joint(robot, tip):.3g} m from its last joint)" for tip in tips[:SHOWN])
+    shown = f"likely tips: {shown or 'none'}; `manip-learn inspect` lists all frames"
+    if frame is not None:
+        raise UnknownNameError("frame", frame, robot.frame_names, f"robot {robot.name!r}", f"; {shown}")
+    raise ManipLearnError(
+        f"which frame of {robot.name!r} was guided? Name it, e.g. --frame {tips[0] if tips else 'NAME'}; {shown}",
+        code="frame",
+    )
+
+
+def load_to_learn(options: LearnOptions) -> tuple[Robot, Demonstrations | RecordingSource, str, list[str]]:
+    """Robot, recordings, frame, and notes on joints that were locked because nothing is recorded for them.
+
+    A joint is locked automatically only if it does not move the frame: then it cannot matter to the constraint
+    (the fingers of a gripper, the other arm). For a cluster the recordings stay files, of which the first is read.
+
+    Raises:
+        ManipLearnError: Any of the errors of loading robots and recordings.
+    """
+    loading = options.loading
+    robot = load_for_files(options.robot, options.recordings, loading)
+    held: dict[str, float | None] = {**dict.fromkeys(loading.lock or ()), **robot.locked}
+    chosen = choose_frame(robot, options.frame)
+    frames = [chosen] if options.relative_to is None else [chosen, robot.frame(options.relative_to).name]
+    notes: list[str] = []
+    while True:
+        try:
+            return robot, _read(options, robot), chosen, notes
+        except RecordingError as error:
+            joint = error.column
+            if (
+                error.code != "missing-joint"
+                or joint not in robot.joint_names
+                or any(robot.moves(joint, f) for f in frames)
+            ):
+                raise
+            held[joint] = None
+            robot = loading.load(options.robot, held, robot.objects)
+            notes.append(
+                f"joint {joint!r} is not recorded and does not move {' or '.join(map(repr, frames))}: it was locked"
+            )
+
+
+def _read(options: LearnOptions, robot: Robot) -> Demonstrations | RecordingSource:
+    keywords = options.reading.keywords()
+    if options.dask is None:
+        return load_demonstrations(options.recordings, robot, **keywords)
+    source = RecordingSource(options.recordings, robot, **keywords)
+    next(source.part(0))
+    return source
+
+
+def _refuse_beside_dask(options: LearnOptions) -> None:
+    if options.dask is None:
+        return
+    for option, value in (("--points", options.points), ("--html", options.html)):
+        if value is not None:
             raise RecordingError(
                 f"{option} works on recordings in memory, not with --dask: give one of the two", code="option"
             )
-    if dask is not None and not (start is None and until is None):
+    if not (options.start is None and options.until is None):
         raise RecordingError(
             "--from and --until cut recordings in memory, not with --dask: cut the files first", code="option"
         )
-    if progress is not None:
-        progress("reading", 0.0)
-    load = load_for_recordings if dask is None else source_for_recordings
-    robot, demos, chosen, notes = load(
-        robot_name, recordings, frame, robot_options or RobotOptions(), options, relative_to
-    )
-    if isinstance(demos, Demonstrations) and (start is not None or until is not None):
-        demos = Demonstrations([t[start:until] for t in demos], demos.notes)
-    recorded = demos
-    if points is not None and isinstance(demos, Demonstrations):
-        demos = Demonstrations([subsample(t, points) for t in with_velocities(demos, robot)], demos.notes)
-    candidates: list[FeatureMap] = [FrameJacobian(robot, chosen, axes, r) for r in REFERENCES[reference]]
-    if relative_to is not None:
-        candidates = [RelativeFrameJacobian(robot, chosen, relative_to, axes)]
-    learner = ConstraintLearner(
-        candidates,
-        n_constraints,
-        _estimator(estimator),
-        phases=_switch("--phases", phases),
-        mechanism=_switch("--mechanism", mechanism),
-        seed=seed,
-        strength=BELIEVED_STRENGTH if strength is None else strength,
-    )
-    with cluster_client(dask) as client:
-        learner.fit(demos, client=client, progress=progress)
-    written = learner.constraint_.save(out) if out is not None else None
-    page = None
-    if html is not None and isinstance(recorded, Demonstrations):
-        numbers = numbers_read(recordings, robot, **(options or {}))
-        constraints = learner.constraints_
-        page = replay_of_recordings(robot, recorded, learner.report_, html, chosen, constraints, numbers)
-    return Learnt(learner.constraints_, learner.reports_, chosen, written, tuple(notes), page)
 
 
-def replay_of_recordings(
-    robot: Robot,
-    recordings: Demonstrations,
-    report: LearningReport,
-    html: Path,
-    frame: str,
-    constraints: Sequence[Constraint] = (),
-    numbers: Sequence[int] = (),
+def _replay_of_recordings(
+    robot: Robot, recordings: Demonstrations, learner: ConstraintLearner, html: Path, frame: str, numbers: Sequence[int]
 ) -> ReplayResult:
-    """Write a page that plays the recordings, with what was learnt about them.
-
-    Args:
-        robot: Whose joints were recorded.
-        recordings: What was learnt from.
-        report: Phases, mechanism and odd trajectories.
-        html: File to write.
-        frame: Frame that was guided.
-        constraints: What was learnt, best supported first.
-        numbers: Of the recordings, as `--episodes` counts them.
-
-    Raises:
-        RecordingError: A recording that cannot be played.
-        OutputError: The file cannot be written.
-    """
+    """Write a page that plays the recordings, with what was learnt; numbers as `--episodes` counts them."""
     from manip_learn.playback import RecordingChoice, replay
 
+    report = learner.report_
     odd = [f"{name} does not agree with the others: {reason}" for name, reason in report.odd_trajectories]
     named = dict(zip(distinct_names(recordings), recordings, strict=True))
     return replay(
@@ -189,21 +215,14 @@ def replay_of_recordings(
         phases=report.phases,
         mechanism=report.mechanism,
         notes=odd,
-        constraint=constraints or None,
+        constraint=learner.constraints_ or None,
         report=report,
         choice=RecordingChoice.of(typed_command(), tuple(named), numbers),
     )
 
 
-def _switch(option: str, value: str) -> Switch:
-    for known in get_args(Switch):
-        if value == known:
-            return known
-    raise FeatureError(f"{option} must be auto or off, not {value!r}")
-
-
-def _estimator(name: str) -> EstimatorName:
-    for known in get_args(EstimatorName):
-        if name == known:
-            return known
-    raise FeatureError(f"--estimator must be one of {', '.join(ESTIMATORS)}, not {name!r}")
+def _one_of(known: Sequence[str], option: str, value: str) -> Any:
+    if value in known:
+        return value
+    choices = " or ".join(known) if len(known) == 2 else f"one of {', '.join(known)}"
+    raise FeatureError(f"{option} must be {choices}, not {value!r}")

@@ -1,36 +1,32 @@
-"""`manip-learn replay`: rollout files -> one HTML file."""
+"""`manip-learn replay`: rollouts, or recordings -> one HTML file."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
-from manip_learn.commands.named_motions import NamedMotions, named_motions
-from manip_learn.commands.robot_loading import load_for_files, robot_of_constraint
-from manip_learn.commands.robot_options import RobotOptions
-from manip_learn.commands.typed_command import learning_command
+from manip_learn.commands.command_line import learning_command
+from manip_learn.commands.loading import load_for_files, robot_of_constraint
+from manip_learn.commands.options import ReplayOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
+from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConstraintMismatchError, RecordingError
 from manip_learn.playback import RecordingChoice, ReplayResult
 from manip_learn.playback import replay as write_replay
 from manip_learn.playback.phase_bands import phases_from_json
-from manip_learn.recordings.load_demonstrations import ReadOptions, numbers_read
+from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.load_demonstrations import numbers_read
+from manip_learn.recordings.readers.read_request import flag_of
+from manip_learn.recordings.readers.saved_reader import file_header
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.robot import Robot
 
 
-def replay(
-    robot_name: str,
-    files: list[str],
-    *,
-    html: Path | None = None,
-    open_browser: bool = False,
-    tip: str | None = None,
-    robot_options: RobotOptions | None = None,
-    options: ReadOptions | None = None,
-    constraint_file: Path | None = None,
-) -> ReplayResult:
+def replay(options: ReplayOptions, progress: Progress | None = None) -> ReplayResult:
     """Write a replay of rollouts (of `control`) or of recordings.
 
     The joints are locked that were locked when the rollouts were made. With a constraint file, the phases and the
@@ -42,44 +38,108 @@ def replay(
         ConstraintMismatchError: A constraint file of another robot, or none at all.
         ManipLearnError: Anything else that is wrong with the robot or the output.
     """
-    loading = robot_options or RobotOptions()
-    if not files:
+    if not options.rollouts:
         raise RecordingError("name at least one rollout file; `manip-learn control ... --out rollout.npz` writes one")
     learnt: dict[str, Any] = {}
     constraint = None
-    if constraint_file is not None:
-        robot = robot_of_constraint(robot_name, str(constraint_file), loading)
-        constraint = Constraint.load(constraint_file, robot)
+    tip = options.tip
+    if options.constraint is not None:
+        robot = robot_of_constraint(options.robot, str(options.constraint), options.loading)
+        constraint = Constraint.load(options.constraint, robot)
         learnt = constraint.provenance
         if not isinstance(learnt.get("mechanism") or {}, Mapping):
             raise ConstraintMismatchError(
-                f"{constraint_file}: its mechanism must be an object, it is {learnt['mechanism']!r:.60}: save it again"
+                f"{options.constraint}: its mechanism must be an object, it is {learnt['mechanism']!r:.60}: "
+                "save it again"
             )
         tip = tip or getattr(constraint.features, "frame", None)
     else:
-        robot = load_for_files(robot_name, files, loading)
-    read = named_motions(files, robot, options)
+        robot = load_for_files(options.robot, options.rollouts, options.loading)
+    keywords = options.reading.keywords()
+    read = named_motions(options.rollouts, robot, keywords)
     return write_replay(
         robot,
         read.motions,
-        html or Path("replay.html"),
+        options.html,
         tip=tip,
-        open_browser=open_browser,
+        open_browser=options.open_browser,
         phases=phases_from_json(learnt.get("phases") or []),
         mechanism=learnt.get("mechanism") or None,
         notes=read.notes,
         constraint=constraint,
         report=learnt or None,
-        choice=_choice(robot, constraint, read, options or {}) if read.recordings and not read.rollouts else None,
+        choice=_choice(robot, constraint, read, keywords) if read.recordings and not read.rollouts else None,
     )
 
 
 def _choice(
-    robot: Robot, constraint: Constraint | None, read: NamedMotions, options: ReadOptions
+    robot: Robot, constraint: Constraint | None, read: NamedMotions, keywords: Mapping[str, Any]
 ) -> RecordingChoice | None:
     """The command line that learns from these recordings again; None without a constraint that says how."""
     features = None if constraint is None else constraint.features
     if not isinstance(features, FrameJacobian):
         return None
     command = learning_command(features.frame.name, features.row_names, features.reference)
-    return RecordingChoice.of(command, tuple(read.motions), numbers_read(read.recordings, robot, **options))
+    return RecordingChoice.of(command, tuple(read.motions), numbers_read(read.recordings, robot, **keywords))
+
+
+@final
+@dataclass(frozen=True)
+class NamedMotions:
+    """What files hold, read.
+
+    Attributes:
+        motions: Name -> rollout or recording, rollouts first.
+        rollouts: Files that are rollouts.
+        recordings: The others, files or folders.
+        notes: What was noticed while reading.
+    """
+
+    motions: dict[str, Rollout | Trajectory]
+    rollouts: list[str]
+    recordings: list[str]
+    notes: list[str]
+
+
+def named_motions(files: list[str], robot: Robot, keywords: Mapping[str, Any]) -> NamedMotions:
+    """Read rollouts and recordings, folders of recordings too.
+
+    Args:
+        files: Their paths.
+        robot: Their robot.
+        keywords: Of `load_demonstrations`, for recordings.
+
+    Raises:
+        RecordingError: A file that is missing, that is neither, or of another robot; options that no file can use.
+    """
+    rollouts = [file for file in files if _is_rollout(Path(file))]
+    recordings = [file for file in files if file not in rollouts]
+    if keywords and not recordings:
+        asked = ", ".join(flag_of(name) for name in keywords)
+        raise RecordingError(f"rollouts are read as they were written, so {asked} has no use: leave it out")
+    named: dict[str, Rollout | Trajectory] = {}
+    notes: list[str] = []
+    for file in rollouts:
+        rollout, said = Rollout.load_with_notes(file, robot)
+        named[_unique(Path(file).stem, named)] = rollout
+        notes += [f"{Path(file).name}: {note}" for note in said]
+    # together, since an option may be meant for one of them
+    for trajectory in load_demonstrations(recordings, robot, **keywords) if recordings else ():
+        named[_unique(trajectory.name, named)] = trajectory
+    return NamedMotions(named, rollouts, recordings, notes)
+
+
+def _unique(name: str, taken: dict[str, Rollout | Trajectory]) -> str:
+    candidate, n = name, 2
+    while candidate in taken:
+        candidate, n = f"{name} ({n})", n + 1
+    return candidate
+
+
+def _is_rollout(path: Path) -> bool:
+    if not path.exists():
+        raise RecordingError(f"{path}: there is no such file: check the path", code="missing", path=path)
+    if not path.is_file():
+        return False
+    header = file_header(path)
+    return header is not None and header.kind == "rollout"

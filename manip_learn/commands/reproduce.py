@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
+from manip_learn.commands.options import ReproduceOptions
 from manip_learn.experiments import reproduce as run_experiments
 from manip_learn.recordings.trajectory_source import Progress
 
@@ -24,16 +25,7 @@ class Reproduction:
         return self.numbers
 
 
-def reproduce(
-    experiment: str,
-    *,
-    trials: int = 50,
-    seed: int = 0,
-    out: Path | None = None,
-    workers: int | None = None,
-    backend: str = "loky",
-    progress: Progress | None = None,
-) -> Reproduction:
+def reproduce(options: ReproduceOptions, progress: Progress | None = None) -> Reproduction:
     """Run one experiment, or all.
 
     Raises:
@@ -41,13 +33,13 @@ def reproduce(
     """
     pages: dict[str, str] = {}
     numbers = run_experiments(
-        experiment,
-        trials,
-        seed,
-        out,
+        options.experiment,
+        options.trials,
+        options.seed,
+        options.out,
         progress,
-        workers=workers,
-        backend=backend,  # type: ignore[arg-type]  # checked there, with a list of the names
+        workers=options.workers,
+        backend=options.backend,  # type: ignore[arg-type]  # checked there, with a list of the names
         on_result=lambda part, result: pages.update({part: result.markdown()}),
     )
-    return Reproduction(numbers, pages, out)
+    return Reproduction(numbers, pages, options.out)

@@ -1,14 +1,20 @@
-"""`manip-learn robots`: the robots that can be named."""
+"""`manip-learn robots` and `inspect`: the robots that can be named, and what one is made of."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, final
 
+from manip_learn.commands.options import InspectOptions, RobotsOptions
 from manip_learn.errors import ManipLearnError
+from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.description.catalogue import SHIPPED, example_robots, find_robot, robot_names
 from manip_learn.robot.description.text import read_description
 from manip_learn.robot.description.validation import validate_urdf
+from manip_learn.robot.robot_summary import RobotSummary, summarise, with_cross_check
 
 
 @final
@@ -51,7 +57,7 @@ class KnownRobots:
         return {"robots": listed, "extra_installed": self.extra}
 
 
-def known_robots() -> KnownRobots:
+def known_robots(options: RobotsOptions, progress: Progress | None = None) -> KnownRobots:
     """Every robot that has a name here and now, with its joints."""
     names = sorted(robot_names(), key=lambda name: (name not in SHIPPED, name))
     return KnownRobots(tuple(_described(name) for name in names), bool(example_robots()))
@@ -67,3 +73,40 @@ def _described(name: str) -> KnownRobot:
     followers = {m.joint for m in checked.mimics.followers}
     moving = [j.name for j in checked.urdf.joints if j.type != "fixed" and j.name not in followers]
     return KnownRobot(name, origin, tuple(moving))
+
+
+@final
+@dataclass(frozen=True)
+class Inspected:
+    """What a robot is made of."""
+
+    summary: RobotSummary
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON answer; limits that do not exist are null."""
+        content = dataclasses.asdict(self.summary)
+        for joint in content["joints"]:
+            for key in ("lower", "upper", "velocity"):
+                if not math.isfinite(joint[key]):
+                    joint[key] = None
+        content["source"] = None if self.summary.source is None else str(self.summary.source)
+        content["meshes_found"] = {k: str(v) for k, v in self.summary.meshes_found.items()}
+        for key in ("joints", "frames", "warnings", "tips", "mimics"):
+            content[key] = list(content[key])
+        return content
+
+
+def inspect(options: InspectOptions, progress: Progress | None = None) -> Iterator[Inspected]:
+    """Load a robot and look at it.
+
+    Yields:
+        What is known at once, and that with the independent check of forward kinematics: the library that checks it
+        takes longer to load than the robot.
+
+    Raises:
+        ManipLearnError: The robot cannot be loaded.
+    """
+    robot = options.loading.load(options.robot)
+    summary = summarise(robot)
+    yield Inspected(summary)
+    yield Inspected(with_cross_check(summary, robot))

@@ -1,4 +1,4 @@
-"""Tables and sentences printed by the commands."""
+"""Tables and sentences printed by the commands, and the terms in them, explained."""
 
 from __future__ import annotations
 
@@ -6,27 +6,212 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markdown import Markdown
 from rich.markup import escape
 from rich.table import Table
 
-from manip_learn.commands.wide_tables import audit_table, rollout_table
-from manip_learn.commands.words import print_words
 from manip_learn.errors import counted, listed
 
-if TYPE_CHECKING:  # so that printing one command's answer does not load the others
+if TYPE_CHECKING:
     from manip_learn.commands.audit import Audited
     from manip_learn.commands.control import Controlled
     from manip_learn.commands.demo import Demo
     from manip_learn.commands.export import Exported
     from manip_learn.commands.learn import Learnt
     from manip_learn.commands.reproduce import Reproduction
-    from manip_learn.commands.robots import KnownRobots
+    from manip_learn.commands.robots import Inspected, KnownRobots
     from manip_learn.commands.warm_up import Warmed
     from manip_learn.control.planning.plan import Plan
+    from manip_learn.learning.audit import EpisodeAudit
     from manip_learn.playback import ReplayResult
-    from manip_learn.robot.robot_summary import RobotSummary
+
+# term -> a few words, and a paragraph
+WORDS: dict[str, tuple[str, str]] = {
+    "row": (
+        "a combination of velocities that the task holds",
+        "Each row of Lambda is one combination of velocities that the task holds: a drawer holds two of x, y, z. The "
+        "directions that are left are free.",
+    ),
+    "gap": (
+        "weakest free direction over strongest held one; 10 is clear, below 3 none",
+        "Directions of the motion are put in order of how much they are used. The gap is the ratio between the first "
+        "one that is free and the last one that is held. Noise and softness make it smaller; 10 and above is clear, "
+        "3 to 10 is weak. The joint estimator compares what fits with one row fewer leave unexplained; there 1.5 says "
+        "something.",
+    ),
+    "left out": (
+        "tested on recordings that were not learnt from; 0 % is best",
+        "The constraint is learnt again without some of the recordings and asked about those. What it does not explain "
+        "of their motion is noise, softness, or a constraint that is not theirs.",
+    ),
+    "uncertainty": (
+        "68 % of repetitions with other recordings stay within it",
+        "The recordings are drawn again with repetition and learnt from, many times (bootstrap). It says how much the "
+        "answer depends on which recordings there are, not whether they are of the right task.",
+    ),
+    "strength": (
+        "growth of a row's motion when joints are exchanged; 1 or less: free",
+        "Joints are exchanged between recordings, so that nothing is held any more (recombination test). A row that "
+        "the world holds then moves far more; a row that nobody tried does not. Strength is the ratio, p the chance "
+        "of it.",
+    ),
+    "mu": (
+        "manipulability of the task, 0 at its singularity; compare policies only",
+        "The volume of velocities along the held rows that joint velocities of length 1 reach: the product of the "
+        "singular values of A(q). At 0 the arm cannot follow the task in some direction.",
+    ),
+    "off": (
+        "how far the hand strayed from the line, plane or circle",
+        "The held rows, integrated: a drawer pushes back as soon as the hand leaves its line. Near a singularity the "
+        "arm cannot follow in every direction, and the hand strays.",
+    ),
+    "fastest": (
+        "fastest joint, of its speed limit",
+        "Of all joints and moments of the motion, the largest share of a velocity limit. At 100 % the arm was as fast "
+        "as it may be and the hand had to wait for it.",
+    ),
+    "least mu": (
+        "smallest manipulability on the way, 0 at a singularity",
+        "The product of the singular values of A(q), the rows that the task holds and the direction that it drives. "
+        "The smaller it is, the faster the joints must move for the same motion of the hand.",
+    ),
+    "error": (
+        "distance to the target at the end, along the rows driven [m or rad]",
+        "All directions that the target names are driven, and the tip goes to the point. With --rows held those that "
+        "the constraint leaves free do not count, and the tip may end elsewhere along them.",
+    ),
+    "peak": ("the fastest joint [rad/s or m/s]", "The largest speed of any joint during the motion."),
+    "unhindered": (
+        "share of the steps that no limit and no singularity changed",
+        "Steps with the status ok: the command is what the control law asks for. In the others joint limits, speed "
+        "limits, acceleration limits or a singularity slowed, bent or stopped it; replay shows where.",
+    ),
+    "score": (
+        "how unusual the episode is; left out above the threshold below",
+        "Root of the sum of squares of all z-scores that are worse than usual. Episodes are compared with the median "
+        "of those given, so it says nothing if most of them are of another task.",
+    ),
+    "sigma": (
+        "smallest singular value of the task; 0 at its singularity",
+        "The least speed along the held rows for joint velocities of length 1, at the worst posture of the episode.",
+    ),
+    "broken": (
+        "share of the motion along held rows; 0 % is best",
+        "What A(q) u leaves of the joint velocities: noise gives some tenths of a percent, another task much more.",
+    ),
+    "mm, deg": ("extent of that motion", "How far the tip went along rows that are held, in positions and rotations."),
+    "margin": (
+        "room to the nearest joint limit, of the joint's range",
+        "Negative beyond the limit; 50 % is the middle of the range.",
+    ),
+    "speed": ("fastest joint, of its limit", "Above 100 % the recording is faster than the description allows."),
+    "jerk": ("roughness [rad/s3]", "Root mean square of the third derivative, less what noise contributes."),
+    "rest": ("share of the time at rest", "No joint is faster than 0.02 rad/s."),
+}
+
+
+def print_words(console: Console, terms: Sequence[str], explain: bool) -> None:
+    """Explain terms: one line each in short, or a paragraph each."""
+    if explain:
+        for term in terms:
+            console.print(f"[bold]{escape(term)}[/bold]: {escape('. '.join(_sentences(term)))}", highlight=False)
+        return
+    for term in terms:
+        console.print(f"[dim]{escape(f'{term}: {WORDS[term][0]}')}[/dim]", highlight=False)
+    console.print("[dim]--explain says more[/dim]", highlight=False)
+
+
+def _sentences(term: str) -> tuple[str, str]:
+    short, long = WORDS[term]
+    return short[0].upper() + short[1:], long
+
+
+UNDER_WAY = 0.1  # the nearly singular start is not due to the policy: evaluated from here on [s]
+WIDE = 76  # columns of a terminal that hold the policies below each other
+GAP = 2  # blanks between columns
+# what an audit shows of an episode; on a narrow terminal the last ones are left out
+MEASURES = ("score", "broken", "margin", "mm", "sigma", "speed", "rest", "deg", "jerk", "s")
+SHOWN_ORDER = ("score", "sigma", "broken", "mm", "deg", "margin", "speed", "jerk", "rest", "s")
+
+
+def rollout_table(rollouts: dict[str, Controlled], width: int) -> Table:
+    """Policies side by side: a line each, or on a narrow terminal, or of one alone, a column each."""
+    measures = [_measures(controlled) for controlled in rollouts.values()]
+    header = ("policy", *measures[0])
+    rows = [(escape(name), *values.values()) for name, values in zip(rollouts, measures, strict=True)]
+    if width < WIDE or len(rows) == 1:
+        header, *rows = zip(header, *rows, strict=True)
+    if len(measures) == 1:  # no policy is compared
+        header, *rows = rows
+    table = Table(header_style="bold" if len(measures) > 1 else "", box=SIMPLE_HEAD, padding=(0, 1))
+    table.show_header = len(measures) > 1
+    for i, name in enumerate(header):
+        table.add_column(str(name), justify="left" if i == 0 else "right", no_wrap=True)
+    for row in rows if len(measures) > 1 else [header, *rows]:
+        table.add_row(*row)
+    return table
+
+
+def _measures(controlled: Controlled) -> dict[str, str]:
+    """Name -> value of what is told of a rollout."""
+    r, way = controlled.rollout, controlled.way
+    if way is not None:
+        off = f"{1e3 * way.deviation:.1f} mm"
+        unit, size, digits = ("m", 1.0, 3) if way.unit == "m" else ("deg", math.degrees(1.0), 1)
+        return {
+            controlled.verb: f"{abs(size * way.done):.{digits}f} {unit}",
+            "time": "-" if way.seconds is None else f"{way.seconds:.1f} s",
+            "off": f"[red]{off}[/red]" if way.strays else off,
+            "fastest": f"{100 * way.fastest[1]:.0f} %",
+            "least mu": f"{way.least_manipulability:.3f}",
+        }
+    mu = r.manipulability[r.time >= min(UNDER_WAY, r.time[-1])]
+    return {
+        "error": f"{controlled.final_error:.4f}",
+        "min mu": f"{mu.min():.4f}",
+        "mean mu": f"{r.manipulability.mean():.3f}",
+        "peak": f"{abs(r.u).max():.2f}/s",
+        "unhindered": f"{100 * r.status.count('ok') / len(r):.0f} %",
+    }
+
+
+def audit_table(episodes: Sequence[EpisodeAudit], width: int) -> tuple[Table, tuple[str, ...]]:
+    """Episodes with as many measures as fit, and the names of those that do not."""
+    cells = {name: [_measure(name, e) for e in episodes] for name in SHOWN_ORDER}
+    room = width - max([len("episode"), *(len(e.episode) for e in episodes)])
+    fitting: list[str] = []
+    for name in MEASURES:
+        room -= GAP + max(len(name), *(len(c) for c in cells[name]), 0)
+        if room < 0:
+            break
+        fitting.append(name)
+    shown = [name for name in SHOWN_ORDER if name in fitting]
+    table = Table(header_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    table.add_column("episode", no_wrap=True)
+    for name in shown:
+        table.add_column(name, justify="right", no_wrap=True)
+    for i, e in enumerate(episodes):
+        table.add_row(escape(e.episode), *(cells[name][i] for name in shown), style="red" if e.leave_out else None)
+    return table, tuple(name for name in SHOWN_ORDER if name not in fitting)
+
+
+def _measure(name: str, e: EpisodeAudit) -> str:
+    value, form, unit = {
+        "score": (e.score, ".1f", ""),
+        "sigma": (e.sigma_min, ".3f", ""),
+        "broken": (100 * e.residual, ".1f", " %"),
+        "mm": (e.displacement_mm, ".1f", ""),
+        "deg": (e.displacement_deg, ".1f", ""),
+        "margin": (100 * e.limit_margin, ".0f", " %"),
+        "speed": (100 * e.peak_speed, ".0f", " %"),
+        "jerk": (e.jerk_rms, ".1f", ""),
+        "rest": (100 * e.rest_share, ".0f", " %"),
+        "s": (e.duration, ".1f", ""),
+    }[name]
+    return f"{value:{form}}{unit}" if math.isfinite(value) else "-"
+
 
 MOST_OTHERS = 3  # postures that a plan says more about on a terminal
 MOST_ROWS = 20  # of an audit on a terminal
@@ -137,8 +322,9 @@ def print_warm_up(console: Console, warmed: Warmed) -> None:
     console.print(words, highlight=False, markup=False)
 
 
-def print_robot(console: Console, summary: RobotSummary) -> None:
+def print_robot(console: Console, inspected: Inspected) -> None:
     """Joints, frames and warnings."""
+    summary = inspected.summary
     console.print(f"[bold]{escape(summary.name)}[/bold]: nq {summary.nq}, nv {summary.nv}", highlight=False)
     if summary.source is not None:
         console.print(f"[dim]{escape(str(summary.source))}[/dim]", highlight=False, soft_wrap=True)
@@ -162,8 +348,9 @@ def print_robot(console: Console, summary: RobotSummary) -> None:
     _print_warnings(console, summary.warnings)
 
 
-def print_cross_check(console: Console, summary: RobotSummary) -> None:
+def print_cross_check(console: Console, inspected: Inspected) -> None:
     """What another reader of the URDF makes of it, after `print_robot`."""
+    summary = inspected.summary
     if summary.cross_check is not None and summary.cross_check.agrees:
         worst = summary.cross_check.largest_difference
         console.print(f"forward kinematics: agrees with yourdfpy to {worst:.1e}", highlight=False)

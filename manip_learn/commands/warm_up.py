@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, final
 
+from manip_learn.commands.options import WarmUpOptions
 from manip_learn.control.warm_up import controllers_to_warm_up
 from manip_learn.control.warm_up import warm_up as warm_up_controller
 from manip_learn.recordings.trajectory_source import Progress
@@ -21,10 +22,10 @@ class Warmed:
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer."""
-        return {"compiled": self.compiled, "seconds": self.seconds}
+        return asdict(self)
 
 
-def warm_up(progress: Progress) -> Warmed:
+def warm_up(options: WarmUpOptions, progress: Progress) -> Warmed:
     """Compile, or read from disk, every kind of control step."""
     controllers = controllers_to_warm_up(load_robot("planar3"))
     seconds, compiled = 0.0, True

@@ -1,16 +1,19 @@
-"""Robot -> what is drawn."""
+"""Robot -> what is drawn: its own shapes and meshes, or a plain figure of tubes and discs; each rides on one joint.
+
+Meshes are made small enough for a page, and smooth where the surface is smooth.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal, final
 
 import numpy as np
 import pinocchio as pin
+from jaxtyping import Float, Int
 
-from manip_learn.playback.decimation import decimated
 from manip_learn.playback.kinematic_tree import TreeJoint
-from manip_learn.playback.shapes import Appearance, Shape, TriangleMesh
-from manip_learn.playback.stick_figure import rods, stick_figure
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.visual_shapes import (
     Box,
@@ -22,6 +25,305 @@ from manip_learn.robot.visuals.visual_shapes import (
     said_once,
     visual_shapes,
 )
+
+ShapeKind = Literal["box", "sphere", "cylinder", "cone", "disc", "mesh"]
+Colour = tuple[float, float, float, float]
+
+PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """One drawn body.
+
+    Attributes:
+        joint: Index in the kinematic tree of the joint that carries it; 0 is the world.
+        kind: What it is.
+        size: [m]: box (x, y, z); sphere (radius); cylinder and disc (radius, length); cone (radius at the bottom,
+            radius at the top, length); mesh: none. All are centred at their origin, round ones stand along z.
+        pose: shape (4, 4), from the shape to the joint's frame [m].
+        colour: Red, green, blue, opacity, 0 to 1.
+        accent: True if it takes the colour of its rollout.
+        mesh: Index in `Appearance.meshes`, or None.
+    """
+
+    joint: int
+    kind: ShapeKind
+    size: tuple[float, ...]
+    pose: Float[np.ndarray, "4 4"]
+    colour: Colour = PLAIN
+    accent: bool = False
+    mesh: int | None = None
+
+    def half_extent(self) -> Float[np.ndarray, " 3"]:
+        """Half the sides of a box around the shape, in its own frame [m]; zero for meshes, which bring their own."""
+        s = self.size
+        if self.kind == "box":
+            return np.array(s) / 2.0
+        if self.kind == "sphere":
+            return np.full(3, s[0])
+        if self.kind == "mesh":
+            return np.zeros(3)
+        radius = max(s[:-1])
+        return np.array([radius, radius, s[-1] / 2.0])
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class TriangleMesh:
+    """A triangle mesh in the frame of its shape.
+
+    Attributes:
+        vertices: shape (V, 3) [m].
+        triangles: shape (F, 3), indices of vertices, counter-clockwise from outside.
+    """
+
+    vertices: Float[np.ndarray, "V 3"]
+    triangles: Int[np.ndarray, "F 3"]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """How a robot looks.
+
+    Attributes:
+        shapes: All that is drawn.
+        meshes: The triangle meshes that shapes refer to.
+        notes: What could not be drawn as the URDF says, in sentences.
+    """
+
+    shapes: tuple[Shape, ...]
+    meshes: tuple[TriangleMesh, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+CREASE = np.cos(np.deg2rad(38.0))
+MAX_STEPS = 18
+
+
+def decimated(meshes: list[TriangleMesh], triangles: int) -> tuple[list[TriangleMesh], int, int]:
+    """Simplify meshes until all of them together have at most so many triangles.
+
+    Large meshes give up more than small ones, and no mesh becomes so coarse that it cannot be recognised as long as
+    the budget allows it.
+
+    Returns:
+        The meshes, their triangles before and after.
+    """
+    clean = [_merged(m) for m in meshes]
+    counts = np.array([len(m.triangles) for m in clean], dtype=np.float64)
+    before = int(counts.sum())
+    if before > triangles:
+        shares = _shares(counts, triangles)
+        clean = [m if len(m.triangles) <= s else _clustered(m, int(s)) for m, s in zip(clean, shares, strict=True)]
+    after = sum(len(m.triangles) for m in clean)
+    return [_creased(m) for m in clean], before, after
+
+
+def _shares(counts: np.ndarray, budget: float) -> np.ndarray:
+    """Triangles each mesh may keep: one cap for all, such that the sum fits."""
+    low, high = 0.0, float(counts.max())
+    for _ in range(60):
+        cap = 0.5 * (low + high)
+        low, high = (cap, high) if np.minimum(counts, cap).sum() <= budget else (low, cap)
+    return np.minimum(counts, max(low, 12.0))
+
+
+def _cleaned(vertices: np.ndarray, triangles: np.ndarray) -> TriangleMesh:
+    """Without triangles that have two corners in one place or that occur twice, and without unused vertices."""
+    a, b, c = triangles.T
+    triangles = triangles[(a != b) & (b != c) & (c != a)]
+    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
+    triangles = triangles[np.sort(first)]
+    used, index = np.unique(triangles, return_inverse=True)
+    return TriangleMesh(vertices[used], index.reshape(-1, 3))
+
+
+def _merged(mesh: TriangleMesh) -> TriangleMesh:
+    """Vertices in one place become one: STL files repeat each of them six times."""
+    span = float(np.ptp(mesh.vertices, axis=0).max())
+    steps = np.rint((mesh.vertices - mesh.vertices.min(axis=0)) / max(span * 1e-6, 1e-12)).astype(np.int64)
+    _, first, index = np.unique(steps, axis=0, return_index=True, return_inverse=True)
+    return _cleaned(mesh.vertices[first], index.reshape(-1)[mesh.triangles])
+
+
+def _clustered(mesh: TriangleMesh, target: int) -> TriangleMesh:
+    """Vertices in one cell of a grid become one; the finest grid that meets the target."""
+    span = float(np.ptp(mesh.vertices, axis=0).max())
+    low, high = 2.0, 4096.0  # cells along the longest side, coarse enough and too fine
+    best = _on_grid(mesh, span / low)
+    for _ in range(MAX_STEPS):
+        cells = float(np.sqrt(low * high))
+        candidate = _on_grid(mesh, span / cells)
+        if len(candidate.triangles) <= target:
+            low, best = cells, candidate
+        else:
+            high = cells
+        if high / low < 1.01:
+            break
+    return best
+
+
+def _on_grid(mesh: TriangleMesh, cell: float) -> TriangleMesh:
+    steps = np.floor((mesh.vertices - mesh.vertices.min(axis=0)) / cell).astype(np.int64)
+    _, index, count = np.unique(steps, axis=0, return_inverse=True, return_counts=True)
+    index = index.reshape(-1)
+    middle = np.column_stack([np.bincount(index, mesh.vertices[:, k], len(count)) / count for k in range(3)])
+    return _cleaned(middle, index[mesh.triangles])
+
+
+def _creased(mesh: TriangleMesh) -> TriangleMesh:
+    """Vertices split along sharp edges, so that normals averaged at vertices are right on both sides."""
+    corners = _smooth_groups(mesh.vertices, mesh.triangles)
+    pairs = np.column_stack([mesh.triangles.reshape(-1), corners])
+    unique, index = np.unique(pairs, axis=0, return_inverse=True)
+    return TriangleMesh(mesh.vertices[unique[:, 0]], index.reshape(-1, 3))
+
+
+def _smooth_groups(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, " C"]:
+    """A group for each corner of each triangle: corners at one vertex share it if smooth edges lead from one to the
+    other.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    edges = vertices[triangles]
+    normals = np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    n = len(triangles)
+    start, end = triangles.reshape(-1), np.roll(triangles, -1, axis=1).reshape(-1)
+    face = np.repeat(np.arange(n), 3)
+    here = np.arange(3 * n)  # corner where the edge starts
+    there = here.reshape(-1, 3)[:, [1, 2, 0]].reshape(-1)  # corner where it ends
+    order = np.lexsort((np.maximum(start, end), np.minimum(start, end)))
+    low, high = np.minimum(start, end)[order], np.maximum(start, end)[order]
+    same = np.flatnonzero((low[1:] == low[:-1]) & (high[1:] == high[:-1]))
+    one, two = order[same], order[same + 1]
+    smooth = np.einsum("ij,ij->i", normals[face[one]], normals[face[two]]) > CREASE
+    one, two = one[smooth], two[smooth]
+    opposite = start[one] == end[two]  # neighbours run along their edge in opposite directions, if both look outward
+    joined = [
+        (here[one], np.where(opposite, there[two], here[two])),
+        (there[one], np.where(opposite, here[two], there[two])),
+    ]
+    rows, columns = np.concatenate([j[0] for j in joined]), np.concatenate([j[1] for j in joined])
+    graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(3 * n, 3 * n))
+    return connected_components(graph, directed=False)[1]
+
+
+DARK: Colour = (0.27, 0.31, 0.36, 1.0)
+TUBE_RADIUS = 0.032  # share of the reach
+ROD = 0.8  # share of the slimmest shape's half width
+TAPER = 0.55  # radius at the last joint, share of that at the base
+
+
+def stick_figure(
+    tree: tuple[TreeJoint, ...], ends: dict[int, Float[np.ndarray, "E 3"]], only: set[int] | None = None
+) -> tuple[Shape, ...]:
+    """Shapes made from the kinematics alone.
+
+    Args:
+        tree: The joints.
+        ends: Points that the last links reach to, in the frame of the joint that carries them [m].
+        only: Joints whose shapes are made; None for all.
+    """
+    radius = _radii(tree, ends)
+    shapes: list[Shape] = []
+    for i, joint in enumerate(tree):
+        if only is not None and i not in only:
+            continue
+        shapes.append(_pedestal(float(radius[0])) if i == 0 else _hub(i, joint, float(radius[i])))
+        for child in (c for c in range(1, len(tree)) if tree[c].parent == i):
+            shapes += _tube(i, tree[child].placement[:3, 3], float(radius[i]), float(radius[child]))
+        for point in ends.get(i, np.zeros((0, 3))):
+            shapes += _tube(i, point, float(radius[i]), 0.7 * float(radius[i]))
+            shapes.append(Shape(i, "sphere", (0.95 * float(radius[i]),), _at(point), DARK))
+    return tuple(shapes)
+
+
+def rods(
+    tree: tuple[TreeJoint, ...], ends: dict[int, Float[np.ndarray, "E 3"]], shapes: Sequence[Shape]
+) -> tuple[Shape, ...]:
+    """Slim rods from joint to joint and to the ends, hidden where the shapes of a joint enclose them.
+
+    Args:
+        tree: The joints.
+        ends: As for `stick_figure`.
+        shapes: What the rods connect; a rod is slimmer than the slimmest shape on its joint.
+    """
+    radius = _radii(tree, ends)
+    made: list[Shape] = []
+    for i in range(len(tree)):
+        slim = min([float(radius[i]), *(ROD * float(s.half_extent().min()) for s in shapes if s.joint == i)])
+        targets = [tree[c].placement[:3, 3] for c in range(1, len(tree)) if tree[c].parent == i]
+        for point in [*targets, *ends.get(i, np.zeros((0, 3)))]:
+            made += _tube(i, point, slim, slim, DARK)
+    return tuple(made)
+
+
+def _radii(tree: tuple[TreeJoint, ...], ends: dict[int, Float[np.ndarray, "E 3"]]) -> Float[np.ndarray, " J"]:
+    """Radius of the tube that starts at each joint [m]: in proportion to the robot, slimmer towards the tip."""
+    depth = _depths(tree)
+    reach = np.array([_distance(tree, i) for i in range(len(tree))])
+    tips = [reach[i] + float(np.linalg.norm(p, axis=1).max()) for i, p in ends.items() if len(p)]
+    scale = max([float(reach.max()), *tips, 1e-3])
+    return TUBE_RADIUS * scale * (1.0 - (1.0 - TAPER) * depth / max(int(depth.max()), 1))
+
+
+def _depths(tree: tuple[TreeJoint, ...]) -> np.ndarray:
+    depth = np.zeros(len(tree))
+    for i in range(1, len(tree)):
+        depth[i] = depth[tree[i].parent] + 1
+    return depth
+
+
+def _distance(tree: tuple[TreeJoint, ...], i: int) -> float:
+    """Length of the path from the base to a joint [m]."""
+    length = 0.0
+    while i > 0:
+        length += float(np.linalg.norm(tree[i].placement[:3, 3]))
+        i = tree[i].parent
+    return length
+
+
+def _at(point: np.ndarray, rotation: np.ndarray | None = None) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, 3] = point
+    if rotation is not None:
+        pose[:3, :3] = rotation
+    return pose
+
+
+def z_to(direction: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """A rotation that takes the z axis to a unit vector."""
+    helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
+    x = np.cross(helper, direction)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(direction, x), direction])
+
+
+def _pedestal(radius: float) -> Shape:
+    return Shape(0, "disc", (2.1 * radius, 0.9 * radius), np.eye(4), DARK)
+
+
+def _hub(i: int, joint: TreeJoint, radius: float) -> Shape:
+    if joint.motion == "revolute":
+        return Shape(i, "disc", (1.3 * radius, 2.5 * radius), _at(np.zeros(3), z_to(joint.axis)), DARK, accent=True)
+    if joint.motion == "prismatic":
+        size = (2.1 * radius, 2.1 * radius, 2.6 * radius)
+        return Shape(i, "box", size, _at(np.zeros(3), z_to(joint.axis)), DARK, accent=True)
+    return Shape(i, "sphere", (1.3 * radius,), np.eye(4), DARK, accent=True)
+
+
+def _tube(i: int, end: np.ndarray, bottom: float, top: float, colour: Colour = PLAIN) -> list[Shape]:
+    length = float(np.linalg.norm(end))
+    if length < 0.2 * bottom:
+        return []
+    pose = _at(end / 2.0, z_to(end / length))
+    return [Shape(i, "cone", (0.8 * bottom, 0.8 * top, length), pose, colour)]
+
 
 MAX_TRIANGLES = 60_000  # about 0.9 MB in the page
 

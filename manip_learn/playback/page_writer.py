@@ -13,7 +13,25 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from manip_learn.errors import OutputError
+
+
+def packed(array: np.ndarray, dtype: str) -> str:
+    """The array's numbers in base64, row by row.
+
+    Args:
+        array: Any numbers, NaN too.
+        dtype: As NumPy writes it, little-endian: `"<f8"`, `"<f4"`, `"<u4"` or `"<u2"`.
+    """
+    return base64.b64encode(np.ascontiguousarray(array, dtype=dtype).tobytes()).decode("ascii")
+
+
+def unpacked(text: str, dtype: str) -> np.ndarray:
+    """The numbers that `packed` was given."""
+    return np.frombuffer(base64.b64decode(text), dtype)
+
 
 STYLE = ("style.css", "tracks.css")
 PROGRAM = (

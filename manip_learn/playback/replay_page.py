@@ -1,16 +1,18 @@
-"""Rollouts -> one page that plays them."""
+"""Rollouts or recordings -> one page that plays them, with the evidence for what was learnt from them."""
 
 from __future__ import annotations
 
+import math
 import os
 import re
+import shlex
 import tempfile
 import webbrowser
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Protocol, final
 
 import numpy as np
 from jaxtyping import Float
@@ -19,23 +21,209 @@ from numpy.typing import ArrayLike
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
-from manip_learn.errors import OutputError, RecordingError
+from manip_learn.errors import OutputError, RecordingError, counted, error_in_words
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.evidence import DescribedReport, evidence_of
-from manip_learn.playback.guidance import Guidance, guidance_of
+from manip_learn.playback.guided_motion import Guidance, guidance_of
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.mechanism_drawing import DescribedMechanism, MechanismDrawing, mechanism_drawing
 from manip_learn.playback.page_writer import page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.phase_bands import Phase, phase_bands, phase_kinds, phases_from_json
 from manip_learn.playback.recorded_motion import RecordedMotion, recorded_motion
-from manip_learn.playback.recording_choice import RecordingChoice
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
+
+MAX_TEXT = 2000
+MOST_ROWS = 60
+STATES = {
+    "held": "held",
+    "unclear": "unclear",
+    "free": "free",
+    "untried": "not tried: nothing moved along it",
+}
+
+
+class DescribedReport(Protocol):
+    """A report that can describe itself, as `LearningReport` of the learner does."""
+
+    def to_dict(self) -> Mapping[str, Any]:
+        """Plain numbers, strings and lists."""
+        ...
+
+
+def evidence_of(report: DescribedReport | Mapping[str, Any]) -> dict[str, Any]:
+    """Headline, facts with what they mean, the evidence of each row, warnings, odd recordings.
+
+    What the report lacks is left out: constraint files of earlier versions hold less.
+
+    Args:
+        report: `learner.report_`, or the dictionary of it that a constraint file keeps as its provenance.
+    """
+    content = report if isinstance(report, Mapping) else report.to_dict()
+    facts = [fact for fact in (_gap(content), _held_out(content), _uncertainty(content), _samples(content)) if fact]
+    imposed = content.get("kind") == "self-imposed"
+    return {
+        "headline": _text(content.get("sentence")),
+        "kind": "the demonstrator moves the constrained directions (b is not 0)" if imposed else "",
+        "facts": facts,
+        "words": _text(content.get("evidence")),
+        "rows": _rows(content.get("row_evidence")),
+        "warnings": _texts(content.get("warnings")),
+        "odd": _odd(content.get("odd_trajectories")),
+        "notes": _texts(content.get("notes")),
+    }
+
+
+def _gap(content: Mapping[str, Any]) -> list[str] | None:
+    gap, n = _number(content.get("gap")), content.get("n_constraints")
+    if gap is None:
+        return None
+    joint = content.get("estimator") == "joint"
+    scale = "1.5 and above is clear" if joint else "10 and above is clear, below 3 says little"
+    rows = counted(n, "row") if isinstance(n, int) else "this number of rows"
+    return ["Gap", f"{gap:,.3g}" if gap < 1000 else f"{gap:,.0f}", f"how clearly the data ask for {rows}: {scale}"]
+
+
+def _held_out(content: Mapping[str, Any]) -> list[str] | None:
+    residual = _number(content.get("held_out_residual"))
+    if residual is None:
+        return None
+    return [
+        "Residual",
+        f"{100.0 * residual:.2g} %",
+        "share of the motion left unexplained in recordings not learnt from",
+    ]
+
+
+def _uncertainty(content: Mapping[str, Any]) -> list[str] | None:
+    angle = _number(content.get("uncertainty_deg"))
+    if angle is None:
+        return None
+    return ["Direction", error_in_words(angle, "degrees"), "68 % of repetitions with other recordings stay within it"]
+
+
+def _samples(content: Mapping[str, Any]) -> list[str] | None:
+    n, recordings = content.get("n_samples"), content.get("n_trajectories")
+    if not isinstance(n, int) or not isinstance(recordings, int):
+        return None
+    estimator = _text(content.get("estimator"))
+    said = f"estimator: {estimator}" if estimator else ""
+    return [
+        "Learnt from",
+        counted(n, "sample"),
+        f"of {counted(recordings, 'recording')}" + f"; {said}" * bool(said),
+    ]
+
+
+def _rows(value: object) -> list[list[str]]:
+    """Strength, chance and verdict of each row, most firmly held first."""
+    rows = []
+    for k, entry in enumerate(_list(value)):
+        if not isinstance(entry, Mapping):
+            continue
+        strength, chance = _number(entry.get("strength")), _number(entry.get("p_value"))
+        state = str(entry.get("state"))
+        rows.append(
+            [
+                f"row {k + 1}",
+                STATES.get(state, state[:40]),
+                "" if strength is None else f"{strength:,.3g} times" if strength < 1e6 else "over a million times",
+                "" if chance is None else f"p = {chance:.2g}",
+            ]
+        )
+    return rows
+
+
+def _odd(value: object) -> list[list[str]]:
+    odd = []
+    for entry in _list(value):
+        if isinstance(entry, Mapping):
+            odd.append([_text(entry.get("trajectory")), _text(entry.get("reason"))])
+        elif isinstance(entry, Sequence) and not isinstance(entry, str) and len(entry) == 2:
+            odd.append([_text(entry[0]), _text(entry[1])])
+    return odd
+
+
+def _list(value: object) -> list[Any]:
+    return list(value)[:MOST_ROWS] if isinstance(value, list | tuple) else []
+
+
+def _texts(value: object) -> list[str]:
+    return [_text(text) for text in _list(value)]
+
+
+def _text(value: object) -> str:
+    return "" if value is None else str(value)[:MAX_TEXT]
+
+
+def _number(value: object) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)
+
+
+FLAG = "--episodes"
+
+
+@final
+@dataclass(frozen=True)
+class RecordingChoice:
+    """What the page needs to write the command line for a choice.
+
+    Attributes:
+        command: Words of the command line that read the recordings; empty if there was none.
+        episodes: Recording -> its number as `--episodes` counts; recordings without one cannot be chosen by it.
+    """
+
+    command: tuple[str, ...] = ()
+    episodes: Mapping[str, int] = field(default_factory=dict)
+
+    @staticmethod
+    def of(command: Sequence[str], names: Sequence[str], numbers: Sequence[int]) -> RecordingChoice:
+        """For recordings that were read one from each number; of files that hold several, none can be left out alone.
+
+        Args:
+            command: Words of the command line.
+            names: Of the recordings, in the order in which they were read.
+            numbers: See `numbers_read`.
+        """
+        if len(names) != len(numbers):
+            return RecordingChoice()
+        return RecordingChoice(tuple(command), dict(zip(names, numbers, strict=True)))
+
+    def to_dict(self, names: Sequence[str], odd: Sequence[Sequence[str]]) -> dict[str, Any]:
+        """For the page.
+
+        Args:
+            names: Of the recordings that are shown.
+            odd: Names and reasons of those that do not agree with the others.
+        """
+        numbers = [self.episodes.get(name) for name in names]
+        complete = bool(self.command) and all(n is not None for n in numbers)
+        return {
+            "command": shlex.join(_without_flag(self.command)) if complete else "",
+            "flag": FLAG,
+            "episodes": numbers if complete else [],
+            "odd": {name: reason for name, reason in odd if name in names},
+        }
+
+
+def _without_flag(command: Sequence[str]) -> list[str]:
+    """The words without an earlier choice, which the numbers take into account."""
+    kept, skip = [], False
+    for word in command:
+        if skip:
+            skip = False
+        elif word == FLAG:
+            skip = True
+        elif not word.startswith(FLAG + "="):
+            kept.append(word)
+    return kept
+
 
 Recording = Rollout | Trajectory
 MAX_GHOSTS = 12  # as in page/scene.js
@@ -55,6 +243,10 @@ class ReplayResult:
     html: Path
     bytes: int
     notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON answer of `manip-learn replay`."""
+        return {"html": str(self.html), "bytes": self.bytes, "notes": list(self.notes)}
 
     def _repr_html_(self) -> str:
         """The page itself, within a notebook: as text, because notebooks do not serve every file."""

@@ -9,9 +9,8 @@ from pathlib import Path
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import OutputError
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.guidance import guidance_of
+from manip_learn.playback.guided_motion import guidance_of, motion_samples
 from manip_learn.playback.kinematic_tree import kinematic_tree
-from manip_learn.playback.motion_samples import motion_samples
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.replay_page import Recording, named_recordings, shown_tip
 from manip_learn.robot.robot import Robot

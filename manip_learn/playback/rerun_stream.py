@@ -12,10 +12,9 @@ from jaxtyping import Float
 
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import MissingExtraError
+from manip_learn.playback.appearance import Appearance, Shape, TriangleMesh
 from manip_learn.playback.constraint_marks import target_place
-from manip_learn.playback.guidance import Guidance
-from manip_learn.playback.motion_samples import MotionSamples
-from manip_learn.playback.shapes import Appearance, Shape, TriangleMesh
+from manip_learn.playback.guided_motion import Guidance, MotionSamples
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot

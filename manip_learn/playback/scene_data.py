@@ -9,14 +9,13 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from manip_learn.playback.appearance import Appearance, TriangleMesh
 from manip_learn.playback.constraint_marks import constraint_marks, ellipsoid_scale, places_per_motion
 from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.playback.mechanism_drawing import MechanismDrawing
-from manip_learn.playback.packing import packed
+from manip_learn.playback.page_writer import packed
 from manip_learn.playback.phase_bands import PhaseKind, own_kinds
-from manip_learn.playback.recorded_motion import RecordedMotion
-from manip_learn.playback.shapes import Appearance, TriangleMesh
-from manip_learn.playback.tracks import points_per_curve, track_data
+from manip_learn.playback.recorded_motion import RecordedMotion, points_per_curve, track_data
 from manip_learn.robot.robot import Robot
 
 MAX_POSTURES_FOR_BOUNDS = 120

@@ -1,12 +1,14 @@
-"""The robot for given files: the joints are locked that the files say were locked."""
+"""Robot, frame and recordings of a command: joints are locked as the files say, or where nothing is recorded."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
-from manip_learn.commands.robot_options import RobotOptions
+from manip_learn.commands.options import RobotOptions
 from manip_learn.errors import DAMAGE, ConstraintMismatchError, RecordingError, UnknownNameError, named
 from manip_learn.recordings.readers.read_request import unmoved_joint_names
 from manip_learn.recordings.readers.recording_files import recording_files
@@ -14,10 +16,25 @@ from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.saved_motion import FileHeader
 from manip_learn.robot import Robot
 
-PLAIN = RobotOptions()
+
+@contextmanager
+def cluster_client(dask: str | None) -> Iterator[Any]:
+    """A client of the scheduler at an address, or of a cluster on this machine (`local`); None without one.
+
+    Raises:
+        ManipLearnError: Nobody answers at the address.
+        MissingExtraError: dask is not installed.
+    """
+    if dask is None:
+        yield None
+        return
+    from manip_learn.learning.streaming.dask_executor import dask_client
+
+    with dask_client(dask) as client:
+        yield client
 
 
-def load_for_files(name: str, files: Sequence[str], robot_options: RobotOptions = PLAIN) -> Robot:
+def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Robot:
     """The robot with the joints locked that were locked when the files were made, where they say so.
 
     Rollouts and exported recordings do; those of earlier versions name the joints that moved: the others are locked.
@@ -28,18 +45,18 @@ def load_for_files(name: str, files: Sequence[str], robot_options: RobotOptions 
     """
     header, file = _first_header(files)
     if header is None:
-        return robot_options.load(name)
+        return loading.load(name)
     made_with = header.robot
     if made_with is None:
         if header.kind == "rollout" and header.schema == 1:
-            return load_for_joints(name, header.joint_names, robot_options)
-        return robot_options.load(name)
-    plain = robot_options.load(name, objects=robot_options.objects or made_with.objects)
+            return load_for_joints(name, header.joint_names, loading)
+        return loading.load(name)
+    plain = loading.load(name, objects=loading.objects or made_with.objects)
     known = {*plain.joint_names, *plain.locked, *unmoved_joint_names(plain)}
-    free = [j for j in robot_options.locked if j not in made_with.locked]
+    free = [j for j in (loading.lock or ()) if j not in made_with.locked]
     if free or not known >= {*made_with.joint_names, *made_with.locked} or plain.objects != made_with.objects:
         made_with.refuse_another(plain, file.name, file)
-    robot = robot_options.load(name, made_with.locked, made_with.objects)
+    robot = loading.load(name, made_with.locked, made_with.objects)
     made_with.refuse_another(robot, file.name, file)
     return robot
 
@@ -63,7 +80,7 @@ def _first_header(files: Sequence[str]) -> tuple[FileHeader | None, Path]:
 def load_for_joints(
     name: str,
     joints: Sequence[str],
-    robot_options: RobotOptions = PLAIN,
+    loading: RobotOptions,
     locked: Mapping[str, float | None] | None = None,
     objects: Sequence[str] | None = None,
 ) -> Robot:
@@ -72,18 +89,18 @@ def load_for_joints(
     Raises:
         UnknownNameError: The robot lacks one of the joints.
     """
-    held = dict.fromkeys(robot_options.locked) if locked is None else dict(locked)
-    robot = robot_options.load(name, held, objects)
+    held = dict.fromkeys(loading.lock or ()) if locked is None else dict(locked)
+    robot = loading.load(name, held, objects)
     if tuple(robot.joint_names) == tuple(joints):
         return robot
     for joint in joints:
         if joint not in robot.joint_names:
             raise UnknownNameError("joint", joint, robot.joint_names, f"robot {robot.name!r}")
     others = [j for j in robot.joint_names if j not in joints]
-    return robot_options.load(name, {**held, **dict.fromkeys(others)}, objects)
+    return loading.load(name, {**held, **dict.fromkeys(others)}, objects)
 
 
-def robot_of_constraint(robot_name: str, constraint_file: str, robot_options: RobotOptions = PLAIN) -> Robot:
+def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> Robot:
     """The robot with the joints locked that were locked when the constraint was learnt, and with the same objects.
 
     Raises:
@@ -96,20 +113,20 @@ def robot_of_constraint(robot_name: str, constraint_file: str, robot_options: Ro
         saved = [str(name) for name in described.get("objects", [])]
     except DAMAGE:
         # Constraint.load says what is wrong with the file
-        return robot_options.load(robot_name)
-    if robot_options.objects and sorted(robot_options.objects) != sorted(saved):
+        return loading.load(robot_name)
+    if loading.objects and sorted(loading.objects) != sorted(saved):
         raise ConstraintMismatchError(
-            f"{constraint_file} was learnt with {_listed(saved)}, --object names {_listed(robot_options.objects)}: "
+            f"{constraint_file} was learnt with {_listed(saved)}, --object names {_listed(loading.objects)}: "
             "leave --object out, the file knows"
         )
-    moving = [joint for joint in robot_options.locked if joint in joints]
+    moving = [joint for joint in (loading.lock or ()) if joint in joints]
     if moving:
         raise ConstraintMismatchError(
             f"{constraint_file} was learnt with joint {moving[0]!r} moving, --lock {moving[0]} would hold it still: "
             "leave --lock out, the file knows which joints were locked"
         )
     try:
-        return load_for_joints(robot_name, joints, robot_options, locked, saved)
+        return load_for_joints(robot_name, joints, loading, locked, saved)
     except UnknownNameError as error:
         if error.kind != "joint":
             raise

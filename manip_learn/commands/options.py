@@ -1,0 +1,442 @@
+"""All arguments and options of the command line, each written once: parser, help and the commands read them here.
+
+A command is a frozen dataclass. Each field is an argument or an option of that name, unless it is a set of options that
+several commands share: then the fields of the set stand in its place. Only what a shell needs for `--help` is imported.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, final
+
+from typer import Argument, Context, Option
+
+from manip_learn.errors import ManipLearnError, TargetError
+
+if TYPE_CHECKING:  # so that `--help` stays quick
+    from manip_learn.robot import Robot
+
+DESCRIPTIONS = (".urdf", ".xml", ".xacro", ".mjcf")
+LOOKED_AT = 200  # files of a folder that completion looks at: a shell waits for it
+HEAD = 400  # [bytes] of a file in which its format stands
+
+
+def robot_completions(incomplete: str) -> list[str]:
+    """Names of robots, and robot descriptions in the folder at hand."""
+    from manip_learn.robot.description.catalogue import robot_names
+
+    names = [name for name in robot_names() if name.startswith(incomplete)]
+    return names + [p for p in _paths(incomplete) if p.endswith("/") or p.endswith(DESCRIPTIONS)]
+
+
+def frame_completions(context: Context, incomplete: str) -> list[str]:
+    """Frames of the robot that was named before: the likely tips first, then all others; none of one not understood."""
+    from manip_learn.robot import load_robot
+    from manip_learn.robot.tips import likely_tips
+
+    try:
+        robot = load_robot(str(context.params.get("robot") or _typed_robot()))
+    except ManipLearnError:
+        return []
+    frames = dict.fromkeys([*likely_tips(robot), *robot.frame_names])
+    return [name for name in frames if name.startswith(incomplete)]
+
+
+def constraint_completions(incomplete: str) -> list[str]:
+    """Constraint files in the folder at hand, and folders."""
+    return [p for p in _paths(incomplete) if p.endswith("/") or _is_constraint(Path(p))]
+
+
+def _typed_robot() -> str:
+    """The robot on the unfinished line: the parser gives up at an option that still lacks its value."""
+    line = os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS") or ""
+    try:
+        words = shlex.split(line)
+    except ValueError:  # an open quote
+        words = line.split()
+    return next((word for word in words[2:] if not word.startswith("-")), "")
+
+
+def _is_constraint(path: Path) -> bool:
+    if path.suffix != ".json":
+        return False
+    try:
+        with path.open("rb") as file:
+            return b"manip_learn.constraint" in file.read(HEAD)
+    except OSError:
+        return False
+
+
+def _paths(incomplete: str) -> list[str]:
+    folder, _, start = incomplete.rpartition("/")
+    place = Path(folder or ("/" if incomplete.startswith("/") else "."))
+    prefix = f"{folder}/" if incomplete.startswith("/") or folder else ""
+    try:
+        found = sorted(p for p in place.iterdir() if p.name.startswith(start) and (start or not p.name.startswith(".")))
+    except OSError:
+        return []
+    return [f"{prefix}{p.name}{'/' if p.is_dir() else ''}" for p in found[:LOOKED_AT]]
+
+
+def pair(flag: str, form: str, text: str, *, may_be_empty: bool = False, unnamed: bool = False) -> tuple[str, str]:
+    """Both sides of the first equals sign.
+
+    Raises:
+        ManipLearnError: There is none, nothing before it, or nothing behind it where there must be something.
+    """
+    name, equals, value = text.partition("=")
+    if not (name or unnamed) or not equals or not (value or may_be_empty):
+        raise ManipLearnError(f"{flag} must be {form}, got {text!r}", code="option")
+    return name, value
+
+
+def vector(option: str, text: str | None) -> list[float] | None:
+    """The numbers of an option's text; None if it was not given.
+
+    Raises:
+        ManipLearnError: Not finite numbers.
+    """
+    if text is None:
+        return None
+    try:
+        numbers = [float(part) for part in text.strip("[]() ").replace(",", " ").split()]
+    except ValueError as error:
+        raise ManipLearnError(f"{option} must be numbers such as 0.1,-0.2,0.3, got {text!r}") from error
+    if not numbers or not all(map(math.isfinite, numbers)):
+        raise ManipLearnError(f"{option} must be finite numbers such as 0.1,-0.2,0.3, got {text!r}")
+    return numbers
+
+
+RobotName = Annotated[
+    str, Argument(metavar="ROBOT", help="A name (see `robots`) or a URDF file.", autocompletion=robot_completions)
+]
+Recordings = Annotated[list[str], Argument(metavar="RECORDING...", help="Files, or a folder of them.")]
+ConstraintFile = Annotated[
+    str, Argument(metavar="CONSTRAINT.JSON", help="Written by `learn --out`.", autocompletion=constraint_completions)
+]
+Dask = Annotated[str | None, Option(help="Scheduler address, or local: work on a dask cluster.")]
+Explain = Annotated[bool, Option("--explain", help="Explain the terms under the tables at length.")]
+Json = Annotated[bool, Option("--json", help="Print one JSON document and nothing else.")]
+
+
+@final
+@dataclass(frozen=True)
+class RobotOptions:
+    """How a robot is loaded, beside its name."""
+
+    HEADING: ClassVar[str] = "Robot"
+
+    lock: Annotated[list[str] | None, Option(help="Joint to hold still; repeatable.")] = None
+    package_dir: Annotated[list[str] | None, Option(help="Folder that contains mesh packages.")] = None
+    objects: Annotated[
+        list[str] | None, Option("--object", help="Object whose pose is recorded (NAME.x ... NAME.rz); repeatable.")
+    ] = None
+    xacro: Annotated[bool, Option("--xacro", help="Expand the robot's xacro file, which runs its code.")] = False
+    xacro_arg: Annotated[
+        list[str] | None, Option(help="NAME=VALUE of an argument of the xacro file; implies --xacro.")
+    ] = None
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be understood.
+
+        Raises:
+            ManipLearnError: An argument of the xacro file that is not NAME=VALUE.
+        """
+        self.xacro_values()
+
+    def xacro_values(self) -> dict[str, str]:
+        """Arguments of the xacro file.
+
+        Raises:
+            ManipLearnError: One that is not NAME=VALUE.
+        """
+        return dict(pair("--xacro-arg", "NAME=VALUE", text, may_be_empty=True) for text in self.xacro_arg or ())
+
+    def load(
+        self,
+        name: str,
+        locked: Sequence[str] | Mapping[str, float | None] | None = None,
+        objects: Sequence[str] | None = None,
+    ) -> Robot:
+        """The robot, with other joints locked or other objects if they are named.
+
+        Raises:
+            ManipLearnError: Any of the errors of `load_robot`.
+        """
+        from manip_learn.robot import load_robot
+
+        return load_robot(
+            name,
+            tuple(self.package_dir or ()),
+            tuple(self.lock or ()) if locked is None else locked,
+            xacro=self.xacro_values() or self.xacro,
+            objects=tuple(self.objects or ()) if objects is None else objects,
+        )
+
+
+@final
+@dataclass(frozen=True)
+class ReadingOptions:
+    """How recordings are read."""
+
+    HEADING: ClassVar[str] = "Reading recordings"
+
+    degrees: Annotated[bool, Option("--degrees", help="The recordings are in degrees.")] = False
+    units: Annotated[str | None, Option(help="Of the recorded angles: radians, degrees or normalised.")] = None
+    time_unit: Annotated[str | None, Option(help="Of the time stamps: s, ms, us or ns.")] = None
+    ignore_column: Annotated[list[str] | None, Option(help="Column to ignore; repeatable.")] = None
+    rename: Annotated[list[str] | None, Option(help="NAME_IN_FILE=NAME_IN_ROBOT of a joint.")] = None
+    columns: Annotated[
+        list[str] | None,
+        Option(help="Pattern of the columns, 'position.{joint}' or 'q[{index}]'; given twice: velocities."),
+    ] = None
+    joint_names: Annotated[str | None, Option(help="Column names, in order, for files without names.")] = None
+    topic: Annotated[list[str] | None, Option(help="Topic of a bag; default: all that hold joints.")] = None
+    rate: Annotated[float | None, Option(help="Samples per second, for files without time stamps.")] = None
+    outside_limits: Annotated[str | None, Option(help="Samples far outside the limits: refuse or note.")] = None
+    last_line: Annotated[
+        str | None, Option(help="A table's last line without a line end (cut off?): drop or keep.")
+    ] = None
+    episodes: Annotated[
+        str | None, Option(help="Which to read, from 0, e.g. 0:50,60,75: LeRobot episodes, or files in order.")
+    ] = None
+    feature: Annotated[str | None, Option(help="LeRobot feature that holds the joint positions.")] = None
+    task: Annotated[str | None, Option(help="Read only the LeRobot episodes that show this task.")] = None
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be understood; the reader checks all other values.
+
+        Raises:
+            ManipLearnError: A renaming that is not FILE_NAME=ROBOT_NAME.
+        """
+        self.keywords()
+
+    def keywords(self) -> dict[str, Any]:
+        """Keywords of `load_demonstrations`; what was not given is left out.
+
+        Raises:
+            ManipLearnError: A renaming that is not FILE_NAME=ROBOT_NAME.
+        """
+        pairs = [pair("--rename", "NAME_IN_FILE=NAME_IN_ROBOT", text, unnamed=True) for text in self.rename or ()]
+        own = {"ignore_column": "ignore_columns", "topic": "topics"}  # what the flags are called there
+        given = {own.get(name, name): value for name, value in vars(self).items()} | {
+            "degrees": self.degrees or None,
+            "rename": dict(pairs) or None,
+            "joint_names": self.joint_names.replace(",", " ").split() if self.joint_names else None,
+        }
+        return {key: value for key, value in given.items() if value is not None and value != []}
+
+
+@final
+@dataclass(frozen=True)
+class PlanOptions:
+    """How a way is planned: the posture in which to take hold is chosen so that the whole way can be done."""
+
+    HEADING: ClassVar[str] = "Plan"
+
+    plan: Annotated[
+        bool, Option("--plan", help="Choose the posture in which to take hold, so that all of it can be done.")
+    ] = False
+    seed: Annotated[int, Option(help="Of its random postures.")] = 0
+    grasp_angle: Annotated[float | None, Option(help="By how much the hand's z axis may tilt [degrees].")] = None
+    grasp_turns: Annotated[
+        int | None, Option(help="Turns about that axis that grip alike; 2: a gripper, 0: a knob.")
+    ] = None
+    base_within: Annotated[float, Option(help="If there is no plan: try the base elsewhere, so far [m].")] = 0.0
+    beyond_shown: Annotated[bool, Option("--beyond-shown", help="Farther than was shown.")] = False
+
+    def __post_init__(self) -> None:
+        """Refuse options of a plan without one.
+
+        Raises:
+            TargetError: They are given without `--plan`.
+        """
+        given = (self.seed, self.grasp_angle, self.grasp_turns, self.base_within, self.beyond_shown)
+        if not self.plan and given != (0, None, None, 0.0, False):
+            raise TargetError("--seed, --grasp-angle, --grasp-turns, --base-within and --beyond-shown go with --plan")
+
+
+@final
+@dataclass(frozen=True)
+class RobotsOptions:
+    """List the robots that can be named, with their joints."""
+
+    as_json: Json = False
+
+
+@final
+@dataclass(frozen=True)
+class DemoOptions:
+    """Learn from shipped recordings, compare three policies, write the replay."""
+
+    robot: Annotated[str, Option(help="sawyer or planar3.")] = "sawyer"
+    out: Annotated[Path, Option(help="Folder for the results.")] = Path("demo_out")
+    browser: Annotated[bool, Option("--browser/--no-browser", help="Open the replay.")] = True
+    explain: Explain = False
+    as_json: Json = False
+
+
+@final
+@dataclass(frozen=True)
+class InspectOptions:
+    """Show joints, frames, limits and warnings of a robot."""
+
+    robot: RobotName
+    loading: RobotOptions = RobotOptions()
+    as_json: Json = False
+
+
+@final
+@dataclass(frozen=True)
+class LearnOptions:
+    """Learn a constraint from recordings and report it."""
+
+    robot: RobotName
+    recordings: Recordings
+    frame: Annotated[
+        str | None, Option(help="The frame that was guided, e.g. the tool's tip.", autocompletion=frame_completions)
+    ] = None
+    relative_to: Annotated[
+        str | None, Option(help="Frame, e.g. an object, from which it is seen.", autocompletion=frame_completions)
+    ] = None
+    axes: Annotated[str, Option(help="xyz, pose, planar, rotation, or any of 'x y z rx ry rz'.")] = "xyz"
+    reference: Annotated[str, Option(help="world, local, or auto (the larger gap).")] = "auto"
+    constraints: Annotated[int | None, Option(help="Number of constraints; default: from the data.")] = None
+    estimator: Annotated[str, Option(help="auto, null-space, joint or separate.")] = "auto"
+    out: Annotated[Path | None, Option(help="Constraint file to write (JSON).")] = None
+    html: Annotated[Path | None, Option(help="Replay of the recordings to write, with their phases.")] = None
+    loading: RobotOptions = RobotOptions()
+    reading: ReadingOptions = ReadingOptions()
+    phases: Annotated[
+        str, Option(help="auto: find the stretches in which a constraint holds; off: take recordings as a whole.")
+    ] = "auto"
+    mechanism: Annotated[str, Option(help="auto: say what holds the hand (hinge, line, ...); off.")] = "auto"
+    strength: Annotated[
+        float | None, Option(help="How much less than by chance a row must be used to be believed; default: 1.8.")
+    ] = None
+    start: Annotated[float | None, Option("--from", help="Leave out what was recorded before [s].")] = None
+    until: Annotated[float | None, Option(help="Leave out what was recorded after [s].")] = None
+    points: Annotated[int | None, Option(help="Use at most this many samples of each trajectory.")] = None
+    seed: Annotated[int, Option(help="Seed of the bootstrap and of random starts.")] = 0
+    dask: Dask = None
+    explain: Explain = False
+    as_json: Json = False
+
+
+@final
+@dataclass(frozen=True)
+class AuditOptions:
+    """Judge recorded episodes by a constraint: rank them, and name those to leave out."""
+
+    robot: RobotName
+    constraint: ConstraintFile
+    recordings: Recordings
+    csv: Annotated[Path | None, Option(help="Table to write, one line per episode (CSV).")] = None
+    loading: RobotOptions = RobotOptions()
+    reading: ReadingOptions = ReadingOptions()
+    dask: Dask = None
+    explain: Explain = False
+    as_json: Json = False
+
+
+@final
+@dataclass(frozen=True)
+class ControlOptions:
+    """Do the task that was learnt: along what is free, or to a point, clear of the task's singularities."""
+
+    robot: RobotName
+    constraint: ConstraintFile
+    start: Annotated[
+        str | None, Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown.")
+    ] = None
+    along: Annotated[float | None, Option(help="Way along a line or a plane [m].")] = None
+    turn: Annotated[float | None, Option(help="Angle about a hinge, a screw or a ball [degrees].")] = None
+    direction: Annotated[str | None, Option(help="Which way, where several are free: x,y,z.")] = None
+    speed: Annotated[float | None, Option(help="Of the hand [m/s], or of a turn [degrees/s].")] = None
+    keep_orientation: Annotated[bool, Option("--keep-orientation", help="The hand does not turn.")] = False
+    target: Annotated[str | None, Option(help="Point to go to, one value per axis [m or rad].")] = None
+    rows: Annotated[str, Option(help="all: go to the target; held: its held rows only (the paper).")] = "all"
+    policy: Annotated[str, Option(help="manipulability, zero or attractor.")] = "manipulability"
+    rest: Annotated[str | None, Option(help="Rest posture of the attractor [rad].")] = None
+    gain: Annotated[float, Option(help="Gain of the policy.")] = 3.0
+    task_gain: Annotated[float, Option(help="Gain of the task [1/s].")] = 1.0
+    duration: Annotated[float | None, Option(help="Duration [s]; default: of the way, else 5.")] = None
+    dt: Annotated[float, Option(help="Time step [s].")] = 0.01
+    inverse: Annotated[str, Option(help="damped, exact or truncated.")] = "damped"
+    tolerance: Annotated[float, Option(help="Distance to the target that counts as reached [m or rad].")] = 0.01
+    check: Annotated[bool, Option("--check", help="Write nothing and refuse if it gets less far.")] = False
+    out: Annotated[Path | None, Option(help="Rollout file to write: .npz, .csv, .jsonl or .mcap.")] = None
+    planned: PlanOptions = PlanOptions()
+    loading: RobotOptions = RobotOptions()
+    explain: Explain = False
+    as_json: Json = False
+
+
+@final
+@dataclass(frozen=True)
+class ReplayOptions:
+    """Write a browser replay with the manipulability plot: one file, no server, no network."""
+
+    robot: RobotName
+    rollouts: Annotated[list[str], Argument(metavar="ROLLOUT...", help="Written by `control --out`; or recordings.")]
+    html: Annotated[Path, Option(help="File to write.")] = Path("replay.html")
+    open_browser: Annotated[bool, Option("--open", help="Open it in the browser.")] = False
+    tip: Annotated[str | None, Option(help="Frame whose path is drawn.", autocompletion=frame_completions)] = None
+    constraint: Annotated[
+        Path | None,
+        Option(
+            help="Constraint file: show the phases and the mechanism that were learnt with it.",
+            autocompletion=constraint_completions,
+        ),
+    ] = None
+    loading: RobotOptions = RobotOptions()
+    reading: ReadingOptions = ReadingOptions()
+    as_json: Json = False
+
+
+@final
+@dataclass(frozen=True)
+class ExportOptions:
+    """Write recordings or rollouts as MCAP, CSV, LeRobot data, for Rerun, or as a JointTrajectory for a controller."""
+
+    robot: RobotName
+    files: Annotated[list[str], Argument(metavar="FILE...", help="Recordings or rollouts, or a folder of them.")]
+    out: Annotated[
+        Path,
+        Option(help="A file (.mcap, .csv, .rrd, .yaml: a JointTrajectory), or a folder: LeRobot, or what --to says."),
+    ]
+    to: Annotated[
+        str | None, Option(help="mcap, csv, lerobot, rrd or trajectory: format of the files in a folder.")
+    ] = None
+    loading: RobotOptions = RobotOptions()
+    reading: ReadingOptions = ReadingOptions()
+    as_json: Json = False
+
+
+@final
+@dataclass(frozen=True)
+class ReproduceOptions:
+    """Run the experiments of "Learning Singularity Avoidance", and compare with the printed numbers."""
+
+    experiment: Annotated[
+        str, Argument(help="table, rmse, singular-start, near-singular-start, sawyer, beyond or all.")
+    ]
+    trials: Annotated[int, Option(help="Repetitions; 50 in the paper.")] = 50
+    seed: Annotated[int, Option(help="Random seed; the same seed gives the same numbers.")] = 0
+    out: Annotated[Path | None, Option(help="Folder for numbers, figures and replays.")] = None
+    workers: Annotated[int | None, Option(help="Processes; default: all cores.")] = None
+    backend: Annotated[str, Option(help="loky, threading or dask.")] = "loky"
+    as_json: Json = False
+
+
+@final
+@dataclass(frozen=True)
+class WarmUpOptions:
+    """Compile once what control loops compile, so that the first one on this machine starts at once."""
+
+    as_json: Json = False
