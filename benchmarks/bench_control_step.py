@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from references import check
+from ratios import keep
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(1800)]
 ROOT = Path(__file__).resolve().parents[1]
@@ -142,7 +142,7 @@ def test_control_step_beside_its_peers(benchmark: Any) -> None:
     placo = timings.get(("placo_step", "task with velocity limits"))
     if placo is not None and "compiled, reaching a point" in best:
         ratios["compiled over placo"] = best["compiled, reaching a point"] / min(t["best"] for t in placo)
-    check("control step", ratios)
+    keep("control step", ratios)
     assert not late, f"slower than promised: {late} of Pinocchio's step, promised {PROMISED}"
     for script, reason in skipped.items():
         print(f"SKIPPED {script}: {reason}")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import references
+import ratios
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
     """Everything that this run has measured, in one table of ratios."""
-    if references.FOUND:
+    if ratios.FOUND:
         terminalreporter.write_line("")
-        terminalreporter.write_line(references.table())
+        terminalreporter.write_line(ratios.table())
