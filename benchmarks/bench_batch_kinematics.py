@@ -14,8 +14,7 @@ from importlib.util import find_spec
 import numpy as np
 import pinocchio as pin
 import pytest
-from ratios import keep
-from timing import rounds_of, summary
+from timing import keep, rounds_of, summary
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian

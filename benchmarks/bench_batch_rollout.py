@@ -8,8 +8,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 from control_states import bare_step
-from ratios import keep
-from timing import rounds_of, summary
+from timing import keep, rounds_of, summary
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian, MechanismRows

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ratios import Ratio, keep
 from scale_motions import motions
+from timing import Ratio, keep
 
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.learning import ConstraintLearner

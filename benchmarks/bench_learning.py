@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from ratios import Ratio, keep
+from timing import Ratio, keep
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(1800)]
 RUN = Path(__file__).with_name("learning_run.py")

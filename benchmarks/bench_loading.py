@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pinocchio as pin
 import pytest
-from ratios import keep
-from timing import rounds_of
+from timing import keep, rounds_of
 
 from manip_learn.robot import load_robot
 

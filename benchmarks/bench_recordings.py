@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ratios import keep
+from timing import keep
 
 from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import load_robot

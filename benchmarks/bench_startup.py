@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from ratios import Ratio, keep
+from timing import Ratio, keep
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(900)]
 DATA = Path(__file__).resolve().parents[1] / "examples" / "data"

@@ -19,8 +19,7 @@ import control_states as states
 import numpy as np
 import pytest
 from bench_control_step import SCRIPTS, interpreter, last_words
-from ratios import Ratio, keep
-from timing import rounds_of
+from timing import Ratio, keep, rounds_of
 
 import manip_learn as ml
 
