@@ -18,7 +18,8 @@ from pathlib import Path
 import control_states as states
 import numpy as np
 import pytest
-from bench_control_step import SCRIPTS, interpreter, last_words
+from bench_control_step import last_words
+from peer_controllers import SCRIPTS, interpreter
 from timing import Ratio, keep, rounds_of
 
 import manip_learn as ml
@@ -113,7 +114,7 @@ def test_pose_targets() -> None:
 def test_ahead_of_placo(tmp_path: Path) -> None:
     """The compiled step, mu climbed, over placo's with limits, with and without its manipulability task, in turns."""
     try:
-        python = interpreter("placo_step")
+        python = interpreter("placo", {})
     except subprocess.CalledProcessError as error:
         pytest.skip(f"placo cannot be installed: {last_words(error)}")
     arm = states.arm_of("sawyer")
@@ -127,7 +128,7 @@ def test_ahead_of_placo(tmp_path: Path) -> None:
     ours = {state: [] for state in cases}
     theirs: dict[tuple[str, str], list[float]] = {}
     for _ in range(3):
-        command = [python, str(SCRIPTS / "placo_states.py"), str(path)]
+        command = [python, str(SCRIPTS / "placo_peer.py"), "states", str(path)]
         done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=600)
         for kind, times in json.loads(done.stdout.strip().splitlines()[-1]).items():
             for state, microseconds in times.items():
