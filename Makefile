@@ -114,6 +114,7 @@ docs: $(VENV)/docs
 links: $(VENV)/docs
 	$(BIN)/sphinx-build -W --keep-going -b linkcheck docs docs/_build/links
 
+# promises of speed, and no case slower than in the last release: the last tag, or BASE=REVISION
 bench: $(VENV)/dev
 	CHECK_SHAPES=0 $(PYTEST) benchmarks -m bench $(ARGS)
 

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from references import check
-from timing import rounds_of, summary
+from timing import keep, rounds_of, summary
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
@@ -79,7 +78,7 @@ def test_frame_jacobians(robot: Robot, q: np.ndarray) -> None:
     print("times the bare loop: " + ", ".join(f"{name} {x:.2f}" for name, x in times.items()))
     missed = {name: x for name, x in times.items() if x < PROMISED[name]}
     assert not missed, f"slower than promised: {missed}, promised {PROMISED}"
-    check("batch", {f"{name}, share of the bare loop": 1.0 / x for name, x in times.items()})
+    keep("batch", {f"{name}, share of the bare loop": 1.0 / x for name, x in times.items()})
 
 
 def bare_loop(robot: Robot, q: np.ndarray) -> Callable[[], object]:

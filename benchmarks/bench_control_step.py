@@ -12,28 +12,14 @@ import json
 import os
 import statistics
 import subprocess
-import sys
-import venv
-from pathlib import Path
 from typing import Any
 
 import pytest
-from references import check
+from peer_controllers import PEERS, SCRIPTS, interpreter
+from timing import keep
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(1800)]
-ROOT = Path(__file__).resolve().parents[1]
-SCRIPTS = ROOT / "benchmarks" / "peers"
 ROUNDS = int(os.environ.get("BENCH_ROUNDS", "5"))
-# script -> what is installed for it; nothing: our own environment
-PEERS: dict[str, tuple[str, ...]] = {
-    "manip_learn_step": (),
-    "pinocchio_pinv": (),
-    "pink_step": ("pin-pink", "quadprog"),
-    "mink_step": ("mink",),
-    "roboticstoolbox_step": ("roboticstoolbox-python",),
-    "placo_step": ("placo",),
-    "jparse_step": ("jparse-robotics", "pin"),
-}
 UNIT = {"compiled rollout of 500 steps": 500}  # steps a call
 PROMISED = {  # of Pinocchio's "task only", best rounds: neighbours only ever add time
     "bare law, b given": 0.75,
@@ -43,35 +29,14 @@ PROMISED = {  # of Pinocchio's "task only", best rounds: neighbours only ever ad
 }
 
 
-def interpreter(script: str) -> str:
-    """Python that runs a script, made on first use.
-
-    Raises:
-        OSError: The environment cannot be made.
-        subprocess.CalledProcessError: The peer cannot be installed.
-    """
-    packages = PEERS[script]
-    if not packages:
-        return sys.executable
-    folder = ROOT / f".venv-bench-{script.removesuffix('_step')}"
-    python = folder / "bin" / "python"
-    made = folder / "made"
-    if not made.exists():
-        venv.create(folder, with_pip=True, clear=True)
-        install = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet", *packages]
-        subprocess.run(install, check=True, capture_output=True, text=True, timeout=900)
-        made.touch()
-    return str(python)
-
-
-def measured(script: str, python: str) -> dict[str, Any]:
-    """One round of one script.
+def measured(peer: str, python: str) -> dict[str, Any]:
+    """One round of one peer.
 
     Raises:
         subprocess.CalledProcessError: It failed.
     """
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    command = [python, str(SCRIPTS / f"{script}.py")]
+    command = [python, str(SCRIPTS / f"{peer}_peer.py"), "step"]
     done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=600, env=environment)
     return json.loads(done.stdout.strip().splitlines()[-1])
 
@@ -82,29 +47,29 @@ def last_words(error: subprocess.CalledProcessError) -> str:
 
 
 def all_rounds() -> tuple[dict[tuple[str, str], list[dict[str, float]]], dict[str, dict[str, str]], dict[str, str]]:
-    """Timings of every script and step, versions, and why scripts were skipped; scripts take turns in each round."""
+    """Timings of every peer and step, versions, and why peers were skipped; they take turns in each round."""
     timings: dict[tuple[str, str], list[dict[str, float]]] = {}
     versions: dict[str, dict[str, str]] = {}
     skipped: dict[str, str] = {}
     pythons: dict[str, str] = {}
-    for script in PEERS:
+    for peer in PEERS:
         try:
-            pythons[script] = interpreter(script)
+            pythons[peer] = interpreter(peer, {})
         except subprocess.CalledProcessError as error:
-            skipped[script] = last_words(error)
+            skipped[peer] = last_words(error)
     for _ in range(ROUNDS):
-        for script, python in pythons.items():
-            if script in skipped:
+        for peer, python in pythons.items():
+            if peer in skipped:
                 continue
             try:
-                document = measured(script, python)
+                document = measured(peer, python)
             except subprocess.CalledProcessError as error:
-                skipped[script] = last_words(error)
+                skipped[peer] = last_words(error)
                 continue
-            versions[script] = document["versions"]
+            versions[peer] = document["versions"]
             for step, timing in document["us"].items():
                 steps = UNIT.get(step, 1)
-                timings.setdefault((script, step), []).append({k: v / steps for k, v in timing.items()})
+                timings.setdefault((peer, step), []).append({k: v / steps for k, v in timing.items()})
     return timings, versions, skipped
 
 
@@ -115,17 +80,17 @@ def table(
 
     Ratios are of bests: neighbours only ever add time, and not to everyone the same.
     """
-    base = min(t["best"] for t in timings["pinocchio_pinv", "task only"])
+    base = min(t["best"] for t in timings["pinocchio", "task only"])
     lines = ["| package | step | us a step | rounds from .. to | best | ratio |", "|---|---|---|---|---|---|"]
-    for (script, step), rounds in timings.items():
-        package, version = next(iter(versions[script].items()))
+    for (peer, step), rounds in timings.items():
+        package, version = next(iter(versions[peer].items()))
         medians = [t["median"] for t in rounds]
         middle, best = statistics.median(medians), min(t["best"] for t in rounds)
         lines.append(
             f"| {package} {version} | {step} | {middle:.2f} | {min(medians):.2f} .. {max(medians):.2f} | {best:.2f} "
             f"| {best / base:.2f} |"
         )
-    lines += [f"| {script} | SKIPPED: {reason} | | | | |" for script, reason in skipped.items()]
+    lines += [f"| {peer} | SKIPPED: {reason} | | | | |" for peer, reason in skipped.items()]
     return "\n".join(lines)
 
 
@@ -134,15 +99,15 @@ def test_control_step_beside_its_peers(benchmark: Any) -> None:
     results = benchmark.pedantic(all_rounds, rounds=1, iterations=1)
     timings, _, skipped = results
     print(f"\n{table(*results)}\n")
-    assert "manip_learn_step" not in skipped, skipped.get("manip_learn_step")
-    best = {step: min(t["best"] for t in rounds) for (script, step), rounds in timings.items() if "manip" in script}
-    bare = min(t["best"] for t in timings["pinocchio_pinv", "task only"])
+    assert "manip_learn" not in skipped, skipped.get("manip_learn")
+    best = {step: min(t["best"] for t in rounds) for (peer, step), rounds in timings.items() if peer == "manip_learn"}
+    bare = min(t["best"] for t in timings["pinocchio", "task only"])
     ratios = {step: seconds / bare for step, seconds in best.items()}
     late = {step: round(ratios[step], 2) for step, promise in PROMISED.items() if ratios.get(step, 0.0) > promise}
-    placo = timings.get(("placo_step", "task with velocity limits"))
+    placo = timings.get(("placo", "task with velocity limits"))
     if placo is not None and "compiled, reaching a point" in best:
         ratios["compiled over placo"] = best["compiled, reaching a point"] / min(t["best"] for t in placo)
-    check("control step", ratios)
+    keep("control step", ratios)
     assert not late, f"slower than promised: {late} of Pinocchio's step, promised {PROMISED}"
-    for script, reason in skipped.items():
-        print(f"SKIPPED {script}: {reason}")
+    for peer, reason in skipped.items():
+        print(f"SKIPPED {peer}: {reason}")

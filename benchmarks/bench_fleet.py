@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from references import Ratio, check
 from scale_motions import motions
+from timing import Ratio, keep
 
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.learning import ConstraintLearner
@@ -110,8 +110,8 @@ def test_fleet_from_disk_to_selection(tmp_path: Path) -> None:
         rounds = [a / b for a, b in zip(seconds[name], seconds["plain"], strict=True)]
         lower, _, upper = statistics.quantiles(rounds, n=4)
         found[name] = Ratio(min(seconds[name]) / min(seconds["plain"]), lower, upper)
-        print(f"  {name:44s} {found[name].best:6.1f} of np.load's time ({lower:.1f} .. {upper:.1f})")
-    check("fleet", found)
+        print(f"  {name:44s} {found[name].value:6.1f} of np.load's time ({lower:.1f} .. {upper:.1f})")
+    keep("fleet", found)
 
 
 def test_workers_share_a_fleet(tmp_path: Path) -> None:

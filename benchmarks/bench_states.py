@@ -18,9 +18,9 @@ from pathlib import Path
 import control_states as states
 import numpy as np
 import pytest
-from bench_control_step import SCRIPTS, interpreter, last_words
-from references import Ratio, check
-from timing import rounds_of
+from bench_control_step import last_words
+from peer_controllers import SCRIPTS, interpreter
+from timing import Ratio, keep, rounds_of
 
 import manip_learn as ml
 
@@ -67,7 +67,7 @@ def cell(found: dict[str, Ratio], which: str) -> str:
 
 
 def test_every_state() -> None:
-    """The table of states and robots; a ratio that has risen by a fifth fails."""
+    """The table of states and robots."""
     flat: dict[str, Ratio] = {}
     tables: dict[str, list[str]] = {which: [] for which in ("python", "limits compiled", "compiled")}
     arms = {name: states.arm_of(name) for name in states.ROBOTS}
@@ -82,7 +82,7 @@ def test_every_state() -> None:
         print(f"\n{which}, ratio to the bare step (quarter marks), load {os.getloadavg()[0]:.1f}\n")
         print("| state | " + " | ".join(arms) + " |\n" + "|---" * (len(arms) + 1) + "|")
         print("\n".join(lines))
-    check("states", flat)
+    keep("states", flat)
 
 
 def test_pose_targets() -> None:
@@ -107,14 +107,14 @@ def test_pose_targets() -> None:
             }
             rounds = rounds_of(pair, 2, ROUNDS)
             flat[f"pose over position{kind}, {name}"] = ratios_of(rounds)["pose"]
-    check("states", flat)
+    keep("states", flat)
 
 
 @pytest.mark.skipif(not COMPILED, reason="compiled steps need numba")
 def test_ahead_of_placo(tmp_path: Path) -> None:
     """The compiled step, mu climbed, over placo's with limits, with and without its manipulability task, in turns."""
     try:
-        python = interpreter("placo_step")
+        python = interpreter("placo", {})
     except subprocess.CalledProcessError as error:
         pytest.skip(f"placo cannot be installed: {last_words(error)}")
     arm = states.arm_of("sawyer")
@@ -128,7 +128,7 @@ def test_ahead_of_placo(tmp_path: Path) -> None:
     ours = {state: [] for state in cases}
     theirs: dict[tuple[str, str], list[float]] = {}
     for _ in range(3):
-        command = [python, str(SCRIPTS / "placo_states.py"), str(path)]
+        command = [python, str(SCRIPTS / "placo_peer.py"), "states", str(path)]
         done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=600)
         for kind, times in json.loads(done.stdout.strip().splitlines()[-1]).items():
             for state, microseconds in times.items():
@@ -140,7 +140,7 @@ def test_ahead_of_placo(tmp_path: Path) -> None:
         f"compiled over placo with {kind}, {state}": min(ours[state]) / min(times)
         for (kind, state), times in theirs.items()
     }
-    check("placo", ratios)
+    keep("placo", ratios)
 
 
 def law_towards(robot: ml.Robot, frame: str, axes: str, target: np.ndarray) -> ml.ResolvedRateController:
@@ -183,7 +183,7 @@ def test_random_runs() -> None:
         flat[f"random starts over free, {name}"] = Ratio(steps["random"] / steps["free"])
         for kind, tail in zip(("reachable", "unreachable"), tails, strict=True):
             flat[f"99th percentile, {kind}, {name}"] = Ratio(tail)
-    check("states", flat)
+    keep("states", flat)
 
 
 def free_law(arm: states.Arm) -> ml.CompiledController:

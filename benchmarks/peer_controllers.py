@@ -49,7 +49,7 @@ def interpreter(peer: str, given: dict[str, str]) -> str:
     """
     if peer in given or not PEERS[peer]:
         return given.get(peer, sys.executable)
-    folder = ROOT / f".venv-bench-{peer}-control"
+    folder = ROOT / f".venv-bench-{peer}"
     python, made = folder / "bin" / "python", folder / "made"
     if not made.exists():
         venv.create(folder, with_pip=True, clear=True)
@@ -67,7 +67,7 @@ def run(peer: str, python: str, cases: Path, tasks: Tasks, dt: float) -> dict[st
     """
     answer = cases.with_name(f"{peer}-{cases.stem}.npz")
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    command = [python, str(SCRIPTS / f"{peer}_control.py"), str(cases), str(answer)]
+    command = [python, str(SCRIPTS / f"{peer}_peer.py"), "control", str(cases), str(answer)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=environment)
     out: dict[str, list[Scores]] = {}
     with np.load(answer) as content:

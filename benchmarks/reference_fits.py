@@ -1,6 +1,6 @@
 """Fits of the same recordings by this tree and by another one, in turns, in a process of their own each.
 
-    python benchmarks/reference_fits.py     # the worker: a task per line of JSON in, an answer per line out
+    PYTHONPATH=TREE python benchmarks/reference_fits.py     # a task per line of JSON in, an answer out
 
 Run as a script with PYTHONPATH set to the tree that is to be measured; `Rival` starts it.
 """

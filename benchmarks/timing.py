@@ -1,4 +1,4 @@
-"""Time per call, for the benchmarks: medians of interleaved rounds, so that a noisy neighbour meets every candidate.
+"""Time per call: medians of interleaved rounds, so that a noisy neighbour meets every candidate; and a run's ratios.
 
 Processor time of this process, not time on the wall: what a neighbour takes is not ours (all candidates run in one
 thread and none of them waits for anything).
@@ -44,3 +44,28 @@ def summary(seconds: list[float]) -> Timing:
         return Timing(seconds[0], seconds[0], seconds[0], seconds[0])
     lower, median, upper = statistics.quantiles(seconds, n=4)
     return Timing(median, min(seconds), lower, upper)
+
+
+class Ratio(NamedTuple):
+    """A ratio, smaller is better, and the quarter marks of the rounds' own."""
+
+    value: float
+    lower: float = float("nan")
+    upper: float = float("nan")
+
+
+FOUND: dict[tuple[str, str], Ratio] = {}
+
+
+def keep(benchmark: str, ratios: dict[str, Ratio] | dict[str, float]) -> None:
+    """Keep ratios for the table at the end."""
+    FOUND.update({(benchmark, name): x if isinstance(x, Ratio) else Ratio(float(x)) for name, x in ratios.items()})
+
+
+def table() -> str:
+    """Markdown: everything found in this run."""
+    lines = ["| benchmark | what | ratio | quarter marks of the rounds |", "|---|---|---|---|"]
+    for (benchmark, name), x in FOUND.items():
+        spread = "" if x.lower != x.lower else f"{x.lower:.3g} .. {x.upper:.3g}"
+        lines.append(f"| {benchmark} | {name} | {x.value:.3g} | {spread} |")
+    return "\n".join(lines)

@@ -197,7 +197,7 @@ def run_peer(peer: str, python: str, cases: list[Case], dt: float) -> list[Score
     with tempfile.TemporaryDirectory() as folder:
         asked, answer = Path(folder) / "asked.npz", Path(folder) / "answer.npz"
         _write(cases, asked, dt)
-        command = [python, str(SCRIPTS / f"{peer}_way.py"), str(asked), str(answer)]
+        command = [python, str(SCRIPTS / f"{peer}_peer.py"), "way", str(asked), str(answer)]
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         environment.pop("PYTHONPATH", None)
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}

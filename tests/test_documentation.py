@@ -57,6 +57,19 @@ def test_equations_are_where_the_map_says():
     assert not faults, listed(faults)
 
 
+def test_questions_are_answered_by_names_that_exist():
+    """Each name that answers "where is ...?" in docs/architecture.md is defined in the room that is said of it."""
+    _, _, section = (DOCS / "architecture.md").read_text(encoding="utf-8").partition("## Where is …?")
+    answers = [
+        (room, name)
+        for room, said in re.findall(r"^\|[^|]+\| `(\w+)/` \|(.*)\|$", section, re.MULTILINE)
+        for name in re.findall(r"`([\w.]+)`", said)
+    ]
+    assert len({room for room, _ in answers}) >= 4 and len(answers) >= 10
+    in_room = {room: set().union(*(defined(s.tree) for s in library() if s.top == room)) for room, _ in answers}
+    assert not (faults := [f"{room}: {name}" for room, name in answers if name not in in_room[room]]), listed(faults)
+
+
 def defined(tree: ast.Module) -> set[str]:
     """Functions and methods of a file, methods with the name of their class."""
     classes = [node for node in tree.body if isinstance(node, ast.ClassDef)]

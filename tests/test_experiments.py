@@ -13,10 +13,10 @@ from threadpoolctl import threadpool_limits
 from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
 from manip_learn.experiments import EXPERIMENTS, reproduce, rmse, table
 from manip_learn.experiments.experiment_result import markdown_table, mean_and_sd, number, summary
-from manip_learn.experiments.learning_trial import LearningCase, learning_trial
 from manip_learn.experiments.paper_setup import Setup
 from manip_learn.experiments.reproduce import PARTS as EXPERIMENT_PARTS
 from manip_learn.experiments.reproduce import write_result
+from manip_learn.experiments.table import LearningCase, learning_trial
 from manip_learn.experiments.trial_runner import MARKER, PART, PARTS, PartStore, TrialRunner
 
 
@@ -179,7 +179,7 @@ def test_files_of_an_experiment(tmp_path):
 
 def test_table_has_the_shape_that_checks_read():
     """Constraint -> paper and ours -> estimator -> mean, sd, median, worst, seconds_per_fit."""
-    result = table.run(1, np.random.default_rng(0)).to_dict()
+    result = table.TABLE.run(1, np.random.default_rng(0)).to_dict()
     assert list(result) == ["x y", "x rz", "y rz"]
     for block in result.values():
         assert set(block["paper"]) == {"mean", "sd"}
@@ -191,7 +191,7 @@ def test_table_has_the_shape_that_checks_read():
 
 def test_figures_are_the_same_bytes_every_time(tmp_path):
     """Drawing twice writes the same files: no dates, no random ids."""
-    result = rmse.run(1, np.random.default_rng(0))
+    result = rmse.RMSE.run(1, np.random.default_rng(0))
     for name in ("a", "b"):
         write_result("rmse", result, tmp_path / name, {})
     for kind in ("png", "svg", "csv", "json"):
@@ -221,9 +221,9 @@ def test_numbers_for_tables():
 
 def test_settings_are_plain():
     """Settings of every part become JSON, since they are part of what a kept part is found by."""
-    from manip_learn.experiments import beyond, bounds, recorded, sawyer, variants
+    from manip_learn.experiments import beyond, bounds, recorded, sawyer
     from manip_learn.experiments.singular_starts import NEAR_SINGULAR, SINGULAR
 
-    parts = (*beyond.CASES, *bounds.CASES, *recorded.CASES, *sawyer.CASES, *variants.cases().values())
+    parts = (*beyond.CASES, *bounds.CASES, *recorded.CASES, *sawyer.CASES, *table.cases().values())
     for case in (*parts, SINGULAR, NEAR_SINGULAR):
         json.dumps(dataclasses.asdict(case))

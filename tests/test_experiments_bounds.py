@@ -9,17 +9,18 @@ import pytest
 from numpy.testing import assert_allclose
 
 from manip_learn.experiments import bounds, recorded
-from manip_learn.experiments.bounds_report import bounds_markdown, cell
-from manip_learn.experiments.cramer_rao import (
+from manip_learn.experiments.bounds import (
     NoiseFreeMotion,
     affine_regressors,
+    bounds_markdown,
+    cell,
     draw_selections,
     implied_nmie,
     information,
     least_covariance,
 )
+from manip_learn.experiments.experiment_result import compare_pairs, median_interval
 from manip_learn.experiments.metrics import manipulability_along, nmie
-from manip_learn.experiments.paired import compare_pairs, median_interval
 from manip_learn.experiments.paper_setup import (
     REST,
     Setup,
@@ -30,8 +31,7 @@ from manip_learn.experiments.paper_setup import (
     tip,
     with_noise,
 )
-from manip_learn.experiments.peers import closed_form, closed_form_held, fit_places
-from manip_learn.experiments.ways import fit_told_noise
+from manip_learn.experiments.ways import closed_form, closed_form_held, fit_places, fit_told_noise
 from manip_learn.linalg import complement_rows, orthonormal_rows, row_space_angle
 
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manip_learn.experiments.learning_trial import LearningCase, learning_trial
 from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup
+from manip_learn.experiments.table import LearningCase, learning_trial
 from manip_learn.experiments.trial_runner import TrialRunner
 from manip_learn.linalg import one_thread
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,8 @@ from numpy.testing import assert_allclose
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability_gradient
 from manip_learn.errors import OutputError
-from manip_learn.experiments import beyond, bounds, rmse, sawyer, singular_starts, start_comparison, table, variants
-from manip_learn.experiments.documentation import PAGES, PARTS, filled, write_page
-from manip_learn.experiments.drawer_recordings import HARD, KIND, sawyer_arm, turned_recordings
-from manip_learn.experiments.learning_trial import LearningCase, learning_trial
-from manip_learn.experiments.other_systems import (
+from manip_learn.experiments import beyond, bounds, rmse, sawyer, singular_starts, table
+from manip_learn.experiments.beyond import (
     curve_features,
     gradients,
     hessians,
@@ -42,8 +40,13 @@ from manip_learn.experiments.paper_setup import (
     planar_features,
     tip,
 )
-from manip_learn.experiments.scaled_rows import ScaledRows
-from manip_learn.experiments.ways import ESTIMATORS, SAID
+from manip_learn.experiments.sawyer import HARD, KIND, sawyer_arm, turned_recordings
+from manip_learn.experiments.table import LearningCase, learning_trial
+from manip_learn.experiments.ways import ESTIMATORS, SAID, ScaledRows
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+sys.path.insert(0, str(DOCS))
+from fill_pages import PAGES, PARTS, filled, write_page  # noqa: E402
 
 STANDS = ("stand, mass over one place", "stand, mass in a slanted plane")
 pytestmark = pytest.mark.timeout(400)  # fixtures of half a minute, which others on the machine may stretch
@@ -88,7 +91,7 @@ def test_numbers_of_the_paper(rng):
     assert_allclose(np.rad2deg(REST), [10.0, -10.0, 10.0])
     assert np.max(np.abs(np.array([t.q[0] for t in demos]).mean(0) - np.deg2rad([5.0, 95.0, 5.0]))) < 0.03
     assert (rmse.ROLLOUTS, rmse.POINTS) == (20, 100)
-    assert start_comparison.STEPS == (0.02, 0.01)
+    assert singular_starts.STEPS == (0.02, 0.01)
     assert (sawyer.STEP, sawyer.DEMONSTRATIONS, sawyer.POINTS) == (0.01, 50, 10)
     assert (sawyer.ROLLOUTS, sawyer.ROLLOUT_POINTS) == (20, 100)
     assert_allclose(np.rad2deg(sawyer.DEFAULT_POSE), [-100, 30, -100, 40, -60, -70, 250])
@@ -165,13 +168,13 @@ def test_refusals_are_counted(rng):
     """What cannot be learnt is recorded as refused, and the tables say so."""
     outcome = learning_trial(LearningCase(Setup("x y", trajectories=1), ("joint-affine", "separate")), rng)
     assert set(outcome["joint-affine"]) == {"refused"}
-    result = variants.VariantsResult({("1 trajectory", "x y"): [outcome]})
+    result = table.VariantsResult({("1 trajectory", "x y"): [outcome]})
     assert result.to_dict()["1 trajectory"]["x y"]["ours"]["separate"]["refused"] == 1.0
 
 
 def test_table_names_are_all_explained():
     """Each estimator of the table has words for it."""
-    assert {*table.ESTIMATORS, *variants.OWN, *variants.CURVED, *bounds.LEARNERS, *rmse.ESTIMATORS} <= set(SAID)
+    assert {*table.COMPARED, *table.OWN, *table.CURVED, *bounds.LEARNERS, *rmse.ESTIMATORS} <= set(SAID)
     assert set(ESTIMATORS) <= set(SAID) and len(set(SAID.values())) == len(SAID)
 
 
@@ -389,9 +392,8 @@ def test_page_needs_results(tmp_path):
 
 def test_the_page_has_all_markers():
     """Both pages can be filled in, together they have every part, and they show a picture of each."""
-    docs = Path(__file__).resolve().parents[1] / "docs"
     for name, blocks in PAGES.items():
-        text = (docs / name).read_text(encoding="utf-8")
+        text = (DOCS / name).read_text(encoding="utf-8")
         filled(text, dict.fromkeys(blocks, ""))
         for part in set(blocks) & set(PARTS):
             assert f"](reproduction/{part}.png)" in text

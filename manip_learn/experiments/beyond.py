@@ -1,39 +1,278 @@
-"""What the paper only mentions: curves as constraints, a legged robot's balance, and torques as actions.
+"""What the paper only mentions: a point on a curve, a standing quadruped, an arm driven by torques.
+
+- Curve: a conic a x + b y + c x^2 + d x y + e y^2 = const has A(q) = Lambda Phi(q) with Phi the gradients of the
+  monomials, so that A depends on the state.
+- Quadruped with a floating base: Phi has the rows of the centre of mass (x, y, z) and of the four feet (x, y, z each);
+  Lambda selects from them. The feet stay where they are, and the centre of mass stays above one place.
+- Torques of a four-joint arm: the tip accelerates by J M^-1 tau and by gravity, springs and velocity terms; the task
+  prescribes the first part along its rows, A(q) tau = b with A = Lambda Phi(q) and Phi = J M^-1. There are more
+  actuators than task directions, so that a part of tau is free.
 
 Each learnt Lambda is checked against the truth that the demonstrations were made from.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
 
-from manip_learn.control.rollout import Rollout
+from manip_learn.constraint.features.centre_of_mass import CentreOfMass
+from manip_learn.constraint.features.custom_features import CustomFeatures
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.stacked import Stacked
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments import charts
-from manip_learn.experiments.experiment_result import ExperimentResult, markdown_table, number, summary
-from manip_learn.experiments.other_systems import (
-    BALANCE,
-    CURVES,
-    TORQUE_TASKS,
-    curve_demonstrations,
-    curve_features,
-    drawn_level,
-    standing_demonstrations,
-    standing_features,
-    torque_demonstrations,
-    torque_features,
-)
-from manip_learn.experiments.trial_runner import TrialRunner
+from manip_learn.experiments.experiment_result import ExperimentResult, markdown_table, number, percent, summary
+from manip_learn.experiments.trial_runner import a_tenth, of_trials
 from manip_learn.learning.learner import ConstraintLearner
-from manip_learn.linalg import row_space_angle
+from manip_learn.linalg import null_basis, orthonormal_rows, row_space_angle
+from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+MONOMIALS = ("x", "y", "x^2", "x y", "y^2")
+# name -> coefficients of the monomials
+CURVES = {
+    "circle": np.array([[-0.6, 0.4, 1.0, 0.0, 1.0]]),
+    "ellipse": np.array([[-0.3, -0.2, 1.0, 0.6, 2.5]]),
+}
+CURVE_DEMONSTRATIONS, CURVE_SAMPLES, CURVE_STEP = 20, 40, 0.02
+LEGS = {"fl": (0.25, 0.15), "fr": (0.25, -0.15), "hl": (-0.25, 0.15), "hr": (-0.25, -0.15)}  # hips [m]
+THIGH, SHANK = 0.25, 0.25  # [m]
+STANCE = (0.1, 0.7, -1.4)  # abduction, hip, knee [rad]
+# name -> rows of the centre of mass that are held besides the feet, as a matrix over x, y, z
+BALANCE = {
+    "stand, mass over one place": np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+    "stand, mass in a slanted plane": np.array([[0.6, 0.0, 0.8]]),
+}
+LEGGED_DEMONSTRATIONS, LEGGED_SAMPLES, LEGGED_STEP = 10, 40, 0.02
+LENGTHS = np.array([0.5, 0.5, 0.4, 0.3])  # [m]
+MASSES = np.array([3.0, 2.0, 1.5, 1.0])  # at the end of each link [kg]
+ROTORS = 0.05  # inertia of each drive [kg m^2]
+REST = np.array([0.4, 0.6, 0.5, 0.4])  # [rad]
+STIFFNESS, DAMPING = 6.0, 2.0  # of the free part [N m/rad], of the joints [N m s/rad]
+NAMES = ("torque1", "torque2", "torque3", "torque4")
+TORQUE_TASKS = {
+    "tip accelerates along x and y": np.eye(3)[:2],
+    "tip accelerates along 30 degrees": np.array([[np.cos(np.pi / 6), np.sin(np.pi / 6), 0.0]]),
+}
+TORQUE_DEMONSTRATIONS, TORQUE_SAMPLES, TORQUE_STEP, TORQUE_EVERY = 40, 25, 0.002, 10  # recorded every 20 ms
+
+
+@cache
+def curve_features() -> CustomFeatures:
+    """Gradients of the monomials of degree 1 and 2."""
+    return CustomFeatures(gradients, MONOMIALS, nv=2, derivative=hessians, coordinates=monomials)
+
+
+def monomials(q: ArrayLike) -> Float[np.ndarray, " 5"]:
+    """The monomials themselves: task coordinates whose rate is Phi u."""
+    x, y = np.asarray(q, dtype=np.float64)
+    return np.array([x, y, x * x, x * y, y * y])
+
+
+def gradients(q: ArrayLike) -> Float[np.ndarray, "5 2"]:
+    """Phi."""
+    x, y = np.asarray(q, dtype=np.float64)
+    return np.array([[1.0, 0.0], [0.0, 1.0], [2.0 * x, 0.0], [y, x], [0.0, 2.0 * y]])
+
+
+def hessians(q: ArrayLike) -> Float[np.ndarray, "5 2 2"]:
+    """dPhi/dq, constant."""
+    out = np.zeros((5, 2, 2))
+    out[2, 0, 0] = out[4, 1, 1] = 2.0
+    out[3, 0, 1] = out[3, 1, 0] = 1.0
+    return out
+
+
+def curve_demonstrations(
+    task: str, noise: float, rng: np.random.Generator
+) -> tuple[Demonstrations, Float[np.ndarray, "1 5"]]:
+    """Points that are pushed about at random while a curve of the family holds them (b = 0); and the true Lambda."""
+    coefficients = CURVES[task]
+    trajectories = []
+    for i in range(CURVE_DEMONSTRATIONS):
+        q, push = rng.uniform(-1.0, 1.0, size=2) + [0.3, -0.2], 2.0 * rng.standard_normal(2)
+        postures, actions = [], []
+        for _ in range(CURVE_SAMPLES):
+            A = coefficients @ gradients(q)
+            pi = push - 0.5 * q
+            u = pi - A[0] * float(A[0] @ pi) / float(A[0] @ A[0])
+            postures.append(q)
+            actions.append(u)
+            q = q + CURVE_STEP * u
+            push = push + 0.5 * rng.standard_normal(2)
+        u = with_noise(np.array(actions), noise, rng)
+        trajectories.append(
+            Trajectory(CURVE_STEP * np.arange(CURVE_SAMPLES), np.array(postures), u, ("x", "y"), f"point {i}")
+        )
+    return Demonstrations(trajectories), orthonormal_rows(coefficients)
+
+
+def with_noise(u: Float[np.ndarray, "T nv"], noise: float, rng: np.random.Generator) -> Float[np.ndarray, "T nv"]:
+    """Actions with Gaussian noise relative to each column's root mean square."""
+    return u + noise * np.sqrt(np.mean(u**2, axis=0)) * rng.standard_normal(u.shape) if noise > 0.0 else u
+
+
+def drawn_level(
+    ax: Any, row: Float[np.ndarray, " 5"], through: Float[np.ndarray, " 2"], colour: str, width: float
+) -> None:
+    """Draw the curve of a Lambda that passes through a point."""
+    low, high = -2.2, 2.6
+    x, y = np.meshgrid(np.linspace(low, high, 300), np.linspace(low, high, 300))
+    level = row @ np.array([x, y, x * x, x * y, y * y]).reshape(5, -1)
+    ax.contour(
+        x, y, level.reshape(x.shape), levels=[float(row @ monomials(through))], colors=[colour], linewidths=width
+    )
+
+
+def quadruped_urdf() -> str:
+    """URDF of a trunk with four legs of three joints each, with inertias."""
+    parts = [_link("trunk", 6.0, "0 0 0", 0.08)]
+    for name, (x, y) in LEGS.items():
+        parts += [_link(f"{name}_hip", 0.6, "0 0 0", 0.001), _link(f"{name}_thigh", 0.8, f"0 0 {-THIGH / 2}", 0.005)]
+        parts += [_link(f"{name}_shank", 0.3, f"0 0 {-SHANK / 2}", 0.002), f'<link name="{name}_foot"/>']
+        parts.append(_joint(f"{name}_abduction", "trunk", f"{name}_hip", f"{x} {y} 0", "1 0 0"))
+        parts.append(_joint(f"{name}_swing", f"{name}_hip", f"{name}_thigh", "0 0 0", "0 1 0"))
+        parts.append(_joint(f"{name}_knee", f"{name}_thigh", f"{name}_shank", f"0 0 {-THIGH}", "0 1 0"))
+        parts.append(
+            f'<joint name="{name}_sole" type="fixed"><parent link="{name}_shank"/><child link="{name}_foot"/>'
+            f'<origin xyz="0 0 {-SHANK}"/></joint>'
+        )
+    return f'<robot name="quadruped">{"".join(parts)}</robot>'
+
+
+@cache
+def quadruped() -> Robot:
+    """The generated robot with a floating base, nv = 18."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "quadruped.urdf"
+        path.write_text(quadruped_urdf(), encoding="utf-8")
+        return load_robot(path, base="floating")
+
+
+@cache
+def standing_features() -> Stacked:
+    """Rows of the centre of mass and of the four feet, p = 15."""
+    robot = quadruped()
+    return Stacked([CentreOfMass(robot), *(FrameJacobian(robot, f"{leg}_foot", "xyz") for leg in LEGS)])
+
+
+def standing_demonstrations(
+    task: str, noise: float, rng: np.random.Generator
+) -> tuple[Demonstrations, Float[np.ndarray, "s 15"]]:
+    """The trunk is pushed about while feet and balance hold (b = 0); and the true Lambda."""
+    robot, features = quadruped(), standing_features()
+    held = BALANCE[task]
+    Lambda = np.zeros((len(held) + 12, 15))
+    Lambda[: len(held), :3] = held
+    Lambda[len(held) :, 3:] = np.eye(12)
+    trajectories = []
+    for i in range(LEGGED_DEMONSTRATIONS):
+        q = robot.neutral()
+        start = np.concatenate([np.zeros(6), np.tile(STANCE, 4)]) + 0.1 * rng.standard_normal(robot.nv)
+        q, push = robot.integrate(q, start), rng.standard_normal(robot.nv)
+        postures, actions = [], []
+        for _ in range(LEGGED_SAMPLES):
+            Z = null_basis(Lambda @ features(q))
+            u = Z @ (Z.T @ push)
+            postures.append(q)
+            actions.append(u)
+            q = robot.integrate(q, LEGGED_STEP * u)
+            push = 0.95 * push + 0.4 * rng.standard_normal(robot.nv)
+        u = with_noise(np.array(actions), noise, rng)
+        time = LEGGED_STEP * np.arange(LEGGED_SAMPLES)
+        trajectories.append(Trajectory(time, np.array(postures), u, robot.joint_names, f"stand {i}"))
+    return Demonstrations(trajectories), Lambda
+
+
+def _link(name: str, mass: float, centre: str, inertia: float) -> str:
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{centre}"/><mass value="{mass}"/><inertia ixx="{inertia}" ixy="0" '
+        f'ixz="0" iyy="{inertia}" iyz="0" izz="{inertia}"/></inertial></link>'
+    )
+
+
+def _joint(name: str, parent: str, child: str, xyz: str, axis: str) -> str:
+    return (
+        f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}"/>'
+        f'<axis xyz="{axis}"/><limit lower="-2.6" upper="2.6" velocity="10" effort="30"/></joint>'
+    )
+
+
+@cache
+def torque_features() -> CustomFeatures:
+    """Phi = J M^-1: tip acceleration along x, y and of the heading per unit torque [m/s^2 or rad/s^2 per N m]."""
+    return CustomFeatures(lambda q: tip_jacobian(q) @ np.linalg.inv(inertia(q)), ("x", "y", "heading"), nv=4)
+
+
+def jacobians(q: ArrayLike) -> Float[np.ndarray, "*n 4 2 4"]:
+    """Of the end of each link, at one posture or at many."""
+    angles = np.cumsum(np.asarray(q, dtype=np.float64), axis=-1)
+    columns = LENGTHS * np.stack([-np.sin(angles), np.cos(angles)], axis=-2)  # what link i adds, (..., 2, 4)
+    links = np.tril(np.ones((4, 4)))  # link l moves the end of link k, and joint j moves link l
+    return np.einsum("...al,kl,lj->...kaj", columns, links, links)
+
+
+def tip_jacobian(q: ArrayLike) -> Float[np.ndarray, "*n 3 4"]:
+    """Of the tip, with the row of its heading."""
+    J = jacobians(q)[..., -1, :, :]
+    return np.concatenate([J, np.ones((*J.shape[:-2], 1, 4))], axis=-2)
+
+
+def inertia(q: ArrayLike) -> Float[np.ndarray, "*n 4 4"]:
+    """M(q) [kg m^2]."""
+    J = jacobians(q)
+    return np.einsum("k,...kai,...kaj->...ij", MASSES, J, J) + ROTORS * np.eye(4)
+
+
+def speed_torques(q: Float[np.ndarray, "*n 4"], dq: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 4"]:
+    """Coriolis and centrifugal torques, sum_k m_k J_k^T (dJ_k/dt dq) [N m]."""
+    angles, rates = np.cumsum(q, axis=-1), np.cumsum(dq, axis=-1)[..., None, :]
+    pulls = -LENGTHS * rates**2 * np.stack([np.cos(angles), np.sin(angles)], axis=-2)
+    return np.einsum("k,...kai,...ak->...i", MASSES, jacobians(q), np.cumsum(pulls, axis=-1))
+
+
+def torque_demonstrations(
+    task: str, noise: float, rng: np.random.Generator
+) -> tuple[Demonstrations, Float[np.ndarray, "s 3"]]:
+    """Reaching by torques, tau = A^+ b + N pi with pi = -K (q - rest); b pulls to a target and damps; and Lambda."""
+    Lambda, n = TORQUE_TASKS[task], TORQUE_DEMONSTRATIONS
+    q, dq = REST + 0.5 * rng.standard_normal((n, 4)), np.zeros((n, 4))
+    target = rng.uniform([0.2, -0.2, 0.5], [1.2, 1.2, 2.5], size=(n, 3))
+    postures, torques = [], []
+    for step in range(TORQUE_SAMPLES * TORQUE_EVERY):
+        J, M = tip_jacobian(q), inertia(q)
+        A = Lambda @ np.linalg.solve(M, J.transpose(0, 2, 1)).transpose(0, 2, 1)
+        angles = np.cumsum(q, axis=1)
+        r = np.column_stack([np.cos(angles) @ LENGTHS, np.sin(angles) @ LENGTHS, angles[:, -1]])
+        b = (8.0 * (target - r) - 4.0 * np.einsum("nrj,nj->nr", J, dq)) @ Lambda.T
+        pi = -STIFFNESS * (q - REST)
+        tau = pi + np.einsum("njs,ns->nj", np.linalg.pinv(A), b - np.einsum("nsj,nj->ns", A, pi))
+        if step % TORQUE_EVERY == 0:
+            postures.append(q)
+            torques.append(tau)
+        pull = tau - speed_torques(q, dq) - DAMPING * dq
+        dq = dq + TORQUE_STEP * np.linalg.solve(M, pull[:, :, None])[:, :, 0]
+        q = q + TORQUE_STEP * dq
+    time = TORQUE_STEP * TORQUE_EVERY * np.arange(TORQUE_SAMPLES)
+    reaches = zip(np.array(postures).transpose(1, 0, 2), np.array(torques).transpose(1, 0, 2), strict=True)
+    return Demonstrations(
+        Trajectory(time, x, with_noise(tau, noise, rng), NAMES, f"reach {i}") for i, (x, tau) in enumerate(reaches)
+    ), Lambda
+
 
 NOISES = (0.0, 0.01)
 
@@ -73,29 +312,6 @@ CASES = tuple(
     for task in tasks
     for noise in NOISES
 )
-
-
-def trials_of(trials: int) -> int:
-    """A tenth of the paper's number of trials: 5 of 50."""
-    return max(1, trials // 10)
-
-
-def size(trials: int) -> int:
-    """Number of trials that `run` reports as progress."""
-    return trials_of(trials) * len(CASES)
-
-
-def run(trials: int, rng: np.random.Generator, runner: TrialRunner | None = None) -> BeyondResult:
-    """All systems, without noise and with 1 %.
-
-    Args:
-        trials: Ten times the number of trials of each.
-        rng: Source of the seeds.
-        runner: Where the trials run.
-    """
-    runner = runner or TrialRunner(workers=1)
-    outcomes = runner.map("beyond", beyond_trial, CASES, trials_of(trials), int(rng.integers(2**53)))
-    return BeyondResult(dict(zip(CASES, outcomes, strict=True)))
 
 
 def beyond_trial(case: BeyondCase, rng: np.random.Generator) -> dict[str, Any]:
@@ -163,11 +379,8 @@ class BeyondResult(ExperimentResult):
         lines = []
         for key, block in self.to_dict()["ours"].items():
             lines.append([*key.split(" | "), str(block["rows_true"]), block["estimator"] or "refused"])
-            lines[-1] += [
-                f"{100 * block['rows_right']:.0f} %",
-                number(block["angle_deg"]["median"]),
-                number(block["angle_deg"]["worst"]),
-            ]
+            angles = block["angle_deg"]
+            lines[-1] += [percent(block["rows_right"]), number(angles["median"]), number(angles["worst"])]
         header = ["system", "constraint", "noise", "rows", "estimator", "rows found", "angle [deg], median", "worst"]
         return markdown_table(header, lines)
 
@@ -203,6 +416,5 @@ class BeyondResult(ExperimentResult):
         axes[0, -1].tick_params(axis="x", labelsize=6.5)
         return {"beyond": figure}
 
-    def replays(self) -> dict[str, tuple[Robot, Mapping[str, Rollout]]]:
-        """None."""
-        return {}
+
+BEYOND = of_trials("beyond", beyond_trial, {case: case for case in CASES}, BeyondResult, a_tenth)

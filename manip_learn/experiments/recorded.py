@@ -14,17 +14,22 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.control.rollout import Rollout
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments import charts
-from manip_learn.experiments.drawer_recordings import recordings_folder
-from manip_learn.experiments.experiment_result import ExperimentResult, markdown_table, number, summary
-from manip_learn.experiments.trial_runner import TrialRunner
+from manip_learn.experiments.experiment_result import (
+    ExperimentResult,
+    markdown_table,
+    median_and_worst,
+    number,
+    percent,
+    summary,
+)
+from manip_learn.experiments.sawyer import recordings_folder
+from manip_learn.experiments.trial_runner import a_tenth, of_trials
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import load_demonstrations
 from manip_learn.robot.loading import load_robot
-from manip_learn.robot.robot import Robot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -60,29 +65,6 @@ CASES = (
     RecordedCase("a door, loosely held", "ur5_loose_door", "ur5", "tool0"),
     RecordedCase("a drawer, 2 of 8 of another", "panda_drawer_mixed", "panda", "panda_hand_tcp", FINGERS),
 )
-
-
-def trials_of(trials: int) -> int:
-    """A tenth of the paper's number of trials: 5 of 50."""
-    return max(1, trials // 10)
-
-
-def size(trials: int) -> int:
-    """Number of trials that `run` reports as progress."""
-    return trials_of(trials) * len(CASES)
-
-
-def run(trials: int, rng: np.random.Generator, runner: TrialRunner | None = None) -> RecordedResult:
-    """All folders.
-
-    Args:
-        trials: Ten times the number of trials of each.
-        rng: Source of the seeds.
-        runner: Where the trials run.
-    """
-    runner = runner or TrialRunner(workers=1)
-    outcomes = runner.map("recorded", recorded_trial, CASES, trials_of(trials), int(rng.integers(2**53)))
-    return RecordedResult(dict(zip(CASES, outcomes, strict=True)))
 
 
 def recorded_trial(case: RecordedCase, rng: np.random.Generator) -> dict[str, Any]:
@@ -195,12 +177,10 @@ class RecordedResult(ExperimentResult):
         """One line a folder."""
         lines = []
         for said, block in self.to_dict()["ours"].items():
-            angle = f"{number(block['axis_deg']['median'])} ({number(block['axis_deg']['worst'])})"
-            inside = "-" if block["inside"] is None else f"{100 * block['inside']:.0f} % of {block['trials']}"
-            lines.append(
-                [said, f"{100 * block['types_right']:.0f} %", angle, number(block["stated_deg"]["median"]), inside]
-            )
-            lines[-1] += [f"{block['overlap']['median']:.2f}", f"{100 * block['odd_right']:.0f} %"]
+            inside = "-" if block["inside"] is None else f"{percent(block['inside'])} of {block['trials']}"
+            lines.append([said, percent(block["types_right"]), median_and_worst(block["axis_deg"])])
+            lines[-1] += [number(block["stated_deg"]["median"]), inside]
+            lines[-1] += [f"{block['overlap']['median']:.2f}", percent(block["odd_right"])]
         header = [
             "recordings",
             "mechanisms found",
@@ -221,6 +201,5 @@ class RecordedResult(ExperimentResult):
         axes[0, 0].set_xlabel("recordings; a dot is a trial, a bar the median")
         return {"recorded": figure}
 
-    def replays(self) -> dict[str, tuple[Robot, Mapping[str, Rollout]]]:
-        """None."""
-        return {}
+
+RECORDED = of_trials("recorded", recorded_trial, {case: case for case in CASES}, RecordedResult, a_tenth)

@@ -8,49 +8,32 @@ import json
 import os
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import Any
 
 import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import ExperimentError, UnknownNameError
-from manip_learn.experiments import beyond, bounds, recorded, rmse, sawyer, singular_starts, table, variants
+from manip_learn.experiments import beyond, bounds, recorded, rmse, sawyer, singular_starts, table
 from manip_learn.experiments.charts import save_figure
 from manip_learn.experiments.experiment_result import ExperimentResult
-from manip_learn.experiments.trial_runner import BACKENDS, Backend, PartStore, TrialRunner
+from manip_learn.experiments.trial_runner import BACKENDS, Backend, Experiment, PartStore, TrialRunner
 from manip_learn.linalg import one_thread
 from manip_learn.playback.replay_page import replay
 from manip_learn.recordings.trajectory_source import Progress
 
 MAX_TRIALS = 100_000
-
-
-@final
-@dataclass(frozen=True)
-class Experiment:
-    """A part of the reproduction.
-
-    Attributes:
-        run: (trials, rng, runner) -> result.
-        size: Trials -> steps that it reports as progress.
-    """
-
-    run: Callable[[int, np.random.Generator, TrialRunner], ExperimentResult]
-    size: Callable[[int], int]
-
-
-PARTS: dict[str, Experiment] = {
-    "table": Experiment(table.run, table.size),
-    "variants": Experiment(variants.run, variants.size),
-    "bounds": Experiment(bounds.run, bounds.size),
-    "rmse": Experiment(rmse.run, rmse.size),
-    "singular-start": Experiment(singular_starts.run_singular, singular_starts.size),
-    "near-singular-start": Experiment(singular_starts.run_near_singular, singular_starts.size),
-    "sawyer": Experiment(sawyer.run, sawyer.size),
-    "recorded": Experiment(recorded.run, recorded.size),
-    "beyond": Experiment(beyond.run, beyond.size),
+PARTS: dict[str, Experiment[Any]] = {
+    "table": table.TABLE,
+    "variants": table.VARIED_TABLE,
+    "bounds": bounds.BOUNDS,
+    "rmse": rmse.RMSE,
+    "singular-start": singular_starts.FROM_SINGULAR,
+    "near-singular-start": singular_starts.FROM_NEAR_SINGULAR,
+    "sawyer": sawyer.SAWYER,
+    "recorded": recorded.RECORDED,
+    "beyond": beyond.BEYOND,
 }
 # name that a user gives -> parts
 EXPERIMENTS: dict[str, tuple[str, ...]] = {

@@ -6,7 +6,6 @@ also the two policies at the postures of one trajectory, where nothing adds up o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
 
@@ -15,9 +14,15 @@ from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
-from manip_learn.control.rollout import Rollout
 from manip_learn.experiments import charts
-from manip_learn.experiments.experiment_result import ExperimentResult, markdown_table, mean_and_sd, number, summary
+from manip_learn.experiments.experiment_result import (
+    ExperimentResult,
+    markdown_table,
+    mean_and_sd,
+    number,
+    said_rows,
+    summary,
+)
 from manip_learn.experiments.metrics import policy_rmse
 from manip_learn.experiments.paper_setup import (
     PAPER_RMSE,
@@ -30,10 +35,9 @@ from manip_learn.experiments.paper_setup import (
     planar_features,
     tip,
 )
-from manip_learn.experiments.trial_runner import TrialRunner
+from manip_learn.experiments.trial_runner import of_trials
 from manip_learn.experiments.ways import ESTIMATORS as WAYS
 from manip_learn.experiments.ways import SAID
-from manip_learn.robot.robot import Robot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,25 +59,6 @@ class RmseCase:
     """What is learnt: the constrained rows of the paper's demonstrations."""
 
     rows: str
-
-
-def size(trials: int) -> int:
-    """Number of trials that `run` reports as progress."""
-    return trials * len(SELECTIONS)
-
-
-def run(trials: int, rng: np.random.Generator, runner: TrialRunner | None = None) -> RmseResult:
-    """Learn, roll out, compare; all trials of all three constraints.
-
-    Args:
-        trials: Number of learnt constraints of each kind, with 20 rollouts each.
-        rng: Source of the seeds.
-        runner: Where the trials run.
-    """
-    runner = runner or TrialRunner(workers=1)
-    cases = [RmseCase(rows) for rows in SELECTIONS]
-    outcomes = runner.map("rmse", rmse_trial, cases, trials, int(rng.integers(2**53)))
-    return RmseResult(dict(zip(SELECTIONS, outcomes, strict=True)))
 
 
 def rmse_trial(case: RmseCase, rng: np.random.Generator) -> dict[str, Any]:
@@ -170,11 +155,11 @@ class RmseResult(ExperimentResult):
         for rows, block in self.to_dict()["ours"].items():
             if rows == PRINTED_FOR:
                 said = f"{PAPER_RMSE['mean']:.3e} +- {PAPER_RMSE['sd']:.3e}"
-                lines.append([_said(rows), "**paper, as printed**", said, "", "", ""])
+                lines.append([said_rows(rows), "**paper, as printed**", said, "", "", ""])
             for name in ESTIMATORS:
                 cells = [mean_and_sd(block[name][kind]) for kind in KINDS]
                 worst = number(block[name]["two_policies"]["worst"])
-                lines.append([_said(rows), SAID[name], cells[0], worst, *cells[1:]])
+                lines.append([said_rows(rows), SAID[name], cells[0], worst, *cells[1:]])
         kinds = list(KINDS.values())
         return markdown_table(["rows", "way to learn", kinds[0], "... worst", *kinds[1:]], lines)
 
@@ -189,14 +174,9 @@ class RmseResult(ExperimentResult):
             words = KINDS[kind].replace(" [", "\n[")
             line[0].set_ylabel(f"RMSE, {words}")
         for ax, rows in zip(axes[0], self.outcomes, strict=True):
-            ax.set_title(f"constrained rows {_said(rows)}")
+            ax.set_title(f"constrained rows {said_rows(rows)}")
         figure.supxlabel("way to learn; a dot is a rollout, a bar the median", fontsize=9)
         return {"rmse": figure}
 
-    def replays(self) -> dict[str, tuple[Robot, Mapping[str, Rollout]]]:
-        """None."""
-        return {}
 
-
-def _said(rows: str) -> str:
-    return rows.replace("rz", "theta").replace(" ", ", ")
+RMSE = of_trials("rmse", rmse_trial, {rows: RmseCase(rows) for rows in SELECTIONS}, RmseResult)

@@ -8,15 +8,16 @@ import hashlib
 import json
 import os
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Any, Generic, Literal, TypeVar, final
 
 import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import MissingExtraError, OutputError
+from manip_learn.experiments.experiment_result import ExperimentResult
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.trajectory_source import Progress
 
@@ -24,6 +25,7 @@ Backend = Literal["loky", "threading", "dask"]
 BACKENDS = ("loky", "threading", "dask")
 # a trial takes frozen settings and a generator, and returns plain numbers, strings, lists and dictionaries
 Trial = Callable[[Any, np.random.Generator], dict[str, Any]]
+Result = TypeVar("Result", bound=ExperimentResult)
 MARKER = "reproduction.json"
 FORMAT = "manip_learn.reproduction"
 PARTS = "parts"
@@ -186,6 +188,58 @@ class TrialRunner:
         with _cluster(self.backend, self.workers), joblib.parallel_config(backend=self.backend, n_jobs=self.workers):
             parallel = joblib.Parallel(return_as="generator_unordered", pre_dispatch="2*n_jobs", batch_size=1)
             yield from parallel(joblib.delayed(_numbered)(n, *w) for n, w in enumerate(work))
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class Experiment(Generic[Result]):
+    """A part of the reproduction.
+
+    Attributes:
+        run: (trials, rng, runner) -> result; without a runner in this process.
+        size: Trials that the user asks for -> trials that are reported as progress.
+    """
+
+    run: Callable[..., Result]
+    size: Callable[[int], int]
+
+
+def of_trials(
+    name: str,
+    trial: Trial,
+    cases: Mapping[Any, Any],
+    result: Callable[[dict[Any, list[dict[str, Any]]]], Result],
+    share: Callable[[int], int] = lambda trials: trials,
+) -> Experiment[Result]:
+    """An experiment that runs each of its cases in independent trials.
+
+    Args:
+        name: Part of the seeds.
+        trial: A function at the top of a module.
+        cases: What the result calls a case -> frozen dataclass.
+        result: Made from what a case is called -> outcome of each of its trials.
+        share: Trials that the user asks for -> trials of each case, at least one.
+    """
+
+    def count(trials: int) -> int:
+        return max(1, share(trials))
+
+    def run(trials: int, rng: np.random.Generator, runner: TrialRunner | None = None) -> Result:
+        runner = runner or TrialRunner(workers=1)
+        outcomes = runner.map(name, trial, list(cases.values()), count(trials), int(rng.integers(2**53)))
+        return result(dict(zip(cases, outcomes, strict=True)))
+
+    return Experiment(run, lambda trials: count(trials) * len(cases))
+
+
+def two_fifths(trials: int) -> int:
+    """Of the paper's 50 trials 20, which are enough for paired tests."""
+    return round(0.4 * trials)
+
+
+def a_tenth(trials: int) -> int:
+    """Of the paper's 50 trials 5."""
+    return trials // 10
 
 
 def _numbered(number: int, trial: Trial, one: Any, key: dict[str, Any]) -> tuple[int, list[dict[str, Any]]]:

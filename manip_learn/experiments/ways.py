@@ -1,19 +1,36 @@
-"""The ways to learn Lambda that the experiments compare, each by the name that tables and pictures give it."""
+"""The ways to learn Lambda that the experiments compare, each by the name that tables and pictures give it.
+
+Among them are published learners, written anew from their papers, on the same recordings:
+
+- Row by row in spherical angles (Lin, Howard and Vijayakumar, 2015): `fit_row_by_row`, from the null-space part of the
+  motion, which the separation of Towell, Howard and Vijayakumar (2010) comes before. Each new row is the unit vector,
+  orthogonal to the rows before, that lowers equation (10) of the rows so far most; its angles are found by
+  Levenberg-Marquardt from several starts. `learning.estimators.null_space.fit_null_space` moves all rows at once.
+- Closed form (Armesto, Bosga, Ivan and Vijayakumar, Efficient Learning of Constraints and Generic Null Space Policies,
+  2017; Armesto, Moura, Ivan, Erden, Sala and Vijayakumar, Constraint-aware learning of policies by demonstration,
+  2018): A(q) u - b(q) = 0 is linear in the parameters of A and b, so that they are the left singular vectors of the
+  stacked regressors with the smallest singular values. Here A = Lambda Phi, and b is told to be W (r* - r(q)) with an
+  unknown target r* of each trajectory; or b = 0.
+- Line or plane through the tip's places (the kinematic part of Subramani, Zinn and Gleicher, Inferring geometric
+  constraints in human demonstrations, 2018; what practitioners do): principal axes of the places about each
+  trajectory's mean. Only for b = 0 and translational rows in the base frame.
+
+These are told the number of rows.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.experiments.paper_setup import null_parts, tip
-from manip_learn.experiments.peers import closed_form
-from manip_learn.experiments.row_by_row import fit_row_by_row
-from manip_learn.experiments.scaled_rows import ScaledRows
 from manip_learn.learning.estimators.joint_estimator import estimate_joint
 from manip_learn.learning.estimators.noise_covariance import whitened
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
@@ -22,8 +39,141 @@ from manip_learn.learning.estimators.separation import estimate_separate, separa
 from manip_learn.learning.estimators.variable_projection import fit_joint
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.learning.samples import Samples
-from manip_learn.linalg import orthonormal_rows
+from manip_learn.linalg import batch_row_spaces, complement_rows, orthonormal_rows
 from manip_learn.recordings.demonstrations import Demonstrations
+
+
+@final
+class ScaledRows(FeatureMap):
+    """diag(scales) Phi(q): centimetres instead of metres beside radians, for instance.
+
+    Args:
+        features: Phi.
+        scales: One factor per row.
+    """
+
+    def __init__(self, features: FeatureMap, scales: ArrayLike):
+        self.features = features
+        self.scales: Float[np.ndarray, " p"] = np.array(scales, dtype=np.float64)
+        self.nv = features.nv
+        self.row_names = features.row_names
+        self.row_units = tuple(f"{u} / {c:g}" for u, c in zip(features.row_units, self.scales, strict=True))
+
+    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
+        """Phi(q), scaled."""
+        return self.scales[:, None] * self.features(q)
+
+    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
+        """dPhi/dq, scaled."""
+        return self.scales[:, None, None] * self.features.derivative(q)
+
+    def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
+        """Phi at many postures, scaled."""
+        return self.scales[:, None] * self.features.batch(q)
+
+    def __repr__(self) -> str:
+        return f"ScaledRows({self.features!r}, {self.scales.tolist()})"
+
+
+STARTS_AN_ANGLE = 3
+TOLERANCE = 1e-15
+
+
+def fit_row_by_row(samples: Samples, n_rows: int) -> Float[np.ndarray, "s r"]:
+    """Lambda in whitened coordinates, one row after the other.
+
+    Args:
+        samples: The velocities of these samples are null-space motion.
+        n_rows: Number of rows s.
+    """
+    Phi = np.concatenate([block.Phi for block in samples.blocks()])
+    w = samples.u
+    Lambda = np.zeros((0, samples.n_rows))
+    for _ in range(n_rows):
+        # the new row lives in the complement of the others: a unit vector there is a point on a smaller sphere
+        frame = complement_rows(Lambda) if len(Lambda) else np.eye(samples.n_rows)
+        Lambda = np.concatenate([Lambda, _best_row(_beside(Phi, Lambda), w, frame)[None]])
+    return Lambda
+
+
+def unit_vector(angles: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k+1"]:
+    """The point of the unit sphere with these spherical angles [rad]."""
+    sines = np.concatenate([[1.0], np.cumprod(np.sin(angles))])
+    return sines * np.append(np.cos(angles), 1.0)
+
+
+def _best_row(Phi: np.ndarray, w: np.ndarray, frame: np.ndarray) -> Float[np.ndarray, " r"]:
+    k = len(frame) - 1
+    if k == 0:
+        return frame[0]
+    rows = np.einsum("kr,nrv->nkv", frame, Phi, optimize=True)
+
+    def residuals(angles: np.ndarray) -> np.ndarray:
+        # what the new row adds to |A^+ A w|^2: the part of w along the row, beside the rows before
+        a = np.einsum("k,nkv->nv", unit_vector(angles), rows)
+        return np.einsum("nv,nv->n", a, w) / np.linalg.norm(a, axis=1)
+
+    fits = [
+        least_squares(residuals, start, method="lm", xtol=TOLERANCE, ftol=TOLERANCE, gtol=TOLERANCE)
+        for start in _starts(k)
+    ]
+    best = min(fits, key=lambda fit: fit.cost)
+    return unit_vector(best.x) @ frame
+
+
+def _beside(Phi: np.ndarray, Lambda: np.ndarray) -> Float[np.ndarray, "n r v"]:
+    """Phi N: what is left of each row of Phi in the null space of the rows so far."""
+    s = len(Lambda)
+    if s == 0:
+        return Phi
+    Q, _ = batch_row_spaces(np.einsum("sr,nrv->nsv", Lambda, Phi, optimize=True))
+    along = Q[:, :, :s]
+    return Phi - np.einsum("nrv,nvs,nws->nrw", Phi, along, along, optimize=True)
+
+
+def _starts(k: int) -> list[np.ndarray]:
+    """Angles spread over the half sphere: a grid where it is small, its diagonals where it is not."""
+    values = np.pi * (np.arange(STARTS_AN_ANGLE) + 0.5) / STARTS_AN_ANGLE
+    if k <= 2:
+        return [np.array(point) for point in np.stack(np.meshgrid(*[values] * k), -1).reshape(-1, k)]
+    return [np.roll(np.resize(values, k), shift) for shift in range(STARTS_AN_ANGLE)]
+
+
+def closed_form(
+    task_velocity: Float[np.ndarray, "g T p"], place: Float[np.ndarray, "g T p"], n_rows: int
+) -> Float[np.ndarray, "s p"]:
+    """Lambda from Lambda Phi u = W (r* - r), r* unknown and constant in a trajectory (Armesto et al., 2017 and 2018).
+
+    Within a trajectory Lambda Phi u + W r is constant, so that (Lambda, W) has no product with the centred (Phi u, r):
+    its rows are the left singular vectors of these with the smallest singular values.
+
+    Args:
+        task_velocity: Phi u of each sample.
+        place: r of each sample, the coordinates whose rate is Phi u.
+        n_rows: Number of rows s.
+    """
+    stacked = np.concatenate([task_velocity, place], axis=2)
+    centred = (stacked - stacked.mean(axis=1, keepdims=True)).reshape(-1, stacked.shape[2])
+    scale = np.sqrt(np.mean(centred**2, axis=0)) + np.finfo(np.float64).tiny
+    rows = np.linalg.svd(centred / scale, full_matrices=False)[2][-n_rows:] / scale
+    return orthonormal_rows(rows[:, : task_velocity.shape[2]])
+
+
+def closed_form_held(task_velocity: Float[np.ndarray, "n p"], n_rows: int) -> Float[np.ndarray, "s p"]:
+    """Lambda from Lambda Phi u = 0: the same with b = 0, the smallest left singular vectors of Phi u."""
+    return np.linalg.svd(task_velocity, full_matrices=False)[2][-n_rows:]
+
+
+def fit_places(places: list[np.ndarray], n_rows: int) -> Float[np.ndarray, "s p"]:
+    """Rows across the line (s = p - 1) or the plane (s = p - 2) that the tip's places lie on, total least squares.
+
+    Args:
+        places: Of each trajectory, shape (T, p); they may lie on parallel lines or planes.
+        n_rows: Number of rows s.
+    """
+    centred = np.concatenate([r - r.mean(axis=0) for r in places])
+    return np.linalg.svd(centred, full_matrices=False)[2][-n_rows:]
+
 
 Learnt = tuple[np.ndarray, dict[str, Any]]
 # (features, demonstrations, true Lambda, rng) -> learnt Lambda and remarks

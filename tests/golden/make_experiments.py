@@ -19,7 +19,6 @@ import numpy as np
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.simulation import simulate
 from manip_learn.experiments import rmse, sawyer
-from manip_learn.experiments.learning_trial import LearningCase, learning_trial
 from manip_learn.experiments.metrics import policy_rmse
 from manip_learn.experiments.paper_setup import (
     Setup,
@@ -30,8 +29,8 @@ from manip_learn.experiments.paper_setup import (
     planar_features,
     true_constraint,
 )
-from manip_learn.experiments.singular_starts import NEAR_SINGULAR, SINGULAR
-from manip_learn.experiments.start_comparison import DURATION, STEPS, BadStart
+from manip_learn.experiments.singular_starts import DURATION, NEAR_SINGULAR, SINGULAR, STEPS, BadStart
+from manip_learn.experiments.table import LearningCase, learning_trial
 
 BESIDE = (0.1, -0.2, 0.15)  # [rad]
 PATH = Path(__file__).resolve().parent / "experiments.json"

@@ -7,7 +7,28 @@ import numpy as np
 warnings.simplefilter("ignore")  # it warns about its own escapes while it is imported
 
 import roboticstoolbox as rtb  # noqa: E402
-from driving import drive  # noqa: E402
+from driving import TARGET, TIP, URDF, drive, main, report  # noqa: E402
+
+
+def step():
+    """Without and with null-space motion."""
+    robot = rtb.Robot.URDF(URDF)
+    end = robot.link_dict[TIP]
+
+    def task_only(q):
+        """J^+ (target - position)."""
+        J = robot.jacob0(q, end=end)[:3]
+        return np.linalg.pinv(J) @ (TARGET - robot.fkine(q, end=end).t)
+
+    def with_manipulability(q):
+        """The same with the gradient of mu in the null space."""
+        J = robot.jacob0(q, end=end)[:3]
+        inverse = np.linalg.pinv(J)
+        climb = robot.jacobm(q, end=end, axes="trans").reshape(-1)
+        return inverse @ (TARGET - robot.fkine(q, end=end).t) + (np.eye(7) - inverse @ J) @ climb
+
+    steps = {"task only": task_only, "with manipulability": with_manipulability}
+    report("roboticstoolbox-python", steps, calls=50)
 
 
 def stepper(manipulability):
@@ -35,4 +56,7 @@ def stepper(manipulability):
     return make
 
 
-drive("roboticstoolbox-python", {"roboticstoolbox": stepper(False), "roboticstoolbox, jacobm": stepper(True)})
+METHODS = {"roboticstoolbox": stepper(False), "roboticstoolbox, jacobm": stepper(True)}
+
+if __name__ == "__main__":
+    main(step=step, control=lambda *files: drive("roboticstoolbox-python", *files, METHODS))

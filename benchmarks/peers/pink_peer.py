@@ -1,0 +1,98 @@
+"""Pink, a quadratic programme a step: rows of a pose as a task of its own kind, and its manipulability task."""
+
+import numpy as np
+import pink
+import pinocchio as pin
+from driving import DT, TARGET, TIP, URDF, drive, drive_ways, main, on_the_way, pose_error, report
+from pink.tasks import DampingTask, FrameTask, ManipulabilityTask, PostureTask, Task
+
+CLIMB = 3.0  # [1/s] along a way, as that of our ascent
+
+
+def step():
+    """Its frame task and a rest posture, with and without its manipulability task."""
+    model = pin.buildModelFromUrdf(URDF)
+    data = model.createData()
+    frame = FrameTask(TIP, position_cost=1.0, orientation_cost=0.0)
+    frame.set_target(pin.SE3(pin.SE3.Identity().rotation, TARGET))
+    posture = PostureTask(cost=1e-3)
+    posture.set_target(pin.neutral(model))
+    climb = ManipulabilityTask(TIP, model, cost=1e-3, mask="position")
+
+    def stepper(*tasks):
+        return lambda q: pink.solve_ik(pink.Configuration(model, data, q), tasks, DT, solver="quadprog")
+
+    steps = {"task and rest posture": stepper(frame, posture), "with manipulability": stepper(frame, posture, climb)}
+    report("pin-pink", steps, calls=50)
+
+
+class Rows(Task):
+    """Rows (s, 6) of a frame's pose."""
+
+    def __init__(self, arm, way, gain):
+        super().__init__(cost=1.0, gain=gain, lm_damping=1.0)  # as in Pink's examples
+        self.tip, self.rows, self.pose = arm.tip, way.rows, way.poses[0]
+
+    def compute_error(self, configuration):
+        """Pink's sign: the negative way to the target."""
+        here = configuration.get_transform_frame_to_world(self.tip)
+        return -self.rows @ pose_error(here.rotation, here.translation, self.pose)
+
+    def compute_jacobian(self, configuration):
+        """Rows of the Jacobian along the world's axes."""
+        R = configuration.get_transform_frame_to_world(self.tip).rotation
+        return self.rows @ np.kron(np.eye(2), R) @ configuration.get_frame_jacobian(self.tip)
+
+    def __repr__(self):
+        return "Rows()"
+
+
+def solver(arm, rows, mask, rate):
+    """Posture -> joint velocity with damping and Pink's default limits; climbs at a rate [1/s], not at all if None."""
+    model = pin.buildModelFromUrdf(arm.urdf)
+    data = model.createData()
+    order = [model.joints[model.getJointId(n)].idx_v for n in arm.names]
+    tasks = [rows, DampingTask(cost=1e-3)]
+    if rate is not None:
+        # the documented rate is per second, the code takes it per step
+        climb = ManipulabilityTask(arm.tip, model, cost=1e-3, mask=mask, manipulability_rate=rate * arm.dt)
+        tasks.append(climb)
+
+    def solve(q):
+        full = np.empty(model.nq)
+        full[order] = np.clip(q, arm.lower, arm.upper)
+        configuration = pink.Configuration(model, data, full)
+        return pink.solve_ik(configuration, tasks, arm.dt, solver="quadprog", safety_break=False)[order]
+
+    return solve
+
+
+def reaching(arm, case, climbs):
+    """Joint velocity by Pink towards a point."""
+    rows = Rows(arm, on_the_way(case), arm.task_gain * arm.dt)
+    return solver(arm, rows, "position", case.gain if climbs else None)
+
+
+def following(arm, way):
+    """Joint velocity by Pink along a way."""
+    rows = Rows(arm, way, way.gain)
+    solve = solver(arm, rows, None if way.whole else "position", CLIMB)
+
+    def step(q, pose):
+        rows.pose = pose
+        return solve(q)
+
+    return step
+
+
+METHODS = {
+    "pink": lambda arm, case: reaching(arm, case, False),
+    "pink, manipulability": lambda arm, case: reaching(arm, case, True),
+}
+
+if __name__ == "__main__":
+    main(
+        step=step,
+        control=lambda *files: drive("pin-pink", *files, METHODS),
+        way=lambda *files: drive_ways("pin-pink", *files, {"pink": following}),
+    )

@@ -1,0 +1,66 @@
+"""What runs elsewhere calls what runs here: continuous integration, the hosted pages, and the benchmarks."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ruamel.yaml import YAML
+
+ROOT = Path(__file__).resolve().parents[1]
+BENCHMARKS = ROOT / "benchmarks"
+# how a script is started by hand; others are started by a benchmark, with the tree that they time
+STARTED = re.compile(r"^    (?!PYTHONPATH=TREE ).*python benchmarks/", re.MULTILINE)
+
+
+def read(name: str) -> dict[str, Any]:
+    """A YAML file of the project."""
+    return YAML(typ="safe").load((ROOT / name).read_text(encoding="utf-8"))
+
+
+def test_the_workflow_runs_what_a_developer_runs():
+    """One job calls `.ci/run`, with the history that its check of the changelog needs and the pull request's base."""
+    workflow = read(".github/workflows/ci.yml")
+    assert set(workflow["on"]) == {"push", "pull_request"} and workflow["permissions"] == {"contents": "read"}
+    (job,) = workflow["jobs"].values()
+    checkout, python, run = job["steps"]
+    assert checkout["uses"].startswith("actions/checkout@") and checkout["with"]["fetch-depth"] == 0
+    lowest = re.search(r'requires-python = ">=([\d.]+)', (ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert lowest is not None and python["with"]["python-version"] == lowest[1] and job["runs-on"] == "ubuntu-latest"
+    assert run["run"] == ".ci/run" and os.access(ROOT / run["run"], os.X_OK)
+    assert run["env"] == {"BASE": "${{ github.event.pull_request.base.sha }}"}
+    assert '"${BASE:-}"' in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+
+
+def test_hosted_pages_are_those_of_make_docs():
+    """Read the Docs calls `make docs`, and takes the folder that its recipe writes."""
+    build = read(".readthedocs.yaml")["build"]
+    recipe = re.search(r"^docs:.*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    make, *_, copy = build["commands"]
+    assert make == "make docs" and recipe is not None
+    folder = copy.split()[2]
+    assert f"-b html docs {folder}\n" in recipe[1] and copy.endswith('"$READTHEDOCS_OUTPUT/html"')
+
+
+def test_every_benchmark_is_listed():
+    """The table of benchmarks/README.md has every script that can be run, and no file that does not exist."""
+    listed = set(
+        re.findall(r"^\| `(\w+\.py)` \|", (BENCHMARKS / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    )
+    scripts = {p.name for p in BENCHMARKS.glob("*.py") if p.name.startswith("bench_")}
+    scripts |= {p.name for p in BENCHMARKS.glob("*.py") if STARTED.search(p.read_text("utf-8"))}
+    assert listed == scripts
+
+
+@pytest.mark.parametrize("name", sorted(p.stem for p in BENCHMARKS.glob("bench_*.py")))
+def test_every_benchmark_has_cases_beside_the_release(name, monkeypatch):
+    """Each promise of speed has timed cases, by its name, for the comparison with the last release."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    from timed_cases import CASES
+
+    if name != "bench_release":
+        assert CASES[name.removeprefix("bench_")]
+    assert {f"bench_{benchmark}" for benchmark in CASES} <= {p.stem for p in BENCHMARKS.glob("bench_*.py")}
