@@ -14,8 +14,7 @@ from jaxtyping import Float
 from scipy.linalg.lapack import dposv
 
 from manip_learn.constraint.small_matrices import svd
-from manip_learn.control.limits import Bounds
-from manip_learn.control.tip_limits import Barrier
+from manip_learn.control.limits import Barrier, Bounds
 from manip_learn.errors import ConstraintError
 
 # how much a bound may be exceeded by rounding, in the unit of the bounds

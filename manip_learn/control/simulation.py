@@ -13,9 +13,9 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Command, Controller, Method, TaskController, next_posture
 from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
 from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.law_sequence import constraint_of, frame_of, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
-from manip_learn.control.servo_settings import constraint_of, frame_of, law_of, task_of
 from manip_learn.errors import ConfigurationError, an
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.batch.postures import checked_postures, positions_of

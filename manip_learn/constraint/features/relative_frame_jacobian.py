@@ -10,12 +10,13 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import AXES, parse_axes
-from manip_learn.constraint.features.pose_error import (
+from manip_learn.constraint.features.frame_jacobian import (
+    AXES,
     carried_goal,
     coordinate_rates,
     error_rates,
     goal_rotation,
+    parse_axes,
     pose_coordinates,
     pose_error,
 )

@@ -29,12 +29,11 @@ from manip_learn.control.compiled.step_table import (
     UPPER,
 )
 from manip_learn.control.limits import ACCELERATION as BY_ACCELERATION
-from manip_learn.control.limits import AT_BOUND, RETURN_SPEED, ROOM_TO_LEAVE
+from manip_learn.control.limits import AT_BOUND, MOST_ROWS, RESERVE, RETURN_SPEED, ROOM_TO_LEAVE
 from manip_learn.control.limits import OUTSIDE as LEAST_OUTSIDE
 from manip_learn.control.limits import POSITION as BY_POSITION
 from manip_learn.control.limits import VELOCITY as BY_VELOCITY
 from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE
-from manip_learn.control.tip_limits import MOST_ROWS, RESERVE
 from manip_learn.robot.batch.compiled_kinematics import JOINTS, SOURCE, TARGET, columns_of
 from manip_learn.robot.batch.compiled_vjp import SLIDE
 from manip_learn.robot.batch.kernel_cache import compiled_inside

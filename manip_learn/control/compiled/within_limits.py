@@ -1,4 +1,7 @@
-"""The law brought within the limits, and what came of it (`outcome`), as loops over plain numbers."""
+"""The law brought within the limits, and what came of it, as loops over plain numbers.
+
+`bounded_velocity.bounded_velocity` with its program, `project_by_active_set`, and `bounded_command`.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,30 @@ import math
 
 import numpy as np
 
-from manip_learn.control.compiled.bounded_step import bounded_step, space_of
-from manip_learn.control.compiled.constrained_rows import complete, decompose, norm, rank_of, row_space, truncation
+from manip_learn.control.bounded_velocity import (
+    DEPENDENT,
+    DEVIATION_WEIGHT,
+    LARGEST_RATIO,
+    NEGLIGIBLE,
+    REORTHOGONAL,
+    ROUNDING,
+    TASK_WEIGHT,
+    TOLERANCE,
+)
+from manip_learn.control.compiled.constrained_rows import (
+    complete,
+    decompose,
+    dofs_of,
+    norm,
+    rank_of,
+    row_space,
+    truncation,
+)
 from manip_learn.control.compiled.limits import binding, bounds_of, breaks, most_rows, tips_at, with_broken, within
 from manip_learn.control.compiled.near_singularity import bounded_approach, is_singular
 from manip_learn.control.compiled.step_table import (
     ACCELERATION_LIMITED,
+    ANSWER,
     DAMPED,
     DAMPED_STATUS,
     DAMPING,
@@ -19,9 +40,12 @@ from manip_learn.control.compiled.step_table import (
     FACTS,
     FOUND,
     HAS_ESCAPE,
+    HIGH,
     INVERSE,
+    LIMIT,
     LIMITING_JOINT,
     LIMITS,
+    LOW,
     NULL_PART,
     NULL_SCALE,
     NULL_SCALED,
@@ -34,19 +58,24 @@ from manip_learn.control.compiled.step_table import (
     RANK,
     REROUTED,
     SINGULAR,
+    SLID,
     SLOPE,
     SMALLEST,
     STALLED,
+    START,
+    TASK_AIM,
     TASK_PART,
     TASK_SCALE,
     TASK_VELOCITY,
     THRESHOLD,
     VELOCITY,
     VELOCITY_LIMITED,
+    WISH,
     Rows,
     Step,
 )
 from manip_learn.control.limits import ACCELERATION as BY_ACCELERATION
+from manip_learn.control.limits import MOST_ROWS
 from manip_learn.control.limits import POSITION as BY_POSITION
 from manip_learn.control.resolved_rate_law import (
     AT_GOAL,
@@ -56,8 +85,360 @@ from manip_learn.control.resolved_rate_law import (
     SLIDING_AFTER,
     STALLED_BELOW,
 )
-from manip_learn.control.tip_limits import MOST_ROWS
 from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
+
+# rows of the scratch of `project`, each as long as x, before those of the triangle and of the basis
+DIRECTION, ALONG, FALL, MULTIPLIERS, BOUNDS, SIGNS, ACTIVE, SCRATCH = range(8)
+
+
+@compiled_inside
+def space_of(nv, most):
+    """The space for programs of up to `most` rows of the barrier, each row long enough for the bounds of all rows."""
+    width = nv + 1 + most
+    return np.empty((SLOPE + most + width + SCRATCH + 2 * (nv + 2), width))
+
+
+@compiled_inside
+def _program(space, nv):
+    """Row where the program begins."""
+    return SLOPE + space.shape[1] - nv - 1
+
+
+@compiled_inside
+def bounded_step(step, rows, space, barriers, damping):
+    """Write the velocity within the bounds, `bounded_velocity`, into row FOUND of the space.
+
+    Returns the task's scale, negative where none was found, and whether the barrier could be kept.
+
+    Args:
+        step: Its parts hold A^+ b, N pi and the velocity out of a singularity.
+        rows: Singular values and vectors are needed for a step that slides; of Vt always the null space.
+        space: LOW and HIGH hold the bounds; from SLOPE on are the rows of the barrier.
+        barriers: Number of rows of the barrier.
+        damping: See `bounded_velocity`.
+    """
+    constants, parts, facts, nv = step.constants, step.parts, step.work[FACTS], rows.A.shape[1]
+    found, too_fast, dofs = space[FOUND], 1.0, dofs_of(constants)
+    for j in range(nv):
+        too_fast = max(too_fast, abs(parts[TASK_PART, j]) / constants[dofs + j, LIMIT])
+    for attempt in range(2 if barriers > 0 else 1):
+        n = barriers if attempt == 0 else 0
+        scale = _scaled_wish(parts, facts, too_fast, space, n)
+        kept = _along(rows.Vt, scale, parts, facts, space, n)
+        if kept < 0.0:
+            kept = _beside(rows, space, n)
+        slides = kept >= 0.0 and step.slide > 0.0
+        if slides and _nearest(rows.sigma, rows.Vt, damping, space, n, space[SLID]):
+            for j in range(nv):
+                found[j] += step.slide * (space[SLID, j] - found[j])
+        if kept >= 0.0 and within(found, space, nv, ROUNDING):
+            for j in range(nv):
+                found[j] = min(max(found[j], space[LOW, j]), space[HIGH, j])
+            return kept / too_fast, attempt == 0
+    for j in range(nv):  # a box always holds a point; this is for a solver that gave up
+        found[j] = min(max(parts[TASK_PART, j] + parts[NULL_PART, j], space[LOW, j]), space[HIGH, j])
+    return -1.0, False
+
+
+@compiled_inside
+def _scaled_wish(parts, facts, too_fast, space, barriers):
+    """v slowed down into row TASK_AIM, the velocity wished for into WISH; returns the scale of v, `approach_scale`."""
+    nv, escapes = parts.shape[1], facts[HAS_ESCAPE] != 0.0
+    for j in range(nv):
+        space[TASK_AIM, j] = parts[TASK_PART, j] / too_fast
+        space[WISH, j] = parts[NULL_PART, j] + (parts[ESCAPE_PART, j] if escapes else 0.0)
+    scale = 1.0
+    for i in range(barriers):
+        approach = room = 0.0
+        for j in range(nv):
+            approach -= space[SLOPE + i, j] * space[TASK_AIM, j]
+            room += space[SLOPE + i, j] * space[WISH, j]
+        if approach > 0.0:
+            scale = min(scale, max(0.0, (room - space[SLOPE + i, nv]) / approach))
+    for j in range(nv):
+        space[WISH, j] += scale * space[TASK_AIM, j]
+    return scale
+
+
+@compiled_inside
+def _along(Vt, scale, parts, facts, space, barriers):
+    """The first program, that keeps the task's direction: its scale, the velocity in FOUND; -1 if there is none."""
+    nv, rank = parts.shape[1], int(facts[RANK])
+    start, v, null, escape = space[START], space[TASK_AIM, :nv], nv - rank, parts[ESCAPE_PART]
+    length = norm(v)
+    speed = norm(escape) if facts[HAS_ESCAPE] != 0.0 else 0.0
+    weight = TASK_WEIGHT * max(length, min(norm(parts[NULL_PART]), LARGEST_RATIO * length))
+    moves, leaves = length > NEGLIGIBLE, speed > NEGLIGIBLE
+    at, k, program = null, null, _program(space, nv)
+    C = space[program:]
+    for c in range(null):
+        start[c] = 0.0
+        for j in range(nv):
+            C[j, c] = Vt[rank + c, j]
+            start[c] += Vt[rank + c, j] * parts[NULL_PART, j]
+    if moves:
+        start[k] = weight * scale
+        for j in range(nv):
+            C[j, k] = v[j] / weight
+        k += 1
+    if leaves:
+        start[k] = speed
+        for j in range(nv):
+            C[j, k] = escape[j] / speed
+        k += 1
+    m = nv + barriers
+    _barrier_rows(C, nv, k, space, barriers)
+    if moves:
+        for c in range(k):
+            C[m, c] = 0.0
+        C[m, at] = 1.0 / weight
+        space[LOW, m], space[HIGH, m] = 0.0, 1.0
+        m += 1
+    y, work, bounds = space[ANSWER], space[program + space.shape[1] :], space[LOW : HIGH + 1]
+    solved = project(start, C, bounds, m, k, y, work)
+    if not solved and moves:  # too fast to brake: farther along b is better than beside it
+        space[HIGH, m - 1] = math.inf
+        solved = project(start, C, bounds, m, k, y, work)
+    if not solved:
+        return -1.0
+    _product(C, y, nv, k, space[FOUND])
+    return max(0.0, y[at] / weight) if moves else 1.0
+
+
+@compiled_inside
+def _barrier_rows(C, nv, k, space, barriers):
+    """The barrier along the columns, behind the rows of the joints, and its bounds."""
+    for i in range(barriers):
+        for c in range(k):
+            total = 0.0
+            for j in range(nv):
+                total += space[SLOPE + i, j] * C[j, c]
+            C[nv + i, c] = total
+        space[LOW, nv + i], space[HIGH, nv + i] = space[SLOPE + i, nv], math.inf
+
+
+@compiled_inside
+def _product(C, y, m, k, u):
+    """u = C y."""
+    for i in range(m):
+        total = 0.0
+        for c in range(k):
+            total += C[i, c] * y[c]
+        u[i] = total
+
+
+@compiled_inside
+def _beside(rows, space, barriers):
+    """The second program, beside the task's direction: its scale, the velocity in FOUND; -1 if there is none."""
+    A, largest, found = rows.A, rows.sigma[0], space[FOUND]
+    s, nv = A.shape
+    across, b, along = np.empty((s, nv)), np.empty(s), np.empty(nv)
+    Ut, sigma, Vt = np.empty((s, s)), np.empty(s), np.empty((s, nv))
+    if largest < 0.0:
+        decompose(A, s, Ut, sigma, Vt)
+        largest = sigma[0]
+    _product(A, space[TASK_AIM], s, nv, b)
+    length = norm(b)
+    for j in range(nv):
+        along[j] = 0.0
+        for i in range(s):
+            along[j] += b[i] * A[i, j]
+    for i in range(s):
+        for j in range(nv):
+            across[i, j] = A[i, j]
+            if length >= NEGLIGIBLE:
+                across[i, j] -= b[i] / length * along[j] / length
+    decompose(across, s, Ut, sigma, Vt)
+    if not _nearest(sigma, Vt, largest / DEVIATION_WEIGHT, space, barriers, found):
+        return -1.0
+    if length < NEGLIGIBLE:
+        return 0.0
+    scale = 0.0
+    for j in range(nv):
+        scale += along[j] * found[j]
+    return max(0.0, scale / (length * length))
+
+
+@compiled_inside
+def _nearest(sigma, Vt, damping, space, barriers, u):
+    """The velocity within the bounds that is nearest to row WISH, mostly in the rows decomposed; False if none is.
+
+    In x with u = (I + sum_i (r_i - 1) v_i v_i^T) x, r_i = 1 / sqrt(1 + (sigma_i / damping)^2), it is nearest to x* of
+    the wish: the symmetric root, which needs no basis of what is left.
+    """
+    nv = Vt.shape[1]
+    program = _program(space, nv)
+    C, start, wish, y = space[program:], space[START], space[WISH], space[ANSWER]
+    for i in range(nv):
+        start[i] = wish[i]
+        for j in range(nv):
+            C[i, j] = 1.0 if i == j else 0.0
+    for r in range(sigma.shape[0]):
+        ratio = sigma[r] / max(damping, 1e-300)
+        root = math.sqrt(1.0 + ratio * ratio)
+        # 1 - 1 / root without cancellation
+        factor, along = ratio * ratio / (root * (1.0 + root)), 0.0
+        for j in range(nv):
+            along += Vt[r, j] * wish[j]
+        for i in range(nv):
+            start[i] += (root - 1.0) * along * Vt[r, i]
+            for j in range(nv):
+                C[i, j] -= factor * Vt[r, i] * Vt[r, j]
+    _barrier_rows(C, nv, nv, space, barriers)
+    work = space[program + space.shape[1] :]
+    if not project(start, C, space[LOW : HIGH + 1], nv + barriers, nv, y, work):
+        return False
+    _product(C, y, nv, nv, u)
+    return True
+
+
+@compiled_inside
+def project(x, C, bounds, m, k, y, work):
+    """y = argmin |y - x|^2 subject to low <= C y <= high for the first m rows and k columns; False if there is no y.
+
+    The dual active-set method of Goldfarb and Idnani (1983). An orthonormal basis of the active rows' normals is kept
+    with its triangle, and mended when a row comes or goes.
+
+    Args:
+        x: The point.
+        C: One row per constraint.
+        bounds: Lower and upper bounds, in two rows.
+        m: Number of rows.
+        k: Number of columns.
+        y: The answer.
+        work: Scratch, SCRATCH + 2 k rows of k columns or more.
+    """
+    multipliers, active = work[MULTIPLIERS], work[ACTIVE]
+    n = k - k  # none; no literal 0, for which numba would compile everything below a second time
+    for c in range(k):
+        y[c] = x[c]
+    for _ in range(8 * m):
+        worst, excess, sign = _most_exceeded(y, C, bounds, m, k, active, n)
+        if worst < 0:
+            if n > 0:
+                _on_faces(x, y, work, n, k)
+            return True
+        square = 0.0
+        for c in range(k):
+            square += C[worst, c] * C[worst, c]
+        multiplier = 0.0
+        while True:
+            slope = _across(C, worst, sign, square, work, n, k)
+            full = excess / slope if slope > DEPENDENT * square and n < k else math.inf
+            partial, leaving = math.inf, n
+            for a in range(n):
+                if work[FALL, a] > 0.0 and multipliers[a] < partial * work[FALL, a]:
+                    partial, leaving = multipliers[a] / work[FALL, a], a
+            step = min(full, partial)
+            if step == math.inf:
+                return False
+            for a in range(n):
+                multipliers[a] -= step * work[FALL, a]
+            multiplier += step
+            if full < math.inf:
+                for c in range(k):
+                    y[c] -= step * work[DIRECTION, c]
+                excess -= step * slope
+            if step == full:
+                active[n], multipliers[n], work[SIGNS, n] = worst, multiplier, sign
+                work[BOUNDS, n] = bounds[1, worst] if sign > 0.0 else -bounds[0, worst]
+                _enter(work, n, k, slope)
+                n += 1
+                break
+            n = _leave(C, work, active, leaving, n, k)
+    return False
+
+
+@compiled_inside
+def _most_exceeded(y, C, bounds, m, k, active, n):
+    """(row, by how much, 1 above and -1 below) of the row whose bound is exceeded most; row -1 if none is."""
+    worst, excess, sign = -1, TOLERANCE, 1.0
+    for i in range(m):
+        reached = 0.0
+        for c in range(k):
+            reached += C[i, c] * y[c]
+        beyond = max(reached - bounds[1, i], bounds[0, i] - reached)
+        if beyond > excess:
+            known = False
+            for a in range(n):
+                known = known or active[a] == i
+            if not known:
+                worst, excess, sign = i, beyond, 1.0 if reached > bounds[1, i] else -1.0
+    return worst, excess, sign
+
+
+@compiled_inside
+def _across(C, row, sign, square, work, n, k):
+    """A row's normal without its part along the active ones; returns its square.
+
+    Its coordinates along the basis go into ALONG, how fast the multipliers of the active rows fall into FALL. Where
+    little is left it is projected twice, for what rounding has left.
+    """
+    for c in range(k):
+        work[DIRECTION, c] = sign * C[row, c]
+    for a in range(n):
+        work[ALONG, a] = 0.0
+    slope = 0.0
+    for _ in range(2):
+        for a in range(n):
+            q, along = SCRATCH + k + a, 0.0
+            for c in range(k):
+                along += work[q, c] * work[DIRECTION, c]
+            for c in range(k):
+                work[DIRECTION, c] -= along * work[q, c]
+            work[ALONG, a] += along
+        slope = 0.0
+        for c in range(k):
+            slope += work[DIRECTION, c] * work[DIRECTION, c]
+        if n == 0 or slope > REORTHOGONAL * square:
+            break
+    for a in range(n - 1, -1, -1):
+        total = work[ALONG, a]
+        for c in range(a + 1, n):
+            total -= work[SCRATCH + a, c] * work[FALL, c]
+        work[FALL, a] = total / work[SCRATCH + a, a]
+    return slope
+
+
+@compiled_inside
+def _enter(work, n, k, slope):
+    """The direction and its coordinates become column n of the basis and of its triangle."""
+    length = math.sqrt(slope)
+    for a in range(n):
+        work[SCRATCH + a, n] = work[ALONG, a]
+    work[SCRATCH + n, n] = length
+    for c in range(k):
+        work[SCRATCH + k + n, c] = work[DIRECTION, c] / length
+
+
+@compiled_inside
+def _leave(C, work, active, leaving, n, k):
+    """Let an active row go, and make the basis of those behind it anew; returns the number of active rows."""
+    for a in range(leaving, n - 1):
+        active[a] = active[a + 1]
+        for i in range(MULTIPLIERS, SIGNS + 1):
+            work[i, a] = work[i, a + 1]
+        slope = _across(C, int(active[a]), work[SIGNS, a], math.inf, work, a, k)
+        _enter(work, a, k, slope)
+    return n - 1
+
+
+@compiled_inside
+def _on_faces(x, y, work, n, k):
+    """The nearest point to x on all active bounds, without the rounding of the steps that led to y."""
+    for c in range(k):
+        y[c] = x[c]
+    for a in range(n):
+        reached = work[BOUNDS, a]
+        for i in range(a):
+            reached -= work[SCRATCH + i, a] * work[FALL, i]
+        work[FALL, a] = reached / work[SCRATCH + a, a]  # where the bounds are along the basis
+    for a in range(n):
+        q, along = SCRATCH + k + a, 0.0
+        for c in range(k):
+            along += work[q, c] * x[c]
+        for c in range(k):
+            y[c] += (work[FALL, a] - along) * work[q, c]
 
 
 @compiled
