@@ -106,28 +106,36 @@ def rows_vjp(s, form, joints, local, work, base, at):
 
 
 @compiled_inside
+def dot(x, y):
+    """Sum of the products of the entries of x with those of y, which may be longer."""
+    total = 0.0
+    for k in range(x.shape[0]):
+        total += x[k] * y[k]
+    return total
+
+
+@compiled_inside
+def add(y, factor, x):
+    """y += factor x, x as long as y or longer."""
+    for k in range(y.shape[0]):
+        y[k] += factor * x[k]
+
+
+@compiled_inside
 def orthogonalised(Q, L):
     """A = L Q, row by row; returns mu = prod L_ii and the shortest L_ii. Q holds A at first."""
-    s, joints = Q.shape
     volume, shortest = 1.0, math.inf
-    for i in range(s):
+    for i in range(Q.shape[0]):
         for j in range(i):
-            total = 0.0
-            for k in range(joints):
-                total += Q[i, k] * Q[j, k]
-            L[i, j] = total
-            for k in range(joints):
-                Q[i, k] -= total * Q[j, k]
-        square = 0.0
-        for k in range(joints):
-            square += Q[i, k] * Q[i, k]
-        length = math.sqrt(square)
-        L[i, i] = length
+            L[i, j] = dot(Q[j], Q[i])
+            add(Q[i], -L[i, j], Q[j])
+        L[i, i] = length = math.sqrt(dot(Q[i], Q[i]))
         shortest = min(shortest, length)
         volume *= length
         if length > 0.0:
-            for k in range(joints):
-                Q[i, k] /= length
+            factor = 1.0 / length
+            for k in range(Q.shape[1]):
+                Q[i, k] *= factor
     return volume, shortest
 
 
@@ -137,10 +145,10 @@ def solve_transposed(L, Q):
     s, joints = Q.shape
     for i in range(s - 1, -1, -1):
         for j in range(i + 1, s):
-            for k in range(joints):
-                Q[i, k] -= L[j, i] * Q[j, k]
+            add(Q[i], -L[j, i], Q[j])
+        factor = 1.0 / L[i, i]
         for k in range(joints):
-            Q[i, k] /= L[i, i]
+            Q[i, k] *= factor
 
 
 @compiled
@@ -170,14 +178,9 @@ def manipulability_and_gradient(table, postures, selection, s, form, public, lea
             mix_rows(selection, 0, s, form, p0, p1, p2, work, at)
             longest = 0.0
             for i in range(s):
-                square = 0.0
                 for j in range(joints):
-                    total = 0.0
-                    for k in range(6):
-                        total += work[at + i, k] * work[j, k]
-                    Q[i, j] = total
-                    square += total * total
-                longest = max(longest, square)
+                    Q[i, j] = dot(work[at + i, :6], work[j])
+                longest = max(longest, dot(Q[i], Q[i]))
             volume, shortest = orthogonalised(Q, L)
             mu[first + m] = volume
             ill[first + m] = not shortest > least * math.sqrt(longest)

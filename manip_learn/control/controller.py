@@ -14,15 +14,11 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.bounded_velocity import BoundedVelocity, Solver, bounded_velocity, projection_by
+from manip_learn.control.bounded_velocity import BoundedVelocity, Desired, Solver, bounded_velocity, projection_by
 from manip_learn.control.command import STATUSES, Command, Status
 from manip_learn.control.compiled import step_table as table
 from manip_learn.control.limits import Barrier, Limits
-from manip_learn.control.policies import (
-    NullSpacePolicy,
-    ZeroPolicy,
-    climbing,
-)
+from manip_learn.control.policies import NullSpacePolicy, ZeroPolicy, climbing
 from manip_learn.control.resolved_rate_law import Law, ResolvedRateLaw, bounded_command, plain_command
 from manip_learn.control.singularity import approach_bound
 from manip_learn.control.tasks import Hold, Task
@@ -114,11 +110,12 @@ class CompiledLimits:
         before = self._unknown if previous is None else np.ascontiguousarray(previous, np.float64)
         code = self._bounded(self._constants, x, float(dt), before, float(slide), rows, work)
         numbers = facts.tolist()
-        return Command(
-            rows[table.VELOCITY], STATUSES[code], law.mu, law.b, rows[table.TASK_PART], rows[table.NULL_PART],
-            numbers[table.TASK_SCALE], numbers[table.NULL_SCALE], law.smallest,
-            None if escape is None else rows[table.ESCAPE_PART],
-            numbers[table.PROGRESS], numbers[table.OUTSIDE], int(numbers[table.LIMITING_JOINT]),
+        escape = None if escape is None else rows[table.ESCAPE_PART]
+        return law.command(
+            rows[table.VELOCITY], STATUSES[code], Desired(rows[table.TASK_PART], rows[table.NULL_PART], escape),
+            task_scale=numbers[table.TASK_SCALE], null_scale=numbers[table.NULL_SCALE],
+            progress=numbers[table.PROGRESS], outside=numbers[table.OUTSIDE],
+            limiting_joint=int(numbers[table.LIMITING_JOINT]),
         )  # fmt: skip
 
     def __reduce__(self) -> tuple[object, ...]:

@@ -106,9 +106,7 @@ class Driver(Protocol):
 
     period: float
 
-    def read(
-        self,
-    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"] | None, Float[np.ndarray, " n"] | None]:
+    def read(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"] | None, Float[np.ndarray, " n"] | None]:
         """The newest measured joint positions [rad or m], velocities and efforts, or None where there are none.
 
         Each is an array in the order of the joints, or a mapping from joint names.

@@ -139,13 +139,7 @@ def _check_order(robot: object, controller: object, q0: object) -> None:
 
 
 def _integrated(
-    robot: Robot | None,
-    controller: Controller,
-    q: np.ndarray,
-    steps: int,
-    dt: float,
-    method: Method,
-    report: Progress,
+    robot: Robot | None, controller: Controller, q: np.ndarray, steps: int, dt: float, method: Method, report: Progress
 ) -> Rollout:
     task_error = controller.task_error if isinstance(controller, TaskController | ServoLoop) else None
     command_at = _loop_of(controller, q, dt, method)

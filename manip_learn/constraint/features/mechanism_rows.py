@@ -190,11 +190,7 @@ class MechanismRows(WeighedVelocity):
         """
         d = self.robot.position(q, self.frame) - self.geometry.point
         z = float(d @ self.geometry.axis)
-        known = {
-            "radial": np.linalg.norm(d - z * self.geometry.axis),
-            "axial": z,
-            "spherical": np.linalg.norm(d),
-        }
+        known = {"radial": np.linalg.norm(d - z * self.geometry.axis), "axial": z, "spherical": np.linalg.norm(d)}
         if not set(self.row_names) <= set(known):
             return super().coordinates(q)
         return np.array([known[n] for n in self.row_names])

@@ -63,10 +63,10 @@ class DrivenMotion(ABC):
         """How far posture q is from the start [m or rad]; of angles a turn apart the one next to `near`."""
 
     @abstractmethod
-    def rates(
+    def rates_and_jacobian(
         self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
-    ) -> Float[np.ndarray, " p"]:
-        """Velocities wanted of the features of `constraint`."""
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
+        """Velocities wanted of the features of `constraint`; E of `Task.error_jacobian`, None where that is A(q)."""
 
     @abstractmethod
     def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
@@ -75,18 +75,6 @@ class DrivenMotion(ABC):
     @abstractmethod
     def goal(self, origin: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
         """Where the frame is after a distance: a pose (4, 4), or numbers for the features' rows (p,)."""
-
-    def error_jacobian(
-        self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float
-    ) -> Float[np.ndarray, "s nv"] | None:
-        """E of `Task.error_jacobian`; None where that is A(q)."""
-        return None
-
-    def rates_and_jacobian(
-        self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
-    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
-        """`rates` and `error_jacobian` together, cheaper than one by one where a child shares work."""
-        return self.rates(origin, q, setpoint, gain), self.error_jacobian(origin, q, setpoint.distance)
 
 
 def between(start: Float[np.ndarray, "..."], end: Float[np.ndarray, "..."], share: float) -> Float[np.ndarray, "..."]:
@@ -267,11 +255,7 @@ class StraightMotion(DrivenMotion):
     """
 
     def __init__(
-        self,
-        constraint: Constraint,
-        direction: ArrayLike | None,
-        unit: Unit | None = None,
-        straight: bool = False,
+        self, constraint: Constraint, direction: ArrayLike | None, unit: Unit | None = None, straight: bool = False
     ):
         features = constraint.features
         angular = np.array([unit == "rad/s" for unit in features.row_units])
@@ -302,30 +286,21 @@ class StraightMotion(DrivenMotion):
         """How far posture q is from the start, along f."""
         return near - self._lag(self._error(origin, q, near))
 
-    def rates(
-        self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
-    ) -> Float[np.ndarray, " p"]:
-        """The rate of the error that the moving goal causes, and gain times the error; along f within the speed."""
-        error, along = self._error_and_along(origin, q, setpoint.distance)
-        return self._rates(error, along, setpoint, gain)
-
     def rates_and_jacobian(
         self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
     ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
-        """Both from one look at the pose."""
+        """The rate of the error that the moving goal causes, and gain times the error, along f within the speed; E."""
         if self._features is None:
-            return super().rates_and_jacobian(origin, q, setpoint, gain)
-        goal = self._goal(origin, setpoint.distance)
-        error, E = self._features.error_and_jacobian(goal, q)
-        along = self._moved(goal, self._features.pose(q))
-        rates = self._rates(error, along, setpoint, gain)
-        return rates, None if E is None else self.constraint.selection.dot(E)
-
-    def _rates(self, error: np.ndarray, along: np.ndarray, setpoint: Setpoint, gain: float) -> np.ndarray:
+            error, along = self._error(origin, q, setpoint.distance), self._f
+            E = self.constraint.features.coordinates_jacobian(q)
+        else:  # from one look at the pose
+            goal = self._goal(origin, setpoint.distance)
+            error, E = self._features.error_and_jacobian(goal, q)
+            along = self._moved(goal, self._features.pose(q))
         lag = self._lag(error)
         excess = setpoint.rate + gain * lag - setpoint.approached(lag, gain)
         rates = along * setpoint.rate + gain * error
-        return rates - excess * self._f if excess else rates
+        return rates - excess * self._f if excess else rates, None if E is None else self.constraint.selection.dot(E)
 
     def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
         """Error along the constrained rows."""
@@ -334,16 +309,6 @@ class StraightMotion(DrivenMotion):
     def goal(self, origin: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
         """The pose, or the coordinates, after a distance along f."""
         return origin + distance * self._f if self._features is None else self._goal(origin, distance)
-
-    def error_jacobian(
-        self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float
-    ) -> Float[np.ndarray, "s nv"] | None:
-        """E of `Task.error_jacobian`; None where that is A(q)."""
-        if self._features is None:
-            E = self.constraint.features.coordinates_jacobian(q)
-        else:
-            E = self._features.error_jacobian(self._goal(origin, distance), q)
-        return None if E is None else self.constraint.selection @ E
 
     def _lag(self, error: np.ndarray) -> float:
         return float(self._f.dot(error)) / self._square
@@ -363,13 +328,6 @@ class StraightMotion(DrivenMotion):
         else:
             goal[:3, :3], goal[:3, 3] = turned @ origin[:3, :3], origin[:3, 3] + v
         return goal
-
-    def _error_and_along(self, origin: np.ndarray, q: ArrayLike, distance: float) -> tuple[np.ndarray, np.ndarray]:
-        """The error, and its rate per unit rate of the distance at a frame that stands still."""
-        if self._features is None:
-            return self._error(origin, q, distance), self._f
-        goal, pose = self._goal(origin, distance), self._features.pose(q)
-        return pose_error(pose, goal, self._own_axes)[self._rows], self._moved(goal, pose)
 
     def _moved(self, goal: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """Rate of the error per unit rate of the distance, at a frame that stands still."""
@@ -531,9 +489,9 @@ class MechanismMotion(DrivenMotion):
         """Angle [rad] or way [m] since the start."""
         return self._coordinates(origin, q, near)[self._driven]
 
-    def rates(
+    def rates_and_jacobian(
         self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
-    ) -> Float[np.ndarray, " p"]:
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
         """Held coordinates back to their start values, the driven one towards the setpoint."""
         now = self._coordinates(origin, q, setpoint.distance)
         rate = setpoint.approached(setpoint.distance - now[self._driven], gain)
@@ -542,7 +500,7 @@ class MechanismMotion(DrivenMotion):
         rates = [-gain * now[name] for name in self._kept]
         if "tangential" in self._kept:  # of an angle: its row is a speed
             rates[self._kept.index("tangential")] *= now["distance from the axis"]
-        return np.array([*rates, rate])
+        return np.array([*rates, rate]), None
 
     def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
         """The held coordinates, less what they were at the start."""

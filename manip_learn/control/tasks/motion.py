@@ -260,8 +260,7 @@ class FreeDirection(Task):
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
         """E with d/dt (error along the rows) = -E u for a setpoint at rest; None where E = A(q) (see `Task`)."""
-        origin, setpoint = self._now(q, t)
-        return self._motion.error_jacobian(origin, q, setpoint.distance)
+        return self.velocity_and_jacobian(constraint, q, t)[1]
 
     def velocity_and_jacobian(
         self, constraint: Constraint, q: np.ndarray, t: float
