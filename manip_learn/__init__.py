@@ -22,24 +22,22 @@ if TYPE_CHECKING:
     )
     from manip_learn.constraint.manipulability import (
         log_manipulability_gradient,
+        log_penalised_manipulability_gradient,
         manipulability,
         manipulability_gradient,
-    )
-    from manip_learn.constraint.manipulability_batch import manipulability_batch
-    from manip_learn.constraint.mechanism import Mechanism
-    from manip_learn.constraint.penalised_manipulability import (
-        log_penalised_manipulability_gradient,
         penalised_manipulability,
         penalised_manipulability_gradient,
     )
+    from manip_learn.constraint.manipulability_batch import manipulability_batch
+    from manip_learn.constraint.mechanism import Mechanism
     from manip_learn.control.command import Command, Controller, Status
     from manip_learn.control.compiled_controller import CompiledController
     from manip_learn.control.controller import ResolvedRateController
-    from manip_learn.control.driver import Driver, RunRecord, run
+    from manip_learn.control.driver import Driver, RunRecord, run, warm_up
     from manip_learn.control.following import following_error_limit
     from manip_learn.control.limits import Limits
-    from manip_learn.control.paths.optimise_path import optimise_path
-    from manip_learn.control.planning.grasp import GraspCone
+    from manip_learn.control.optimise_path import optimise_path
+    from manip_learn.control.planning.approach import GraspCone
     from manip_learn.control.planning.plan import Plan, plan
     from manip_learn.control.policies import (
         JointAttractor,
@@ -55,7 +53,6 @@ if TYPE_CHECKING:
     from manip_learn.control.servo_loop import ServoLoop
     from manip_learn.control.simulation import simulate
     from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, Track, motion
-    from manip_learn.control.warm_up import warm_up
     from manip_learn.errors import ManipLearnError, NoPlanError
     from manip_learn.learning import ConstraintLearner
     from manip_learn.learning.audit import audit_episodes
@@ -80,9 +77,9 @@ _HOMES = {
     "SelfCollisionAvoidance": "control.policies",
     "WeightedPolicies": "control.policies",
     "SelfCollision": "robot.collision",
-    "penalised_manipulability": "constraint.penalised_manipulability",
-    "penalised_manipulability_gradient": "constraint.penalised_manipulability",
-    "log_penalised_manipulability_gradient": "constraint.penalised_manipulability",
+    "penalised_manipulability": "constraint.manipulability",
+    "penalised_manipulability_gradient": "constraint.manipulability",
+    "log_penalised_manipulability_gradient": "constraint.manipulability",
     "RecordingSource": "recordings",
     "likely_tips": "robot.tips",
     "inspect_robot": "robot.robot_summary",
@@ -98,7 +95,7 @@ _HOMES = {
     "FeatureMap": "constraint.features",
     "FrameJacobian": "constraint.features",
     "FreeDirection": "control.tasks",
-    "GraspCone": "control.planning.grasp",
+    "GraspCone": "control.planning.approach",
     "Hold": "control.tasks",
     "JointAttractor": "control.policies",
     "LiveViewer": "playback",
@@ -110,7 +107,7 @@ _HOMES = {
     "RunRecord": "control.driver",
     "following_error_limit": "control.following",
     "run": "control.driver",
-    "warm_up": "control.warm_up",
+    "warm_up": "control.driver",
     "find_mechanism": "learning.mechanisms.find_mechanism",
     "Limits": "control.limits",
     "ManipulabilityAscent": "control.policies",
@@ -138,7 +135,7 @@ _HOMES = {
     "manipulability": "constraint.manipulability",
     "manipulability_gradient": "constraint.manipulability",
     "motion": "control.tasks",
-    "optimise_path": "control.paths.optimise_path",
+    "optimise_path": "control.optimise_path",
     "plan": "control.planning.plan",
     "replay": "playback",
     "resample": "recordings.preprocessing",

@@ -173,34 +173,26 @@ def row_space_angles(stack: Float[np.ndarray, "n s p"], M: Float[np.ndarray, "s 
     return np.arctan2(sines[:, 0], cosines[:, -1])
 
 
-def batch_row_spaces(
-    A: Float[np.ndarray, "n s nv"],
-) -> tuple[Float[np.ndarray, "n nv nv"], Float[np.ndarray, "n s s"]]:
-    """A_n^T = Q_n[:, :s] R_n for a stack of matrices: bases of row and null spaces by Householder reflections.
+def batch_row_spaces(A: Float[np.ndarray, "n s nv"]) -> tuple[Float[np.ndarray, "n nv nv"], Float[np.ndarray, "n s s"]]:
+    """A_n^T = Q_n[:, :s] R_n for a stack of matrices, see `row_bases`: bases of row and null spaces.
 
-    The null basis is Z_n = Q_n[:, s:], the pseudo-inverse A_n^+ = Q_n[:, :s] R_n^{-T}. Vectorised over the stack, where
-    a LAPACK call a matrix would cost more in calls than in arithmetic.
+    The null basis is Z_n = Q_n[:, s:], the pseudo-inverse A_n^+ = Q_n[:, :s] R_n^{-T}.
     """
-    n, s, nv = A.shape
-    work = np.array(A.transpose(0, 2, 1), order="C")  # (n, nv, s), a copy even for s = 1: reduced to R in place
-    Q = np.broadcast_to(np.eye(nv), (n, nv, nv)).copy()
-    for j in range(min(s, nv)):
-        v = work[:, j:, j].copy()
-        norm = np.sqrt(np.einsum("ni,ni->n", v, v))
-        v[:, 0] += np.where(v[:, 0] >= 0.0, norm, -norm)
-        square = np.einsum("ni,ni->n", v, v)
-        beta = np.divide(2.0, square, out=np.zeros(n), where=square > 0.0)
-        work[:, j:, j:] -= (beta[:, None] * v)[:, :, None] * np.einsum("ni,nik->nk", v, work[:, j:, j:])[:, None, :]
-        Q[:, :, j:] -= np.einsum("nki,ni->nk", Q[:, :, j:], v)[:, :, None] * (beta[:, None] * v)[:, None, :]
-    return Q, np.triu(work[:, :s, :])
+    Q, R = row_bases(A.transpose(2, 1, 0), A.shape[2])
+    return np.ascontiguousarray(Q.transpose(2, 0, 1)), np.ascontiguousarray(R.transpose(2, 0, 1))
 
 
 def row_bases(
-    columns: Float[np.ndarray, "nv s n"],
-) -> tuple[Float[np.ndarray, "nv s n"], Float[np.ndarray, "s s n"]]:
-    """A_n^T = Q_n R_n with the matrices side by side in the last axis: bases of the row spaces alone.
+    columns: Float[np.ndarray, "nv s n"], size: int | None = None
+) -> tuple[Float[np.ndarray, "nv k n"], Float[np.ndarray, "s s n"]]:
+    """A_n^T = Q_n R_n with the matrices side by side in the last axis: bases of the row spaces.
 
-    By Householder reflections like `batch_row_spaces`, at a fifth of the cost where the null bases are not needed.
+    By Householder reflections, vectorised over the matrices, where a LAPACK call for each would cost more in calls than
+    in arithmetic.
+
+    Args:
+        columns: A_n^T.
+        size: Number of columns of Q_n: s by default; nv for the null bases behind them, at five times the cost.
     """
     nv, s, n = columns.shape
     work = np.array(columns, order="C")
@@ -214,13 +206,14 @@ def row_bases(
         for k in range(j, s):
             work[j:, k] -= scaled * np.sum(v * work[j:, k], axis=0)
         reflections.append((v, scaled))
-    Q = np.zeros((nv, s, n))
-    for k in range(s):
+    Q = np.zeros((nv, s if size is None else size, n))
+    for k in range(Q.shape[1]):
         Q[k, k] = 1.0
-        for j in range(k, -1, -1):
+        for j in range(min(k, len(reflections) - 1), -1, -1):
             v, scaled = reflections[j]
             Q[j:, k] -= scaled * np.sum(v * Q[j:, k], axis=0)
-    return Q, work[:s] * np.triu(np.ones((s, s)))[:, :, None]
+    R = work[:s]
+    return Q, R * np.triu(np.ones(R.shape[:2]))[:, :, None]
 
 
 @functools.cache

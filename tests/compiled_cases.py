@@ -11,10 +11,9 @@ import pytest
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import MechanismRows
-from manip_learn.constraint.features.place_fields import AT_A_DISTANCE, FIELDS
-from manip_learn.constraint.features.place_rows import PlaceRows
+from manip_learn.constraint.features.mechanism_rows import AT_A_DISTANCE, FIELDS, PlaceRows
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
-from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS
+from manip_learn.constraint.mechanism import MECHANISM_KINDS
 from manip_learn.control import compiled_controller
 from manip_learn.control.command import Command
 from manip_learn.robot.batch.kernel_cache import KERNEL_FILES

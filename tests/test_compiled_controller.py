@@ -19,7 +19,7 @@ from manip_learn.constraint.manipulability_batch import row_inverses
 from manip_learn.constraint.small_matrices import row_inverse
 from manip_learn.control import compiled_controller
 from manip_learn.control.command import Method
-from manip_learn.control.compiled import constrained_rows, packing
+from manip_learn.control.compiled import constrained_rows
 from manip_learn.control.compiled import limits as compiled_limits
 from manip_learn.control.compiled_controller import CompiledController, why_not
 from manip_learn.control.controller import ResolvedRateController
@@ -298,7 +298,7 @@ def test_velocities_near_limits_are_admitted_alike(numba: bool, robot_of: RobotO
     robot = robot_of("sawyer")
     constraint = Constraint(np.eye(3), FrameJacobian(robot, "right_hand", "xyz"))
     controller = ResolvedRateController(constraint, null_policy=ZeroPolicy(robot.nv))
-    limits, table = controller.limits, packing.packed(controller)
+    limits, table = controller.limits, compiled_controller.packed(controller)
     assert limits is not None
     dt, told = 0.01, set()
     middle = 0.5 * (robot.position_lower + robot.position_upper)

@@ -12,7 +12,7 @@ from random_arms import random_posture, random_tree
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.control.compiled import free_step
+from manip_learn.control.compiled.control_step import free_step
 from manip_learn.control.compiled_controller import CompiledController, why_not
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent

@@ -7,10 +7,9 @@ import pytest
 
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
-from manip_learn.constraint.features.place_fields import Place, mechanism_weights
-from manip_learn.constraint.features.place_rows import PlaceForm, PlaceRows
+from manip_learn.constraint.features.mechanism_rows import Place, PlaceForm, PlaceRows, mechanism_weights
 from manip_learn.constraint.features.weighed_velocity import ON_AXIS, PlaceWeights
-from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS
+from manip_learn.constraint.mechanism import MECHANISM_KINDS
 
 TIP = "right_gripper_tip"
 AXIS = np.array([0.6, 0.64, 0.48])

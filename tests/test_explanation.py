@@ -15,7 +15,7 @@ import pytest
 
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.constraint.features.place_rows import PlaceRows
+from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.errors import FeatureError
 from manip_learn.learning.explanation.evidence import HeldScale, evidence, gains_of, held_by, states_of
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, find

@@ -23,7 +23,7 @@ from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection, Hold
-from manip_learn.control.tasks.straight_motion import MotionProfile
+from manip_learn.control.tasks.driven_motion import MotionProfile
 from manip_learn.errors import ConstraintError, FeatureError, TargetError
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.recordings.demonstrations import Demonstrations

@@ -12,7 +12,7 @@ import pytest
 from mechanism_motions import T, about, along, ball, demonstrate, wave
 
 import manip_learn as ml
-from manip_learn.constraint.features.place_fields import across
+from manip_learn.constraint.features.mechanism_rows import across
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.errors import NotIdentifiableError, UnknownNameError
 from manip_learn.learning.mechanisms.find_mechanism import find_mechanism

@@ -10,7 +10,7 @@ from test_gradients import central_difference, postures
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian, MechanismRows
-from manip_learn.constraint.features.place_fields import FIELDS
+from manip_learn.constraint.features.mechanism_rows import FIELDS
 from manip_learn.constraint.manipulability import manipulability, manipulability_gradient
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.compiled_controller import CompiledController

@@ -10,9 +10,10 @@ from test_limit_potential import near_limits
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FrameJacobian, RelativeFrameJacobian, Stacked
-from manip_learn.constraint.manipulability import manipulability, manipulability_gradient
-from manip_learn.constraint.penalised_manipulability import (
+from manip_learn.constraint.manipulability import (
     log_penalised_manipulability_gradient,
+    manipulability,
+    manipulability_gradient,
     penalised_manipulability,
     penalised_manipulability_gradient,
 )

@@ -11,12 +11,11 @@ from conftest import chain_urdf
 
 import manip_learn as ml
 from manip_learn.commands.demo import SCENES
+from manip_learn.control.law_sequence import JointMotion, every_joint
 from manip_learn.control.limits import Limits
 from manip_learn.control.planning.approach import Clearance, clear_path, self_collision
-from manip_learn.control.planning.margins import margins_of, node_margins, rooms
 from manip_learn.control.planning.search import Ladder, _soft_margin, ladder_of, relaxed
-from manip_learn.control.planning.stations import Stations
-from manip_learn.control.tasks.joint_motion import JointMotion, every_joint
+from manip_learn.control.planning.stations import Stations, margins_of, node_margins, rooms
 
 PANDA_TIP = "panda_hand_tcp"
 READY = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.7, 0.8])

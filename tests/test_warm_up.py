@@ -9,12 +9,12 @@ import sys
 import pytest
 
 import manip_learn as ml
-from manip_learn.control.warm_up import controllers_to_warm_up
+from manip_learn.control.driver import controllers_to_warm_up
 
 LATER = """
 import sys, time
 import manip_learn as ml
-from manip_learn.control.warm_up import controllers_to_warm_up
+from manip_learn.control.driver import controllers_to_warm_up
 first, second = controllers_to_warm_up(ml.load_robot("sawyer"))
 start = time.process_time()
 loops = [ml.ServoLoop(controller) for controller in (first, second)]

@@ -10,7 +10,7 @@ from mechanism_motions import about, ball, demonstrate
 from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
-from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS
+from manip_learn.constraint.mechanism import MECHANISM_KINDS
 from manip_learn.learning.mechanisms.place_fit import fit_place
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place
 from manip_learn.learning.mechanisms.tip_paths import TipPaths

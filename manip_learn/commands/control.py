@@ -17,14 +17,14 @@ from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.limits import check_inside
-from manip_learn.control.planning.grasp import GraspCone
+from manip_learn.control.planning.approach import GraspCone
 from manip_learn.control.planning.plan import Plan, plan
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, motion
+from manip_learn.control.tasks.driven_motion import in_words
 from manip_learn.control.tasks.motion import motion_to
-from manip_learn.control.tasks.straight_motion import in_words
 from manip_learn.control.way import WayDone, leads_away, simulate_way
 from manip_learn.errors import ManipLearnError, TargetError
 from manip_learn.linalg import complement_rows

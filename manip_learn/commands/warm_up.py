@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 from typing import Any, final
 
 from manip_learn.commands.options import WarmUpOptions
-from manip_learn.control.warm_up import controllers_to_warm_up
-from manip_learn.control.warm_up import warm_up as warm_up_controller
+from manip_learn.control.driver import controllers_to_warm_up
+from manip_learn.control.driver import warm_up as warm_up_controller
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import load_robot
 

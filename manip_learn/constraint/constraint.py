@@ -12,14 +12,12 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.constraint.features.described_features import described_features
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, row_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
-from manip_learn.constraint.features.mechanism_rows import MechanismRows
-from manip_learn.constraint.features.place_rows import PlaceRows
+from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
+from manip_learn.constraint.features.other_features import described_features
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
-from manip_learn.constraint.mechanism import Mechanism, named_rows, read_mechanism
-from manip_learn.constraint.mechanism_kinds import TURNING
+from manip_learn.constraint.mechanism import TURNING, Mechanism, named_rows, read_mechanism
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, spoken
 from manip_learn.linalg import along_axes, orthonormal_rows
 from manip_learn.robot import html_card

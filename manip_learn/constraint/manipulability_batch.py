@@ -91,7 +91,7 @@ def _compiled(
     public = kinematics.public_columns
     if public is None:
         return None
-    from manip_learn.constraint.compiled_manipulability import manipulability_and_gradient
+    from manip_learn.constraint.compiled_rows import manipulability_and_gradient
 
     positions = positions_of(features.robot, postures)  # type: ignore[attr-defined]
     (selection, form, reference), s = known, constraint.n_constraints

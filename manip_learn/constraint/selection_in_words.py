@@ -7,11 +7,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from manip_learn.constraint.features.centre_of_mass import CentreOfMass
 from manip_learn.constraint.features.feature_map import NEGLIGIBLE, FeatureMap, row_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES as TWIST
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.constraint.features.other_features import CentreOfMass
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.constraint.mechanism import Mechanism, in_words

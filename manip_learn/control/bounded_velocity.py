@@ -14,8 +14,7 @@ from jaxtyping import Float
 from scipy.linalg.lapack import dposv
 
 from manip_learn.constraint.small_matrices import svd
-from manip_learn.control.limits import Bounds
-from manip_learn.control.tip_limits import Barrier
+from manip_learn.control.limits import Barrier, Bounds
 from manip_learn.errors import ConstraintError
 
 # how much a bound may be exceeded by rounding, in the unit of the bounds
@@ -47,10 +46,7 @@ def projection_by(solver: Solver) -> Projection:
 
 
 def project_by_daqp(
-    x: Float[np.ndarray, " k"],
-    C: Float[np.ndarray, "m k"],
-    low: Float[np.ndarray, " m"],
-    high: Float[np.ndarray, " m"],
+    x: Float[np.ndarray, " k"], C: Float[np.ndarray, "m k"], low: Float[np.ndarray, " m"], high: Float[np.ndarray, " m"]
 ) -> Float[np.ndarray, " k"] | None:
     """argmin |y - x|^2 subject to low <= C y <= high, or None if no point meets the bounds.
 
@@ -77,10 +73,7 @@ def _inequalities(size: int) -> np.ndarray:
 
 
 def project_by_active_set(
-    x: Float[np.ndarray, " k"],
-    C: Float[np.ndarray, "m k"],
-    low: Float[np.ndarray, " m"],
-    high: Float[np.ndarray, " m"],
+    x: Float[np.ndarray, " k"], C: Float[np.ndarray, "m k"], low: Float[np.ndarray, " m"], high: Float[np.ndarray, " m"]
 ) -> Float[np.ndarray, " k"] | None:
     """The same by the dual active-set method of Goldfarb and Idnani (1983), without another library.
 
@@ -258,7 +251,8 @@ def bounded_velocity(
         m = nv + len(least) + 1
         low = np.fromiter([*bounds.low, *least, 0.0], np.float64, m)
         high = np.fromiter([*bounds.high, *[math.inf] * len(least), 1.0], np.float64, m)
-        found = _bounded(A, desired, null, low, high, fastest, barred, project, slide, damping, decomposition)
+        program = _Program(low, high, barred, project)
+        found = _bounded(A, desired, null, fastest, program, slide, damping, decomposition)
         if found is not None:
             reached = found.velocity.tolist()
             joints = zip(reached, bounds.low, bounds.high, strict=True)
@@ -274,11 +268,8 @@ def _bounded(
     A: np.ndarray,
     desired: Desired,
     Z: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
     fastest: np.ndarray,
-    barrier: Barrier | None,
-    project: Projection,
+    program: _Program,
     slide: float,
     damping: float,
     decomposition: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
@@ -288,23 +279,21 @@ def _bounded(
     if too_fast > 1.0:  # slowed down to the velocity limits, before null-space motion makes room for it
         v = v / too_fast
     rest = w if e is None else w + e
-    scale = approach_scale(v, rest, barrier)
-    along = _along(v, scale, w, e, Z, low, high, barrier, project)
-    bounds = (low[:-1], high[:-1], barrier, project)
+    scale = approach_scale(v, rest, program.barrier)
+    wish, along = scale * v + rest, program.along(v, scale, w, e, Z)
     if along is not None:
         u, s = along
     else:
-        wish = scale * v + rest
         b = A @ v
         length = math.sqrt(b.dot(b))
         across = A if length < NEGLIGIBLE else A - np.outer(b / length, (b / length) @ A)
         decomposition = decomposition or svd(A)
-        u = _nearest(wish, svd(across), float(decomposition[1][0]) / DEVIATION_WEIGHT, *bounds)
+        u = program.nearest(wish, svd(across), float(decomposition[1][0]) / DEVIATION_WEIGHT)
         if u is None:
             return None
         s = 0.0 if length < NEGLIGIBLE else max(0.0, float(b @ (A @ u)) / length**2)
     if slide > 0.0:
-        slid = _nearest(scale * v + rest, decomposition or svd(A), damping, *bounds)
+        slid = program.nearest(wish, decomposition or svd(A), damping)
         if slid is not None:
             u = u + slide * (slid - u)
     null_part = Z.dot(u) if Z.shape[0] == Z.shape[1] else Z.dot(u.dot(Z))
@@ -322,60 +311,53 @@ def approach_scale(v: np.ndarray, rest: np.ndarray, barrier: Barrier | None) -> 
     return scale
 
 
-def _along(
-    v: np.ndarray,
-    scale: float,
-    w: np.ndarray,
-    e: np.ndarray | None,
-    Z: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    barrier: Barrier | None,
-    project: Projection,
-) -> tuple[np.ndarray, float] | None:
-    """The first program: (u, s), or None if the bounds allow no s >= 0."""
-    nv, at = Z.shape
-    length, speed = math.sqrt(v.dot(v)), 0.0 if e is None else math.sqrt(e.dot(e))
-    moves, escapes = length > NEGLIGIBLE, speed > NEGLIGIBLE
-    # a slow task comes first beside a fast policy, too
-    weight = TASK_WEIGHT * max(length, min(math.sqrt(w.dot(w)), LARGEST_RATIO * length))
-    k, rows = at + moves + escapes, low.shape[0] - (not moves)
-    # the unknowns are y, weight * s, and the escape's speed
-    C, start = np.zeros((rows, k)), np.empty(k)
-    basis = C[:nv]
-    # the projector leaves a null-space motion as it is
-    basis[:, :at], start[:at] = Z, w if at == nv else w.dot(Z)
-    if moves:
-        basis[:, at], start[at], C[-1, at] = v / weight, weight * scale, 1.0 / weight
-    if e is not None and escapes:
-        basis[:, -1], start[-1] = e / speed, speed
-    if barrier is not None:
-        C[nv : nv + barrier[0].shape[0]] = barrier[0].dot(basis)
-    y = project(start, C, low[:rows], high[:rows])
-    if y is None and moves:  # too fast to brake: farther along b is better than beside it
-        high[-1] = math.inf
-        y = project(start, C, low, high)
-    if y is None:
-        return None
-    return basis.dot(y), float(y[at]) / weight if moves else 1.0
+@final
+class _Program(NamedTuple):
+    """Bounds on the joints, the barrier and, last, the task's scale; the barrier's rows, and who solves the program."""
 
+    low: np.ndarray
+    high: np.ndarray
+    barrier: Barrier | None
+    project: Projection
 
-def _nearest(
-    wish: np.ndarray,
-    decomposition: tuple[np.ndarray, np.ndarray, np.ndarray],
-    damping: float,
-    low: np.ndarray,
-    high: np.ndarray,
-    barrier: Barrier | None,
-    project: Projection,
-) -> np.ndarray | None:
-    """The second program: the velocity within the bounds that is nearest to `wish`, mostly in the rows decomposed."""
-    _, sigma, Vt = decomposition
-    nv, scale = Vt.shape[0], 1.0 / max(damping, 1e-300)
-    root = np.array([math.hypot(1.0, scale * x) for x in sigma.tolist()] + [1.0] * (nv - sigma.shape[0]))
-    rows = np.empty((nv + (0 if barrier is None else barrier[0].shape[0]), nv))
-    C = np.divide(Vt.T, root, out=rows[:nv])  # u = C x
-    if barrier is not None:
-        rows[nv:] = barrier[0].dot(C)
-    x = project(root * Vt.dot(wish), rows, low, high)
-    return None if x is None else C.dot(x)
+    def along(
+        self, v: np.ndarray, scale: float, w: np.ndarray, e: np.ndarray | None, Z: np.ndarray
+    ) -> tuple[np.ndarray, float] | None:
+        """The first program: (u, s), or None if the bounds allow no s >= 0."""
+        nv, at = Z.shape
+        length, speed = math.sqrt(v.dot(v)), 0.0 if e is None else math.sqrt(e.dot(e))
+        moves, escapes = length > NEGLIGIBLE, speed > NEGLIGIBLE
+        # a slow task comes first beside a fast policy, too
+        weight = TASK_WEIGHT * max(length, min(math.sqrt(w.dot(w)), LARGEST_RATIO * length))
+        k, rows = at + moves + escapes, self.low.shape[0] - (not moves)
+        # the unknowns are y, weight * s, and the escape's speed
+        C, start = np.zeros((rows, k)), np.empty(k)
+        basis = C[:nv]
+        # the projector leaves a null-space motion as it is
+        basis[:, :at], start[:at] = Z, w if at == nv else w.dot(Z)
+        if moves:
+            basis[:, at], start[at], C[-1, at] = v / weight, weight * scale, 1.0 / weight
+        if e is not None and escapes:
+            basis[:, -1], start[-1] = e / speed, speed
+        if self.barrier is not None:
+            C[nv : nv + self.barrier[0].shape[0]] = self.barrier[0].dot(basis)
+        y = self.project(start, C, self.low[:rows], self.high[:rows])
+        if y is None and moves:  # too fast to brake: farther along b is better than beside it
+            y = self.project(start, C, self.low, np.append(self.high[:-1], math.inf))
+        if y is None:
+            return None
+        return basis.dot(y), float(y[at]) / weight if moves else 1.0
+
+    def nearest(
+        self, wish: np.ndarray, decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], damping: float
+    ) -> np.ndarray | None:
+        """The second program: the velocity within the bounds that is nearest, mostly in the rows decomposed."""
+        _, sigma, Vt = decomposition
+        nv, scale = Vt.shape[0], 1.0 / max(damping, 1e-300)
+        root = np.array([math.hypot(1.0, scale * x) for x in sigma.tolist()] + [1.0] * (nv - sigma.shape[0]))
+        rows = np.empty((self.low.shape[0] - 1, nv))
+        C = np.divide(Vt.T, root, out=rows[:nv])  # u = C x
+        if self.barrier is not None:
+            rows[nv:] = self.barrier[0].dot(C)
+        x = self.project(root * Vt.dot(wish), rows, self.low[:-1], self.high[:-1])
+        return None if x is None else C.dot(x)

@@ -1,4 +1,4 @@
-"""An arm behind a small protocol, and the cycle that runs a servo loop on it."""
+"""An arm behind a small protocol, and the cycle that runs a servo loop on it; what it needs compiled ahead of time."""
 
 from __future__ import annotations
 
@@ -8,21 +8,82 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Any, Protocol, final
 
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.control.command import Command, Status
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.control.command import Command, Controller, Status
+from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.policies import ManipulabilityAscent, WeightedPolicies
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.simulation import guided
+from manip_learn.control.tasks import PointAttractor
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.tips import default_tip
+
+
+@final
+@dataclass(frozen=True)
+class WarmUp:
+    """What was made ready, and how long that took.
+
+    Attributes:
+        seconds: [s]; what is on disk already is only read.
+        step: Whether whole steps are compiled now.
+        limits: Whether what keeps the limits behind a law in Python is compiled now.
+    """
+
+    seconds: float
+    step: bool
+    limits: bool
+
+
+def warm_up(controller: Controller | ServoLoop, report: Callable[[str], object] | None = None) -> WarmUp:
+    """Compile, once per machine, what the first `ServoLoop` of a controller would compile.
+
+    Later processes read the machine code from disk. It depends on the kind of controller, not on its numbers: which
+    robot, constraint, target and limits does not matter. Without numba (the extra `fast`) there is nothing to do.
+
+    Args:
+        controller: A controller, or a loop.
+        report: Called with a sentence where code has to be compiled; by default a line of the logger `manip_learn`.
+
+    Returns:
+        What was made ready.
+    """
+    start = time.perf_counter()
+    if isinstance(controller, ServoLoop):
+        controller = controller.controller
+    if find_spec("numba") is not None:
+        controller = compiled_if_possible(controller, None, report)
+    step = isinstance(controller, CompiledController)
+    limits = isinstance(controller, ResolvedRateController) and controller.solver == "compiled"
+    return WarmUp(time.perf_counter() - start, step, limits)
+
+
+def controllers_to_warm_up(robot: Robot) -> tuple[ResolvedRateController, ResolvedRateController]:
+    """One controller of each kind: of which whole steps are compiled, and of which only what keeps the limits is."""
+    features = FrameJacobian(robot, default_tip(robot), "x y")
+    constraint = Constraint(np.eye(2)[:1], features)
+    target = features.coordinates(robot.neutral())
+    climb = ManipulabilityAscent(constraint)
+    sums = WeightedPolicies([climb], [1.0])  # which are not compiled
+    return (
+        ResolvedRateController(constraint, PointAttractor(target), climb),
+        ResolvedRateController(constraint, PointAttractor(target), sums),
+    )
+
 
 SPIN = 2e-4  # [s] before a cycle begins, from which on it is waited for awake: sleeping may wake up late
 LATE = 0.5  # share of a period by which a cycle begins late to be counted
@@ -45,9 +106,7 @@ class Driver(Protocol):
 
     period: float
 
-    def read(
-        self,
-    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"] | None, Float[np.ndarray, " n"] | None]:
+    def read(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"] | None, Float[np.ndarray, " n"] | None]:
         """The newest measured joint positions [rad or m], velocities and efforts, or None where there are none.
 
         Each is an array in the order of the joints, or a mapping from joint names.

@@ -1,20 +1,113 @@
-"""Laws one after the other: an approach, and then the way."""
+"""Laws one after the other, an approach of all joints and then the way; and what a loop takes from a controller."""
 
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.other_features import CustomFeatures
+from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.constraint.manipulability import manipulability
-from manip_learn.control.command import Command
+from manip_learn.control.command import Command, Controller
+from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.limits import Limits
-from manip_learn.control.tasks.joint_motion import JointMotion
+from manip_learn.control.tasks import PointAttractor, Task
+from manip_learn.control.tasks.driven_motion import MotionProfile
+from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
+
+RAMP = 0.5  # [s] from rest to the speed, as that of a way
+
+
+def every_joint(robot: Robot) -> Constraint:
+    """A(q) = I: a row for the velocity of each joint."""
+    nv, one, none = robot.nv, np.eye(robot.nv), np.zeros((robot.nv,) * 3)
+    rows = CustomFeatures(lambda _q: one, robot.joint_names, nv, derivative=lambda _q: none, robot=robot)
+    return Constraint(one, rows)
+
+
+@final
+class JointMotion(Task):
+    """b = dq*/dt + gain (q*(t) - q): straight from posture to posture, at rest in each of them.
+
+    It begins with the first call, as a `FreeDirection` does; a call at or before that time after later ones is a new
+    run.
+
+    Args:
+        robot: The robot.
+        postures: shape (k, nv), joint positions [rad or m], the start first.
+        speed: shape (nv,), largest speed of each joint [rad/s or m/s].
+        gain: Rate at which deviations are taken back [1/s].
+
+    Raises:
+        ConfigurationError: Postures that are not finite or of another size, or speeds that are not positive.
+    """
+
+    slides = False
+    waits = True
+
+    def __init__(self, robot: Robot, postures: ArrayLike, speed: ArrayLike, gain: float = 10.0):
+        table = np.array(postures, dtype=np.float64)
+        most = np.broadcast_to(np.asarray(speed, dtype=np.float64), (robot.nv,))
+        if table.ndim != 2 or table.shape[1] != robot.nv or not len(table) or not np.all(np.isfinite(table)):
+            raise ConfigurationError(f"the path must be postures of {robot.nv} finite joint positions, one a row")
+        if not np.all(most > 0.0):
+            raise ConfigurationError(f"the speeds of the joints must be positive, got {most.tolist()}")
+        self._robot, self.gain = robot, float(gain)
+        steps = np.diff(table, axis=0)
+        times = np.max(np.abs(steps) / most, axis=1, initial=0.0)  # [s] at full speed
+        moves = times > 0.0
+        self._starts, self._steps = table[:-1][moves], steps[moves]
+        self._profiles = [MotionProfile(1.0, 1.0 / time, RAMP) for time in times[moves].tolist()]
+        self._ends = np.cumsum([profile.duration for profile in self._profiles])
+        self._last = table[-1]
+        self.reset()
+
+    @property
+    def duration(self) -> float:
+        """How long the motion takes where no limit slows it down [s]."""
+        return float(self._ends[-1]) if len(self._ends) else 0.0
+
+    def reset(self) -> None:
+        """Forget the start: the next call is the first one again."""
+        self._begun, self._latest = math.inf, -math.inf
+
+    def at(self, t: float) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"]]:
+        """Where the joints should be t [s] after the start, and how fast [rad or m, rad/s or m/s]."""
+        leg = int(np.searchsorted(self._ends, t))
+        if leg >= len(self._ends):
+            return self._last, np.zeros_like(self._last)
+        profile = self._profiles[leg]
+        share, rate = profile.at(t - float(self._ends[leg]) + profile.duration)
+        return self._starts[leg] + share * self._steps[leg], rate * self._steps[leg]
+
+    def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " nv"]:
+        """b of every joint."""
+        if t <= self._begun < self._latest:
+            self.reset()
+        self._begun, self._latest = min(self._begun, t), t
+        goal, rate = self.at(t - self._begun)
+        return rate + self.gain * self._robot.difference(q, goal)
+
+    def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
+        """How far the joints are from the last posture [rad or m]."""
+        return float(np.linalg.norm(self._robot.difference(q, self._last)))
+
+    def goal(self) -> Float[np.ndarray, " nv"]:
+        """The last posture."""
+        return self._last.copy()
+
+    def __repr__(self) -> str:
+        return f"JointMotion({len(self._profiles)} legs, {self.duration:.3g} s)"
+
 
 ARRIVED = 1e-3  # [rad or m] of all joints together: the hand is within a millimetre of where it takes hold
 SETTLING = 1.0  # [s] after which the way begins anyhow, with what encoder noise leaves
@@ -95,3 +188,109 @@ class LawSequence:
 
     def __repr__(self) -> str:
         return f"LawSequence({self.approach.task!r}, {self.way.task!r})"
+
+
+def robot_of(controller: Controller, robot: Robot | None) -> Robot:
+    """The robot whose limits count: the one given, or the controller's.
+
+    Raises:
+        ConfigurationError: There is none.
+    """
+    own = robot or getattr(controller, "robot", None)
+    if not isinstance(own, Robot):
+        raise ConfigurationError("the controller has no robot whose limits count: ServoLoop(..., robot=robot)")
+    return own
+
+
+def law_of(controller: Controller) -> ResolvedRateController | None:
+    """The law of a controller of the library, compiled or not, that in force; None for a controller of another kind."""
+    law = controller.controller if isinstance(controller, CompiledController) else controller
+    law = law.current if isinstance(law, LawSequence) else law
+    return law if isinstance(law, ResolvedRateController) else None
+
+
+def limits_of(controller: Controller, robot: Robot, acceleration: ArrayLike | None, jerk: ArrayLike | None) -> Limits:
+    """The controller's limits, with other accelerations and jerks if they are given."""
+    law = law_of(controller)
+    own = None if law is None else law.limits
+    if own is None:
+        return Limits(robot, acceleration=acceleration, jerk=jerk)
+    return own.with_rates(acceleration, jerk)
+
+
+def with_limits(controller: Controller, limits: Limits, compiled: bool | None = False) -> Controller:
+    """A controller of the loop's own, with its limits, compiled where that is asked for (`compiled_if_possible`)."""
+    if isinstance(controller, CompiledController):
+        return CompiledController(controller.controller.with_limits(limits))
+    own = controller.with_limits(limits) if isinstance(controller, ResolvedRateController | LawSequence) else controller
+    return compiled_if_possible(own, compiled)
+
+
+def task_of(controller: Controller) -> Task | None:
+    """The task of a controller of the library; None for a controller of another kind."""
+    law = law_of(controller)
+    return None if law is None else law.task
+
+
+def keeps_limits(controller: Controller) -> bool:
+    """Whether a controller's commands are within the limits that it was given."""
+    return isinstance(controller, ResolvedRateController | CompiledController | LawSequence)
+
+
+def forget(controller: Controller) -> None:
+    """Make a controller forget what its tasks remember of the past."""
+    if isinstance(controller, LawSequence):
+        controller.reset()
+    elif (task := task_of(controller)) is not None:
+        task.reset()
+
+
+def constraint_of(controller: Controller) -> Constraint | None:
+    """The constraint of a controller of the library, with the rows that its task drives; None for another kind."""
+    law = controller.way if isinstance(controller, LawSequence) else law_of(controller)
+    return None if law is None else law.constraint
+
+
+def frame_of(controller: Controller) -> str | None:
+    """The frame that a controller's constraint holds; None where it has none."""
+    constraint = constraint_of(controller)
+    if constraint is None:
+        return None
+    features = constraint.features
+    return (
+        features.frame.name if isinstance(features, FrameJacobian | RelativeFrameJacobian | WeighedVelocity) else None
+    )
+
+
+def exchanged(
+    controller: Controller, *, task: Task | None = None, constraint: Constraint | None = None
+) -> ResolvedRateController:
+    """The law of a controller with another task or another constraint.
+
+    Raises:
+        ConfigurationError: It is no controller of the library.
+        ManipLearnError: Task and constraint do not fit each other.
+    """
+    law = law_of(controller)
+    if law is None:
+        raise ConfigurationError(f"only a ResolvedRateController takes another task, not {type(controller).__name__}")
+    if constraint is not None and constraint.robot is not law.learnt.robot:
+        raise ConfigurationError("the constraint belongs to another robot than that of the loop")
+    return law.with_task(law.task if task is None else task, law.learnt if constraint is None else constraint)
+
+
+def aimed_at(task: Task | None, target: ArrayLike) -> PointAttractor:
+    """The same attractor with another target.
+
+    Raises:
+        ConfigurationError: The task is no attractor.
+    """
+    if type(task) is not PointAttractor:
+        raise ConfigurationError(f"only a PointAttractor has a target that can be set, the task is {task!r}")
+    return PointAttractor(target, task.gain, task.max_speed, driven=task.driven)
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is a real number; True, text, arrays and durations are none."""
+    kinds = (int, float, np.integer, np.floating)
+    return isinstance(value, kinds) and not isinstance(value, bool | np.timedelta64)

@@ -13,8 +13,13 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
-from manip_learn.constraint.manipulability import SINGULAR_RATIO, escape_direction, gradient_from
-from manip_learn.constraint.penalised_manipulability import limited_robot, penalised_value_and_vjp
+from manip_learn.constraint.manipulability import (
+    SINGULAR_RATIO,
+    escape_direction,
+    gradient_from,
+    limited_robot,
+    penalised_value_and_vjp,
+)
 from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.control.singularity import GROWTH, SEED_SPEED, Decomposition, steepest_ascent
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError

@@ -6,7 +6,7 @@ import math
 from functools import cache
 from math import isfinite
 from operator import mul
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
@@ -78,6 +78,22 @@ class Law(NamedTuple):
             return self.decomposition.Vt[rank:].T if rank else unit
         return unit if self.X is None else unit - self.A.T.dot(self.X)
 
+    def command(
+        self,
+        velocity: Float[np.ndarray, " nv"],
+        status: Status,
+        parts: Desired,
+        *,
+        task_scale: float = 1.0,
+        null_scale: float = 1.0,
+        **more: Any,
+    ) -> Command:
+        """A command under this law, the sum of its parts as commanded; `more` fields as `Command` names them."""
+        task, null, escape = parts
+        return Command(
+            velocity, status, self.mu, self.b, task, null, task_scale, null_scale, self.smallest, escape, **more
+        )
+
 
 @cache
 def _unit(size: int) -> Float[np.ndarray, "n n"]:
@@ -97,20 +113,7 @@ def plain_command(law: Law, velocity: Float[np.ndarray, " nv"], damped: bool, ou
         status = Status.SINGULAR
     if outside > 0.0:
         status = Status.OUTSIDE_LIMITS
-    return Command(
-        velocity=velocity,
-        status=status,
-        manipulability=law.mu,
-        task_velocity=law.b,
-        task_part=law.desired.task,
-        null_part=law.desired.null,
-        task_scale=1.0,
-        null_scale=1.0,
-        smallest_singular_value=law.smallest,
-        escape_part=law.desired.escape,
-        progress=progress,
-        outside=outside,
-    )
+    return law.command(velocity, status, law.desired, progress=progress, outside=outside)
 
 
 def bounded_command(
@@ -140,21 +143,9 @@ def bounded_command(
         status = Status.DAMPED
     else:
         status = Status.NULL_SCALED if bounds.admit(task) else Status.REROUTED
-    return Command(
-        velocity=velocity,
-        status=status,
-        manipulability=law.mu,
-        task_velocity=law.b,
-        task_part=task_part,
-        null_part=null_part,
-        task_scale=min(task_scale, 1.0),
-        null_scale=null_scale,
-        smallest_singular_value=law.smallest,
-        escape_part=escape,
-        progress=progress,
-        outside=bounds.outside,
-        limiting_joint=joint,
-    )
+    numbers = {"task_scale": min(task_scale, 1.0), "null_scale": null_scale, "progress": progress}
+    parts = Desired(task_part, null_part, escape)
+    return law.command(velocity, status, parts, **numbers, outside=bounds.outside, limiting_joint=joint)
 
 
 def next_slide(slide: float, command: Command, dt: float) -> float:

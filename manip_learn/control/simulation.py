@@ -13,9 +13,9 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Command, Controller, Method, TaskController, next_posture
 from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
 from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.law_sequence import constraint_of, frame_of, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
-from manip_learn.control.servo_settings import constraint_of, frame_of, law_of, task_of
 from manip_learn.errors import ConfigurationError, an
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.batch.postures import checked_postures, positions_of
@@ -139,13 +139,7 @@ def _check_order(robot: object, controller: object, q0: object) -> None:
 
 
 def _integrated(
-    robot: Robot | None,
-    controller: Controller,
-    q: np.ndarray,
-    steps: int,
-    dt: float,
-    method: Method,
-    report: Progress,
+    robot: Robot | None, controller: Controller, q: np.ndarray, steps: int, dt: float, method: Method, report: Progress
 ) -> Rollout:
     task_error = controller.task_error if isinstance(controller, TaskController | ServoLoop) else None
     command_at = _loop_of(controller, q, dt, method)

@@ -24,10 +24,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.centre_of_mass import CentreOfMass
-from manip_learn.constraint.features.custom_features import CustomFeatures
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.constraint.features.stacked import Stacked
+from manip_learn.constraint.features.other_features import CentreOfMass, CustomFeatures, Stacked
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments import charts
 from manip_learn.experiments.experiment_result import ExperimentResult, markdown_table, number, percent, summary

@@ -12,8 +12,7 @@ from jaxtyping import Bool
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.constraint.features.mechanism_rows import MechanismRows
-from manip_learn.constraint.features.place_rows import PlaceRows
+from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
 from manip_learn.errors import NotIdentifiableError, counted, number_if_known
 from manip_learn.learning.candidate import Candidate, LearnerSettings
 from manip_learn.learning.explanation.findings import Findings, Part

@@ -12,8 +12,8 @@ import numpy as np
 from estimator_checks.motions import ONE_ROW, ROUNDING_DEG, planar_motion
 from estimator_checks.subject import Learner, Subject
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.custom_features import CustomFeatures
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.other_features import CustomFeatures
 from manip_learn.recordings.demonstrations import Demonstrations
 
 

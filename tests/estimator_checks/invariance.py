@@ -9,8 +9,8 @@ import numpy as np
 
 from estimator_checks.motions import ROUNDING_DEG, changed, mapped, velocities
 from estimator_checks.subject import Learner, Subject
-from manip_learn.constraint.features.custom_features import CustomFeatures
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.other_features import CustomFeatures
 from manip_learn.recordings.trajectory import Trajectory
 
 

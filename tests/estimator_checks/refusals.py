@@ -14,8 +14,8 @@ from estimator_checks.motions import (
     velocities,
 )
 from estimator_checks.subject import Subject
-from manip_learn.constraint.features.custom_features import CustomFeatures
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.other_features import CustomFeatures
 from manip_learn.errors import ManipLearnError
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory

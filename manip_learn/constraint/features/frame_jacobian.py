@@ -1,8 +1,21 @@
-"""Rows of a frame's Jacobian as features: the usual Phi(q) of an arm."""
+"""Rows of a frame's Jacobian as features: the usual Phi(q) of an arm; the error of its pose.
+
+With the pose (p, R) and the goal (p*, R*) the error is, along the axes of the base and along those of the frame,
+
+    e = (p* - p,  log(R* R^T))        and        R^T e = (R^T (p* - p),  log(R^T R*))
+
+The rate of a rotation vector is not the angular velocity: with a twist (v, w) along the same axes and a goal at rest
+
+    base    d/dt e = -( v,  Jr^-1(e_rot) w )
+    frame   d/dt e = -( v - e_lin x w,  Jl^-1(e_rot) w )
+
+Jl and Jr are the left and the right Jacobian of SO(3), see `robot.rotations`. On the goal both maps are the identity.
+"""
 
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, final
 
@@ -11,18 +24,93 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, Weigh
-from manip_learn.constraint.features.pose_error import (
-    carried_goal,
-    coordinate_rates,
-    goal_rotation,
-    placement_error,
-    pose_coordinates,
-    turn_rates,
-)
 from manip_learn.errors import FeatureError, TargetError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Reference, Robot
-from manip_learn.robot.rotations import rotation_matrix, rotation_vector, skew
+from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
+
+EXACT = 1e-12  # a matrix that is orthonormal to this is taken as it is
+NEARLY = 1e-3  # printed with few digits: made orthonormal; beyond this it is no rotation
+
+
+def pose_coordinates(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
+    """Position [m] and rotation vector [rad]."""
+    return np.concatenate([pose[:3, 3], rotation_vector(pose[:3, :3])])
+
+
+def coordinate_rates(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "6 6"]:
+    """C with d/dt `pose_coordinates` = C (v, w), the twist along the axes of the base."""
+    C = np.eye(6)
+    C[3:, 3:] = left_jacobian_inverse(rotation_vector(pose[:3, :3]))
+    return C
+
+
+def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    """The rotation that is meant by the upper left part of a 4 x 4 pose.
+
+    Raises:
+        TargetError: It is none.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()  # in plain numbers: a moving goal is looked at in every step
+    squares = (a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0)
+    off = max(map(abs, (*squares, a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i)))
+    if not off < NEARLY or a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0:
+        raise TargetError(f"the upper left 3 x 3 part of the pose is not a rotation matrix: {R.tolist()}")
+    if off < EXACT:
+        return R
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(R).as_matrix()
+
+
+def pose_error(
+    pose: Float[np.ndarray, "4 4"], goal: Float[np.ndarray, "4 4"], own_axes: bool
+) -> Float[np.ndarray, " 6"]:
+    """e, along the axes of the base or of the frame."""
+    return placement_error(pose[:3, 3], pose[:3, :3], goal[:3, 3], goal[:3, :3], own_axes)
+
+
+def placement_error(
+    position: Float[np.ndarray, " 3"],
+    rotation: Float[np.ndarray, "3 3"],
+    goal: Float[np.ndarray, " 3"],
+    goal_rotation: Float[np.ndarray, "3 3"],
+    own_axes: bool,
+) -> Float[np.ndarray, " 6"]:
+    """The same from positions and rotations."""
+    out = np.empty(6)
+    turn = rotation_vector(goal_rotation.dot(rotation.T))
+    if own_axes:
+        out[:3], out[3:] = (goal - position).dot(rotation), turn.dot(rotation)
+    else:
+        out[:3], out[3:] = goal - position, turn
+    return out
+
+
+def turn_rates(turn: Float[np.ndarray, " 3"], own_axes: bool) -> Float[np.ndarray, "3 3"]:
+    """What M turns the rotation error by, with d/dt e = -M (v, w) for a goal at rest: Jl^-1 or Jr^-1."""
+    return left_jacobian_inverse(turn if own_axes else -turn)
+
+
+def carried_goal(
+    here: Float[np.ndarray, " 3"], goal: Float[np.ndarray, " 3"], given: list[int], turn: Float[np.ndarray, " 3"]
+) -> Float[np.ndarray, "3 3"]:
+    """G with d/dt e_rot = -(Jr^-1(e_rot) - G) w, where the goal has those numbers of a rotation vector that are given
+    and takes the others from the frame, so that it turns while the frame turns.
+
+    dr/dt = Jl^-1(r) w, the goal's vector moves with the part of it that is not given, and
+    G = Jl^-1(e_rot) Jl(r*) F Jl^-1(r), F = diag(0 where given, else 1).
+
+    Args:
+        here: r, the rotation vector of the frame in the base [rad].
+        goal: r* [rad].
+        given: Which of its three numbers are given.
+        turn: e_rot.
+    """
+    F = np.eye(3)
+    F[given] = 0.0
+    return left_jacobian_inverse(turn) @ left_jacobian(goal) @ F @ left_jacobian_inverse(here)
+
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 NAMED_AXES = {"xyz": ("x", "y", "z"), "pose": AXES, "planar": ("x", "y", "rz"), "rotation": ("rx", "ry", "rz")}
@@ -48,8 +136,162 @@ def parse_axes(axes: str | Sequence[str]) -> tuple[str, ...]:
     return names
 
 
+class PoseRows(FeatureMap):
+    """Rows of the twist of a frame, seen from the base, from itself or from another frame, and the error of its pose.
+
+    Attributes of every child:
+        only_linear: Whether the rows are positions along axes that do not turn with the frame.
+        own_axes: Whether the rows are along the frame's own axes.
+    """
+
+    only_linear: bool
+    own_axes: bool = False
+    _where = ""  # the pose that a target may be, in words
+
+    def __init__(self, robot: Robot, axes: str | Sequence[str]):
+        self.robot, self.nv = robot, robot.nv
+        self.row_names = parse_axes(axes)
+        self.row_units = tuple("rad/s" if n.startswith("r") else "m/s" for n in self.row_names)
+        rows = [AXES.index(n) for n in self.row_names]
+        self._row_numbers = tuple(rows)
+        # a slice makes views where fancy indexing would copy
+        contiguous = rows == list(range(rows[0], rows[0] + len(rows)))
+        self._rows: Any = slice(rows[0], rows[0] + len(rows)) if contiguous else np.array(rows)
+        self._known_goal: tuple[Any, Any, Any] = (None, None, None)
+        self._finite_goal: np.ndarray | None = None
+
+    @abstractmethod
+    def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
+        """Pose of the frame."""
+
+    @abstractmethod
+    def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
+        """Position [m] and rotation of the pose."""
+
+    @abstractmethod
+    def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
+        """All six rows, of the rate of the pose or of that along the frame's own axes; an array of the caller's."""
+
+    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
+        """dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k along tangent coordinate k.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        return self.value_and_derivative(q)[1]
+
+    def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Position of the frame's origin [m] and its rotation vector [rad], the chosen rows.
+
+        They are those in the base frame, or in the other frame where it is seen from there.
+        """
+        if self.only_linear:  # no rotation vector, which is most of the time
+            return self.placement(q)[0][self._rows].copy()  # the next posture writes into it
+        return pose_coordinates(self.pose(q))[self._rows]
+
+    def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Displacement to a target, in the axes of the rows; for its rate see `error_jacobian`.
+
+        Args:
+            target: p numbers in the order of the rows: position of the origin in the base frame [m], rotation vector
+                of the frame in the base frame [rad]; or a 4 x 4 pose. Coordinates that are not among the rows are
+                taken as reached. Seen from another frame, these are in that one.
+            q: Posture.
+
+        Raises:
+            TargetError: Wrong size, not finite, or a local map that needs all of x y z (or rx ry rz) or a pose.
+        """
+        goal = target if type(target) is np.ndarray else np.asarray(target, dtype=np.float64)
+        if self.only_linear and goal.shape == (self.n_rows,):
+            # the usual reaching task, many times a second: no orientation is needed
+            displacement = goal - self.placement(q)[0][self._rows]
+            if goal is self._finite_goal:
+                return displacement
+            if math.isfinite(sum(displacement.tolist())):
+                if not goal.flags.writeable:  # a task's own, checked once
+                    self._finite_goal = goal
+                return displacement
+        return self._error(goal, q)[0][self._rows]
+
+    def error_and_jacobian(
+        self, target: ArrayLike, q: ArrayLike
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
+        """`error_to` and `error_jacobian` from one look at the pose."""
+        if self.only_linear:
+            return self.error_to(target, q), None
+        error, numbers, R = self._error(np.asarray(target, dtype=np.float64), q)
+        J = self.twist_rows(q, self.own_axes)
+        return error[self._rows], self._rates(error, numbers, R, J)[self._rows]
+
+    def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
+        """Rate of the coordinates per unit joint velocity, exact (see `FeatureMap`)."""
+        if self.only_linear:
+            return None
+        return coordinate_rates(self.pose(q))[self._rows] @ self.twist_rows(q, False)
+
+    def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
+        """E with d/dt `error_to(target, q)` = -E u, exact; None where E = Phi(q), as for positions along the base.
+
+        Raises:
+            TargetError: As for `error_to`.
+        """
+        return None if self.only_linear else self.error_and_jacobian(target, q)[1]
+
+    def _error(
+        self, goal: np.ndarray, q: ArrayLike
+    ) -> tuple[Float[np.ndarray, " 6"], Float[np.ndarray, " 6"] | None, Float[np.ndarray, "3 3"]]:
+        """All six rows of the error, the goal's numbers where it was given as numbers, and the frame's rotation."""
+        position, rotation = self.placement(q)
+        place, turn, numbers = self._goal(goal, position, rotation)
+        return placement_error(position, rotation, place, turn, self.own_axes), numbers, rotation
+
+    def _rates(
+        self, error: np.ndarray, numbers: np.ndarray | None, rotation: np.ndarray, J: Float[np.ndarray, "6 nv"]
+    ) -> Float[np.ndarray, "6 nv"]:
+        """M J, with d/dt error = -M (v, w); J is written to."""
+        M = turn_rates(error[3:], self.own_axes)
+        given = [i - 3 for i in self._row_numbers if i >= 3]
+        if numbers is not None and 0 < len(given) < 3:
+            M -= carried_goal(rotation_vector(rotation), numbers[3:], given, error[3:])
+        if self.own_axes:
+            J[:3] -= skew(error[:3]).dot(J[3:])
+        J[3:] = M.dot(J[3:])
+        return J
+
+    def _goal(
+        self, goal: np.ndarray, position: np.ndarray, rotation: np.ndarray
+    ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"], Float[np.ndarray, " 6"] | None]:
+        """Place and rotation of the target, and its six numbers where it was given as numbers."""
+        if goal is self._known_goal[0]:
+            return self._known_goal[1], self._known_goal[2], None
+        if goal.shape == (4, 4) and math.isfinite(sum(goal.reshape(-1).tolist())):
+            place, turn = goal[:3, 3].copy(), goal_rotation(goal[:3, :3])
+            if not goal.flags.writeable:  # a task's own, checked once
+                self._known_goal = (goal, place, turn)
+            return place, turn, None
+        numbers = self._completed(goal, np.concatenate([position, rotation_vector(rotation)]))
+        return numbers[:3], rotation_matrix(numbers[3:]), numbers
+
+    def _completed(self, goal: np.ndarray, here: np.ndarray) -> np.ndarray:
+        if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
+            raise TargetError(
+                f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose"
+                f"{self._where}, got {'shape ' + str(goal.shape) if goal.size > 6 else goal.tolist()}"
+            )
+        if self.own_axes:
+            for triple in (AXES[:3], AXES[3:]):
+                if 0 < len(set(triple) & set(self.row_names)) < 3:
+                    raise TargetError(
+                        f"a target for the rows {' '.join(self.row_names)} in the frame's own axes is not determined: "
+                        f"use all of {' '.join(triple)}, or give a 4 x 4 pose"
+                    )
+        full = here.copy()
+        full[self._rows] = goal
+        return full
+
+
 @final
-class FrameJacobian(FeatureMap):
+class FrameJacobian(PoseRows):
     """Rows of the Jacobian of one frame.
 
     The linear rows are the velocity of the frame's origin [m/s], the rotation rows the angular velocity [rad/s], along
@@ -77,21 +319,12 @@ class FrameJacobian(FeatureMap):
     def __init__(self, robot: Robot, frame: str, axes: str | Sequence[str] = "xyz", reference: Reference = "world"):
         if reference not in ("world", "local"):
             raise FeatureError(f"reference must be 'world' or 'local', not {reference!r}")
-        self.robot = robot
+        super().__init__(robot, axes)
         self.frame = robot.frame(frame)
         self._kinematics = robot.frame_kinematics(self.frame)
-        self._known_goal: tuple[Any, Any, Any] = (None, None, None)
-        self._finite_goal: np.ndarray | None = None
-        self.row_names = parse_axes(axes)
-        self.row_units = tuple("rad/s" if n.startswith("r") else "m/s" for n in self.row_names)
         self.reference: Reference = reference
-        self.nv = robot.nv
-        rows = [AXES.index(n) for n in self.row_names]
-        self._row_numbers = tuple(rows)
-        self.only_linear = reference == "world" and max(rows) < 3
-        # a slice makes views where fancy indexing would copy
-        contiguous = rows == list(range(rows[0], rows[0] + len(rows)))
-        self._rows: Any = slice(rows[0], rows[0] + len(rows)) if contiguous else np.array(rows)
+        self.own_axes = reference == "local"
+        self.only_linear = reference == "world" and max(self._row_numbers) < 3
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q): the chosen Jacobian rows [m/s or rad/s a joint velocity].
@@ -100,14 +333,6 @@ class FrameJacobian(FeatureMap):
             ConfigurationError: Wrong size or not finite.
         """
         return self._kinematics.jacobian(q, self.reference)[self._rows]
-
-    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k.
-
-        Raises:
-            ConfigurationError: Wrong size or not finite.
-        """
-        return self.value_and_derivative(q)[1]
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
         """Phi(q) and dPhi/dq at the cost of one Hessian."""
@@ -157,116 +382,13 @@ class FrameJacobian(FeatureMap):
         """Pose of the frame in the robot's base."""
         return self.robot.pose(q, self.frame)
 
-    def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Position of the frame's origin in the base frame [m] and its rotation vector [rad], the chosen rows."""
-        if self.only_linear:  # no rotation vector, which is most of the time
-            return self._kinematics.position(q)[self._rows]
-        return pose_coordinates(self.robot.pose(q, self.frame))[self._rows]
+    def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
+        """Position [m] and rotation of the frame in the robot's base."""
+        return self._kinematics.placement(q)
 
-    def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Displacement to a target, in the axes of the rows; for its rate see `error_jacobian`.
-
-        Args:
-            target: p numbers in the order of the rows: position of the origin in the base frame [m], rotation vector
-                of the frame in the base frame [rad]; or a 4 x 4 pose. Coordinates that are not among the rows are
-                taken as reached.
-            q: Posture.
-
-        Raises:
-            TargetError: Wrong size, not finite, or a local map that needs all of x y z (or rx ry rz) or a pose.
-        """
-        goal = target if type(target) is np.ndarray else np.asarray(target, dtype=np.float64)
-        if self.only_linear and goal.shape == (self.n_rows,):
-            # the usual reaching task, many times a second: no orientation is needed
-            displacement = goal - self._kinematics.placement(q)[0][self._rows]
-            if goal is self._finite_goal:
-                return displacement
-            if math.isfinite(sum(displacement.tolist())):
-                if not goal.flags.writeable:  # a task's own, checked once
-                    self._finite_goal = goal
-                return displacement
-        return self._error(goal, q)[0][self._rows]
-
-    def error_and_jacobian(
-        self, target: ArrayLike, q: ArrayLike
-    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
-        """`error_to` and `error_jacobian` from one look at the pose."""
-        if self.only_linear:
-            return self.error_to(target, q), None
-        error, numbers, R = self._error(np.asarray(target, dtype=np.float64), q)
-        J = self._kinematics.jacobian_beside_vjp(q, self.reference)
-        return error[self._rows], self._rates(error, numbers, R, J)[self._rows]
-
-    def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """Rate of the coordinates per unit joint velocity, exact (see `FeatureMap`)."""
-        if self.only_linear:
-            return None
-        J = self.robot.jacobian(q, self.frame)
-        return coordinate_rates(self.robot.pose(q, self.frame))[self._rows] @ J
-
-    def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """E with d/dt `error_to(target, q)` = -E u, exact; None where E = Phi(q), as for positions along the base.
-
-        Raises:
-            TargetError: As for `error_to`.
-        """
-        if self.only_linear:
-            return None
-        return self.error_and_jacobian(target, q)[1]
-
-    def _error(
-        self, goal: np.ndarray, q: ArrayLike
-    ) -> tuple[Float[np.ndarray, " 6"], Float[np.ndarray, " 6"] | None, Float[np.ndarray, "3 3"]]:
-        """All six rows of the error, the goal's numbers where it was given as numbers, and the frame's rotation."""
-        position, rotation = self._kinematics.placement(q)
-        place, turn, numbers = self._goal(goal, position, rotation)
-        error = placement_error(position, rotation, place, turn, self.reference == "local")
-        return error, numbers, rotation
-
-    def _rates(
-        self, error: np.ndarray, numbers: np.ndarray | None, rotation: np.ndarray, J: Float[np.ndarray, "6 nv"]
-    ) -> Float[np.ndarray, "6 nv"]:
-        """M J, with d/dt error = -M (v, w); J is written to."""
-        own_axes = self.reference == "local"
-        M = turn_rates(error[3:], own_axes)
-        given = [i - 3 for i in self._row_numbers if i >= 3]
-        if numbers is not None and 0 < len(given) < 3:
-            M -= carried_goal(rotation_vector(rotation), numbers[3:], given, error[3:])
-        if own_axes:
-            J[:3] -= skew(error[:3]).dot(J[3:])
-        J[3:] = M.dot(J[3:])
-        return J
-
-    def _goal(
-        self, goal: np.ndarray, position: np.ndarray, rotation: np.ndarray
-    ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"], Float[np.ndarray, " 6"] | None]:
-        """Place and rotation of the target, and its six numbers where it was given as numbers."""
-        if goal is self._known_goal[0]:
-            return self._known_goal[1], self._known_goal[2], None
-        if goal.shape == (4, 4) and math.isfinite(sum(goal.reshape(-1).tolist())):
-            place, turn = goal[:3, 3].copy(), goal_rotation(goal[:3, :3])
-            if not goal.flags.writeable:  # a task's own, checked once
-                self._known_goal = (goal, place, turn)
-            return place, turn, None
-        numbers = self._completed(goal, np.concatenate([position, rotation_vector(rotation)]))
-        return numbers[:3], rotation_matrix(numbers[3:]), numbers
-
-    def _completed(self, goal: np.ndarray, here: np.ndarray) -> np.ndarray:
-        if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
-            raise TargetError(
-                f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose, "
-                f"got {'shape ' + str(goal.shape) if goal.size > 6 else goal.tolist()}"
-            )
-        if self.reference == "local":
-            for triple in (AXES[:3], AXES[3:]):
-                if 0 < len(set(triple) & set(self.row_names)) < 3:
-                    raise TargetError(
-                        f"a target for the rows {' '.join(self.row_names)} in the frame's own axes is not determined: "
-                        f"use all of {' '.join(triple)}, or give a 4 x 4 pose"
-                    )
-        full = here.copy()
-        full[self._rows] = goal
-        return full
+    def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
+        """The Jacobian along the axes of the base or of the frame."""
+        return self._kinematics.jacobian_beside_vjp(q, "local" if own_axes else "world")
 
     def describe(self) -> dict[str, Any]:
         """Frame, axes and reference, as saved in a constraint file."""

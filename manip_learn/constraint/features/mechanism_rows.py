@@ -1,18 +1,115 @@
-"""Rows about an axis or a centre: the Phi(q) of doors, handles, tethers and screws."""
+"""Rows about an axis or a centre: the Phi(q) of doors, handles, tethers and screws.
+
+A mechanism's rows are weights on the hand's velocity (v, w). With its origin p, the axis a (unit length) through the
+point c, d = p - c, x = d - (a.d) a and rho = |x|, a row is f(p).v + g(p).w. On a mechanism of known radius f and g are
+affine in p; rows of a hand that may be at any distance are made unit length.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from typing import Any, final
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, final, get_args
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.place_fields import AT_A_DISTANCE, FIELDS, Place, mechanism_weights
-from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
+from manip_learn.constraint.features.frame_jacobian import AXES
+from manip_learn.constraint.features.weighed_velocity import PlaceWeights, WeighedVelocity
 from manip_learn.errors import FeatureError
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.rotations import skew
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where a mechanism is, in the base frame.
+
+    Attributes:
+        axis: Unit vector a.
+        point: A point c on the axis, or the centre of a ball [m].
+        pitch: Travel along the axis a radian of turning [m/rad].
+    """
+
+    axis: Float[np.ndarray, " 3"]
+    point: Float[np.ndarray, " 3"]
+    pitch: float = 0.0
+
+    @cached_property
+    def across(self) -> Float[np.ndarray, "2 3"]:
+        """Two unit vectors that make a right-handed base with the axis."""
+        return across(self.axis)
+
+    def moved(self, step: Float[np.ndarray, " 7"]) -> Place:
+        """The place after a step of the seven numbers axis, point, pitch."""
+        axis = self.axis + step[:3]
+        return Place(axis / np.linalg.norm(axis), self.point + step[3:6], self.pitch + float(step[6]))
+
+
+def across(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "2 3"]:
+    """Two unit vectors that make a right-handed orthonormal base with a unit vector: (first, second, axis)."""
+    a = axis.tolist()  # three numbers: floats are faster than arrays
+    least = min(range(3), key=lambda i: abs(a[i]))
+    first = [-a[least] * x for x in a]
+    first[least] += 1.0
+    x = np.array(first)
+    x /= math.sqrt(x @ x)
+    return np.array([x, skew(axis) @ x])
+
+
+# Units are those of the row times a joint velocity.
+FIELDS: dict[str, str] = {
+    **dict.fromkeys(("radial", "tangential", "axial", "helical", "spherical"), "m/s"),
+    **dict.fromkeys(("turn-1", "turn-2", "turn"), "rad/s"),
+    **dict.fromkeys(("slide-1", "slide-2", "slide", "screw"), "m/s"),
+}
+AT_A_DISTANCE = ("radial", "tangential", "helical", "spherical")  # rows that ask how far the hand is
+
+
+def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None) -> PlaceWeights:
+    """The rows of that name, see `MechanismRows`.
+
+    - `radial` f = x / rho; `tangential` f = a x x / rho; `spherical` f = d / |d|;
+    - `helical` f = (rho^2 a - h a x x) / (rho sqrt(rho^2 + h^2)), orthogonal to the velocity a x x + h a of a point
+      that a screw of pitch h moves;
+    - `axial` f = a; `turn` g = a;
+    - `slide` and `screw`, the velocity e.(v + w x (c - p)) - h e.w of the hand's point that is at c: f = e and
+      g = (c - p) x e - h e.
+
+    With a radius, rho (and |d|) in these formulas are that number; without one they are the hand's own.
+    """
+    a, c, h = place.axis, place.point, place.pitch
+    directions = {"1": place.across[0], "2": place.across[1]}
+    outward, around = np.eye(3) - np.outer(a, a), skew(a)
+    fields = {"radial": outward, "tangential": around, "spherical": np.eye(3), "helical": around}
+    constant, by_place = np.zeros((len(names), 6)), np.zeros((len(names), 6, 3))
+    free = dict[int, tuple[np.ndarray, float]]()
+    for i, name in enumerate(names):
+        e = directions.get(name[-1], a)
+        if name in AT_A_DISTANCE:
+            screws = name == "helical"
+            scale = 1.0
+            if radius is None:
+                free[i] = (a, h) if screws else (np.zeros(3), 0.0)
+            elif screws:
+                scale = -h / (radius * math.hypot(radius, h))
+                constant[i, :3] = radius / math.hypot(radius, h) * a
+            else:
+                scale = 1.0 / radius
+            by_place[i, :3] = scale * fields[name]
+            constant[i, :3] -= by_place[i, :3] @ c
+        elif name == "axial":
+            constant[i, :3] = a
+        elif name.startswith("turn"):
+            constant[i, 3:] = e
+        else:
+            constant[i, :3], by_place[i, 3:] = e, skew(e)
+            constant[i, 3:] = np.cross(c, e) - (h * e if name == "screw" else 0.0)
+    return PlaceWeights(constant, by_place, free)
 
 
 @final
@@ -93,11 +190,7 @@ class MechanismRows(WeighedVelocity):
         """
         d = self.robot.position(q, self.frame) - self.geometry.point
         z = float(d @ self.geometry.axis)
-        known = {
-            "radial": np.linalg.norm(d - z * self.geometry.axis),
-            "axial": z,
-            "spherical": np.linalg.norm(d),
-        }
+        known = {"radial": np.linalg.norm(d - z * self.geometry.axis), "axial": z, "spherical": np.linalg.norm(d)}
         if not set(self.row_names) <= set(known):
             return super().coordinates(q)
         return np.array([known[n] for n in self.row_names])
@@ -164,3 +257,78 @@ def _vector(values: ArrayLike, what: str) -> np.ndarray:
         raise FeatureError(f"the {what} must be three finite numbers, got {vector.tolist()}")
     vector.setflags(write=False)
     return vector
+
+
+PlaceForm = Literal["point", "point and rotation", "twist", "surface"]
+
+
+@final
+class PlaceRows(WeighedVelocity):
+    """Velocity of a frame in rows in which a mechanism is a constant Lambda, whatever the posture.
+
+    With (v, w) the velocity of the frame, p its origin and m a fixed point in the middle of the motion:
+
+    - `"point"`: v and the rate (p - m).v of half the squared distance from m. A hand that may turn keeps its distance
+      from a point c by the row [-(c - m)^T, 1]; a plane is [n^T, 0], a hinge is a row of either kind.
+    - `"point and rotation"`: the same, and w.
+    - `"twist"`: the velocity v + (p - m) x w of the point of the hand that is at m, and w. What a lower pair (a
+      subgroup of SE(3)) leaves free to a hand that is fixed to it is a constant space of such twists.
+
+    - `"surface"`: v and the nine products (p - m)_i v_j. The normal of a surface of second order is linear in p: a
+      cylinder's side, and the two rows of a helix.
+
+    m only conditions the numbers: another one is another basis of the same rows.
+
+    Args:
+        robot: The robot.
+        frame: Name of the frame, e.g. the tool's tip.
+        form: Which rows.
+        middle: m in the base frame [m].
+
+    Raises:
+        UnknownNameError: No such frame; lists near matches.
+        FeatureError: Another form, or a middle that is no place.
+    """
+
+    def __init__(self, robot: Robot, frame: str, form: PlaceForm, middle: ArrayLike = (0.0, 0.0, 0.0)):
+        if form not in get_args(PlaceForm):
+            raise FeatureError(f"form must be one of {', '.join(map(repr, get_args(PlaceForm)))}, not {form!r}")
+        m = np.array(middle, dtype=np.float64)
+        if m.shape != (3,) or not np.all(np.isfinite(m)):
+            raise FeatureError(f"the middle must be three finite numbers [m], got {m.tolist()}")
+        super().__init__(robot, frame)
+        self.form, self.middle = form, m
+        unit, none = np.eye(3), np.zeros((3, 3))
+        if form == "twist":
+            self.row_names, self.row_units = AXES, ("m/s",) * 3 + ("rad/s",) * 3
+            constant = np.block([[unit, -skew(m)], [none, unit]])
+            by_place = np.stack([np.block([[none, skew(e)], [none, none]]) for e in unit], axis=-1)
+        elif form == "surface":
+            products = tuple(f"{a}{b}" for a in AXES[:3] for b in AXES[:3])
+            self.row_names, self.row_units = (*AXES[:3], *products), ("m/s",) * 3 + ("m^2/s",) * 9
+            constant = np.concatenate([np.eye(3, 6), *(-m[i] * np.eye(3, 6) for i in range(3))])
+            by_place = np.concatenate([np.zeros((3, 6, 3)), *(np.eye(3, 6)[:, :, None] * e for e in unit)])
+        else:
+            turns = AXES[3:] if form == "point and rotation" else ()
+            self.row_names = (*AXES[:3], "distance", *turns)
+            self.row_units = ("m/s",) * 3 + ("m^2/s",) + ("rad/s",) * len(turns)
+            rows = 4 + len(turns)
+            constant = np.block([[unit, none], [-m[None], np.zeros((1, 3))], [none, unit]])[:rows]
+            by_place = np.zeros((rows, 6, 3))
+            by_place[3, :3] = unit
+        self.place_weights = PlaceWeights(constant, by_place)
+
+    def describe(self) -> dict[str, Any]:
+        """Frame, form and middle, as saved in a constraint file."""
+        return {
+            "kind": "place-rows",
+            "frame": self.frame.name,
+            "rows": list(self.row_names),
+            "units": list(self.row_units),
+            "form": self.form,
+            "middle": self.middle.tolist(),
+        }
+
+    def __repr__(self) -> str:
+        m = ", ".join(f"{x:.4g}" for x in self.middle)
+        return f"PlaceRows({self.robot.name!r}, frame={self.frame.name!r}, {self.form!r}, middle=({m}))"

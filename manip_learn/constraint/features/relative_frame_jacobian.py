@@ -9,24 +9,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import AXES, parse_axes
-from manip_learn.constraint.features.pose_error import (
-    carried_goal,
-    coordinate_rates,
-    error_rates,
-    goal_rotation,
-    pose_coordinates,
-    pose_error,
-)
-from manip_learn.errors import FeatureError, TargetError
+from manip_learn.constraint.features.frame_jacobian import PoseRows
+from manip_learn.errors import FeatureError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
 
 @final
-class RelativeFrameJacobian(FeatureMap):
+class RelativeFrameJacobian(PoseRows):
     """Twist of one frame relative to another, along the axes of the other.
 
     With the frames A (`frame`) and B (`relative_to`), d = p_A - p_B and R = R_B, all from Jacobians J = (Jv, Jw) in the
@@ -51,16 +41,13 @@ class RelativeFrameJacobian(FeatureMap):
     """
 
     def __init__(self, robot: Robot, frame: str, relative_to: str, axes: str | Sequence[str] = "pose"):
-        self.robot = robot
+        super().__init__(robot, axes)
         self.frame = robot.frame(frame)
         self.relative_to = robot.frame(relative_to)
         if self.frame.index == self.relative_to.index:
             raise FeatureError(f"frame {frame!r} does not move relative to itself: name two frames")
-        self.row_names = parse_axes(axes)
-        self.row_units = tuple("rad/s" if n.startswith("r") else "m/s" for n in self.row_names)
-        self.nv = robot.nv
-        self._rows = [AXES.index(n) for n in self.row_names]
-        self.only_linear = max(self._rows) < 3
+        self.only_linear = max(self._row_numbers) < 3
+        self._where = f" in frame {self.relative_to.name!r}"
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q) [m/s or rad/s per unit joint velocity].
@@ -68,15 +55,7 @@ class RelativeFrameJacobian(FeatureMap):
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        return self._every_row(q)[self._rows]
-
-    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k along tangent coordinate k.
-
-        Raises:
-            ConfigurationError: Wrong size or not finite.
-        """
-        return self.value_and_derivative(q)[1]
+        return self.twist_rows(q, False)[self._rows]
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
         """Phi(q) and dPhi/dq from one Hessian per frame."""
@@ -108,63 +87,6 @@ class RelativeFrameJacobian(FeatureMap):
         Phi, dPhi = _relative(R, d, J_A, J_B), _relative_derivative(R, d, J_A, J_B, H_A, H_B)
         return Phi[:, self._rows], dPhi[:, self._rows]
 
-    def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Position of the frame in the other one [m] and its rotation vector there [rad], the chosen rows."""
-        return pose_coordinates(self.pose(q))[self._rows]
-
-    def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Displacement to a target in the axes of the other frame.
-
-        Args:
-            target: p numbers in the order of the rows: position in the other frame [m], rotation vector [rad]; or the
-                4 x 4 pose of the frame in the other one. Coordinates that are not among the rows count as reached.
-            q: Configuration.
-
-        Raises:
-            TargetError: Wrong size or not finite.
-        """
-        here = self.pose(q)
-        return pose_error(here, self._goal(np.asarray(target, dtype=np.float64), here)[0], False)[self._rows]
-
-    def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """Rate of the coordinates per unit joint velocity, exact (see `FeatureMap`)."""
-        if self.only_linear:
-            return None
-        return coordinate_rates(self.pose(q))[self._rows] @ self._every_row(q)
-
-    def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """E with d/dt `error_to(target, q)` = -E u, exact; None where E = Phi(q), as for positions.
-
-        Raises:
-            TargetError: Wrong size or not finite.
-        """
-        if self.only_linear:
-            return None
-        here = self.pose(q)
-        goal, numbers = self._goal(np.asarray(target, dtype=np.float64), here)
-        error = pose_error(here, goal, False)
-        M = error_rates(error, False)
-        given = [i - 3 for i in self._rows if i >= 3]
-        if numbers is not None and 0 < len(given) < 3:
-            M[3:, 3:] -= carried_goal(rotation_vector(here[:3, :3]), numbers[3:], given, error[3:])
-        return M[self._rows] @ self._every_row(q)
-
-    def _goal(self, goal: np.ndarray, here: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """The target as a pose in the other frame, and its six numbers where it was given as numbers."""
-        out, numbers = np.eye(4), None
-        if goal.shape == (4, 4) and np.all(np.isfinite(goal)):
-            out[:3, :3], out[:3, 3] = goal_rotation(goal[:3, :3]), goal[:3, 3]
-        elif goal.shape == (self.n_rows,) and np.all(np.isfinite(goal)):
-            numbers = pose_coordinates(here)
-            numbers[self._rows] = goal
-            out[:3, :3], out[:3, 3] = rotation_matrix(numbers[3:]), numbers[:3]
-        else:
-            raise TargetError(
-                f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose in "
-                f"frame {self.relative_to.name!r}, got shape {goal.shape}"
-            )
-        return out, numbers
-
     def describe(self) -> dict[str, Any]:
         """Frames and axes, as saved in a constraint file."""
         return {
@@ -175,7 +97,13 @@ class RelativeFrameJacobian(FeatureMap):
             "units": list(self.row_units),
         }
 
-    def _every_row(self, q: ArrayLike) -> Float[np.ndarray, "6 nv"]:
+    def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
+        """Position [m] and rotation of the frame in the other one."""
+        pose = self.pose(q)
+        return pose[:3, 3], pose[:3, :3]
+
+    def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
+        """All six rows, along the axes of the other frame."""
         A, B = self.robot.pose(q, self.frame), self.robot.pose(q, self.relative_to)
         J_A, J_B = self.robot.jacobian(q, self.frame), self.robot.jacobian(q, self.relative_to)
         d = A[:3, 3] - B[:3, 3]

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from manip_learn.constraint.compiled_rows import joint_weights, rows_vjp
+from manip_learn.constraint.compiled_rows import dot, joint_weights, orthogonalised, rows_vjp, solve_transposed
 from manip_learn.constraint.small_matrices import LEAST_SINGULAR_RATIO
-from manip_learn.control.compiled.step_table import CHAIN, FORM, MATRICES, N_JOINTS
+from manip_learn.control.compiled import step_table as table
 from manip_learn.robot.batch.compiled_kinematics import (
     GRADIENT,
     JOINTS,
@@ -57,19 +57,25 @@ def mix_at(s, joints):
 @compiled_inside
 def form_of(constants):
     """How Lambda's weights depend on the place, see `compiled_rows`."""
-    return int(constants[CHAIN + 1, FORM])
+    return int(constants[table.CHAIN + 1, table.FORM])
+
+
+@compiled_inside
+def sizes_of(constants):
+    """Numbers of joints of the chain, degrees of freedom and rows of A."""
+    return int(constants[0, table.N_JOINTS]), int(constants[0, table.NV]), int(constants[0, table.N_CONSTRAINTS])
 
 
 @compiled_inside
 def dofs_of(constants):
     """Row where the degrees of freedom begin."""
-    return CHAIN + JOINTS + int(constants[0, N_JOINTS])
+    return table.CHAIN + JOINTS + int(constants[0, table.N_JOINTS])
 
 
 @compiled_inside
 def joints_at(s):
     """Row of the work space where the joints of the chain begin."""
-    return MATRICES + 3 * s
+    return table.MATRICES + 3 * s
 
 
 @compiled_inside
@@ -79,20 +85,20 @@ def chain_vjp(constants, weights, work):
     form, at, base = form_of(constants), mix_at(s, joints), joints_at(s)
     for j in range(joints):
         joint_weights(s, form, weights, j, work, base + j, at)
-    rows_vjp(s, form, joints, constants[CHAIN + 1, LOCAL] != 0.0, work, base, at)
+    rows_vjp(s, form, joints, constants[table.CHAIN + 1, LOCAL] != 0.0, work, base, at)
 
 
 @compiled_inside
 def vjp(constants, weights, work, gradient):
     """sum_ij weights_ij dA_ij / dq_k into `gradient`, weights (s, nv) and gradient (nv,) in public columns."""
-    s, joints = weights.shape[0], int(constants[0, N_JOINTS])
+    s, joints = weights.shape[0], int(constants[0, table.N_JOINTS])
     form, at, base = form_of(constants), mix_at(s, joints), joints_at(s)
     for k in range(gradient.shape[0]):
         gradient[k] = 0.0
     for j in range(joints):
         column, place = places(constants, j)
         joint_weights(s, form, weights, column, work, base + place, at)
-    rows_vjp(s, form, joints, constants[CHAIN + 1, LOCAL] != 0.0, work, base, at)
+    rows_vjp(s, form, joints, constants[table.CHAIN + 1, LOCAL] != 0.0, work, base, at)
     for j in range(joints):
         column, place = places(constants, j)
         gradient[column] = work[base + place, GRADIENT]
@@ -101,7 +107,7 @@ def vjp(constants, weights, work, gradient):
 @compiled_inside
 def places(constants, j):
     """Public column of a joint of the chain, and its place among them, base first."""
-    k = CHAIN + JOINTS + j
+    k = table.CHAIN + JOINTS + j
     return int(constants[k, SOURCE]), int(constants[k, TARGET])
 
 
@@ -111,9 +117,9 @@ def public_rows(constants, work, A):
     for i in range(A.shape[0]):
         for j in range(A.shape[1]):
             A[i, j] = 0.0
-        for j in range(int(constants[0, N_JOINTS])):
+        for j in range(int(constants[0, table.N_JOINTS])):
             column, place = places(constants, j)
-            A[i, column] = work[MATRICES + i, place]
+            A[i, column] = work[table.MATRICES + i, place]
 
 
 @compiled_inside
@@ -122,11 +128,7 @@ def chain_rows(weights, first, s, joints, work):
     base = joints_at(s)
     for i in range(s):
         for j in range(joints):
-            # the joint that moves column j, as many as there are from the base
-            total = 0.0
-            for k in range(6):
-                total += weights[first + i, k] * work[base + j, k]
-            work[MATRICES + i, j] = total
+            work[table.MATRICES + i, j] = dot(weights[first + i, :6], work[base + j])
 
 
 @compiled_inside
@@ -164,45 +166,18 @@ def smallest_and_largest(G, L):
 @compiled_inside
 def row_inverse(A, X, G, L):
     """X = A^{+T} (s, n); returns the volume and the smallest singular value, or zeros if A is ill-conditioned."""
-    s, n = A.shape
-    for i in range(s):
+    for i in range(A.shape[0]):
         for j in range(i + 1):
-            total = 0.0
-            for k in range(n):
-                total += A[i, k] * A[j, k]
-            G[i, j] = G[j, i] = total
-    volume = 1.0
-    for i in range(s):
-        for j in range(i + 1):
-            total = G[i, j]
-            for k in range(j):
-                total -= L[i, k] * L[j, k]
-            if i > j:
-                L[i, j] = total / L[j, j]
-            elif total > 0.0:
-                L[i, i] = math.sqrt(total)
-                volume *= L[i, i]
-            else:
-                return 0.0, 0.0
+            G[i, j] = G[j, i] = dot(A[i], A[j])
+        for k in range(A.shape[1]):
+            X[i, k] = A[i, k]
+    volume, shortest = orthogonalised(X, L)
+    if not shortest > 0.0:
+        return 0.0, 0.0
     smallest, largest = smallest_and_largest(G, L)
     if not smallest > LEAST_SINGULAR_RATIO * LEAST_SINGULAR_RATIO * largest:
         return 0.0, 0.0
-    for i in range(s):
-        for k in range(n):
-            X[i, k] = A[i, k]
-        for j in range(i):
-            for k in range(n):
-                X[i, k] -= L[i, j] * X[j, k]
-        factor = 1.0 / L[i, i]
-        for k in range(n):
-            X[i, k] *= factor
-    for i in range(s - 1, -1, -1):
-        for j in range(i + 1, s):
-            for k in range(n):
-                X[i, k] -= L[j, i] * X[j, k]
-        factor = 1.0 / L[i, i]
-        for k in range(n):
-            X[i, k] *= factor
+    solve_transposed(L, X)
     return volume, math.sqrt(smallest)
 
 
@@ -233,10 +208,7 @@ def decompose(A, rows, Ut, sigma, Vt):
         if not turned:
             break
     for i in range(rows):
-        square = 0.0
-        for k in range(A.shape[1]):
-            square += Vt[i, k] * Vt[i, k]
-        sigma[i] = math.sqrt(square)
+        sigma[i] = norm(Vt[i])
     _sort(rows, Ut, sigma, Vt)
     for i in range(rows):
         factor = 1.0 / sigma[i] if sigma[i] > 0.0 else 0.0
@@ -318,30 +290,10 @@ def _reflect(mirror, y, first):
 
 
 @compiled_inside
-def row_space(A, rows, Vt):
-    """Orthonormal rows that span those of a well-conditioned A, into the first rows of Vt."""
-    for i in range(rows):
-        for k in range(A.shape[1]):
-            Vt[i, k] = A[i, k]
-        _orthonormal_row(Vt, i)
-
-
-@compiled_inside
-def _orthonormal_row(Vt, i):
-    """Row i less its parts along the rows before it (twice is enough), with length 1."""
-    for _ in range(2):
-        for c in range(i):
-            along = 0.0
-            for k in range(Vt.shape[1]):
-                along += Vt[c, k] * Vt[i, k]
-            for k in range(Vt.shape[1]):
-                Vt[i, k] -= along * Vt[c, k]
-    square = 0.0
-    for k in range(Vt.shape[1]):
-        square += Vt[i, k] * Vt[i, k]
-    factor = 1.0 / math.sqrt(square)
-    for k in range(Vt.shape[1]):
-        Vt[i, k] *= factor
+def row_space(A, Vt, scratch):
+    """Orthonormal rows that span those of a well-conditioned A (s, n), into the first rows of Vt; scratch (s, s)."""
+    Vt[: A.shape[0]] = A
+    orthogonalised(Vt[: A.shape[0]], scratch)
 
 
 @compiled_inside
@@ -388,18 +340,14 @@ def _gram(M, G):
 @compiled_inside
 def _image(M, vector, direction):
     """|M x| for x = vector / |vector|, which goes into `direction` with its largest entry positive."""
-    n, square, largest = M.shape[1], 0.0, 0
-    for k in range(n):
-        square += vector[k] * vector[k]
+    square, largest = 0.0, 0
+    for k in range(M.shape[1]):
         largest = k if abs(vector[k]) > abs(vector[largest]) else largest
-    factor = math.copysign(1.0 / math.sqrt(square), vector[largest])
-    for k in range(n):
+    factor = math.copysign(1.0 / norm(vector), vector[largest])
+    for k in range(M.shape[1]):
         direction[k] = factor * vector[k]
-    square = 0.0
     for r in range(M.shape[0]):
-        along = 0.0
-        for k in range(n):
-            along += M[r, k] * direction[k]
+        along = dot(M[r], direction)
         square += along * along
     return math.sqrt(square)
 
@@ -407,10 +355,7 @@ def _image(M, vector, direction):
 @compiled_inside
 def norm(x):
     """Euclidean norm."""
-    square = 0.0
-    for k in range(x.shape[0]):
-        square += x[k] * x[k]
-    return math.sqrt(square)
+    return math.sqrt(dot(x, x))
 
 
 @compiled_inside

@@ -6,35 +6,15 @@ import math
 
 import numpy as np
 
+from manip_learn.constraint.compiled_rows import dot
+from manip_learn.control.compiled import step_table as table
 from manip_learn.control.compiled.constrained_rows import dofs_of, norm, turn_joints
-from manip_learn.control.compiled.step_table import (
-    ACCELERATION,
-    CHAIN,
-    FOUND,
-    HIGH,
-    HIGH_CAUSE,
-    LENGTH,
-    LIMIT,
-    LOW,
-    LOW_CAUSE,
-    LOWER,
-    N_FRAMES,
-    N_WALLS,
-    NULL_PART,
-    NV,
-    SLOPE,
-    TASK_PART,
-    TIP_SPEED,
-    TIPS,
-    UPPER,
-)
 from manip_learn.control.limits import ACCELERATION as BY_ACCELERATION
-from manip_learn.control.limits import AT_BOUND, RETURN_SPEED, ROOM_TO_LEAVE
+from manip_learn.control.limits import AT_BOUND, MOST_ROWS, RESERVE, RETURN_SPEED, ROOM_TO_LEAVE
 from manip_learn.control.limits import OUTSIDE as LEAST_OUTSIDE
 from manip_learn.control.limits import POSITION as BY_POSITION
 from manip_learn.control.limits import VELOCITY as BY_VELOCITY
 from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE
-from manip_learn.control.tip_limits import MOST_ROWS, RESERVE
 from manip_learn.robot.batch.compiled_kinematics import JOINTS, SLIDE, SOURCE, TARGET, columns_of
 from manip_learn.robot.batch.kernel_cache import compiled_inside
 
@@ -66,8 +46,8 @@ def admitted(constants, q, dt, u, previous):
     period = 1.0 / rate
     for j in range(q.shape[0]):
         k = dofs + j
-        v, a, speed = constants[k, LIMIT], constants[k, ACCELERATION], abs(u[j])
-        above, below = constants[k, UPPER] - q[j], q[j] - constants[k, LOWER]
+        v, a, speed = constants[k, table.LIMIT], constants[k, table.ACCELERATION], abs(u[j])
+        above, below = constants[k, table.UPPER] - q[j], q[j] - constants[k, table.LOWER]
         if above < 0.0 or below < 0.0:
             return False
         if speed > v or abs(u[j] - previous[j]) > a * dt:
@@ -91,8 +71,8 @@ def bounds_of(constants, q, dt, previous, space):
     outside, dofs = 0.0, dofs_of(constants)
     for j in range(q.shape[0]):
         k = dofs + j
-        v, a = constants[k, LIMIT], constants[k, ACCELERATION]
-        above, below = constants[k, UPPER] - q[j], q[j] - constants[k, LOWER]
+        v, a = constants[k, table.LIMIT], constants[k, table.ACCELERATION]
+        above, below = constants[k, table.UPPER] - q[j], q[j] - constants[k, table.LOWER]
         bottom, top, bottom_cause, top_cause = -v, v, BY_VELOCITY, BY_VELOCITY
         fastest = allowed_speed(above, v, BRAKING_SHARE * a, dt)
         if fastest < v:
@@ -110,8 +90,8 @@ def bounds_of(constants, q, dt, previous, space):
             if bottom > top:  # too fast, or too far, for what the acceleration limit allows: it has precedence
                 bottom = slowest if top < slowest else fastest
                 top = bottom
-        space[LOW, j], space[HIGH, j] = bottom, top
-        space[LOW_CAUSE, j], space[HIGH_CAUSE, j] = bottom_cause, top_cause
+        space[table.LOW, j], space[table.HIGH, j] = bottom, top
+        space[table.LOW_CAUSE, j], space[table.HIGH_CAUSE, j] = bottom_cause, top_cause
     return outside if outside > LEAST_OUTSIDE else 0.0
 
 
@@ -119,7 +99,7 @@ def bounds_of(constants, q, dt, previous, space):
 def within(u, space, nv, tolerance):
     """Whether a velocity is within the bounds, but for a tolerance."""
     for j in range(nv):
-        if not space[LOW, j] - tolerance <= u[j] <= space[HIGH, j] + tolerance:
+        if not space[table.LOW, j] - tolerance <= u[j] <= space[table.HIGH, j] + tolerance:
             return False
     return True
 
@@ -128,13 +108,13 @@ def within(u, space, nv, tolerance):
 def binding(parts, space):
     """The joint at a bound that task and null part exceed most, and the limit that sets it; (-1, -1) if none."""
     joint, cause, most = -1, -1.0, 0.0
-    u, low, high = space[FOUND], space[LOW], space[HIGH]
+    u, low, high = space[table.FOUND], space[table.LOW], space[table.HIGH]
     for j in range(parts.shape[1]):
-        tolerance, wish = AT_BOUND * (1.0 + abs(u[j])), parts[TASK_PART, j] + parts[NULL_PART, j]
+        tolerance, wish = AT_BOUND * (1.0 + abs(u[j])), parts[table.TASK_PART, j] + parts[table.NULL_PART, j]
         if u[j] >= high[j] - tolerance and wish - high[j] > most:
-            joint, cause, most = j, space[HIGH_CAUSE, j], wish - high[j]
+            joint, cause, most = j, space[table.HIGH_CAUSE, j], wish - high[j]
         elif u[j] <= low[j] + tolerance and low[j] - wish > most:
-            joint, cause, most = j, space[LOW_CAUSE, j], low[j] - wish
+            joint, cause, most = j, space[table.LOW_CAUSE, j], low[j] - wish
     return joint, cause
 
 
@@ -150,7 +130,7 @@ def turn_to_freer_sense(constants, q, direction):
     for j in range(nv):
         speed = abs(direction[j])
         if speed > 1e-3 * fastest:
-            up, down = constants[dofs + j, UPPER] - q[j], q[j] - constants[dofs + j, LOWER]
+            up, down = constants[dofs + j, table.UPPER] - q[j], q[j] - constants[dofs + j, table.LOWER]
             if direction[j] < 0.0:
                 up, down = down, up
             ahead, behind = min(ahead, up / speed), min(behind, down / speed)
@@ -166,7 +146,7 @@ def approach_rate(constants, distance, slope, length, dt):
     if length == 0.0:
         return rate * distance
     for j in range(slope.shape[0]):
-        usable = min(usable, constants[dofs + j, ACCELERATION] / max(abs(slope[j]), 1e-12 * length))
+        usable = min(usable, constants[dofs + j, table.ACCELERATION] / max(abs(slope[j]), 1e-12 * length))
     deceleration = BRAKING_SHARE * length * length * usable
     return min(rate * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
 
@@ -174,7 +154,7 @@ def approach_rate(constants, distance, slope, length, dt):
 @compiled_inside
 def has_tips(constants):
     """Whether the speed or the place of frames is limited."""
-    return constants[CHAIN + 1, TIPS] != 0.0
+    return constants[table.CHAIN + 1, table.TIPS] != 0.0
 
 
 @compiled_inside
@@ -182,8 +162,8 @@ def most_rows(constants):
     """Number of barrier rows that a program may have: one for a singularity, the walls, and the tangents."""
     if not has_tips(constants):
         return 1
-    at = int(constants[CHAIN + 1, TIPS])
-    return 1 + int(constants[at, N_FRAMES]) * (int(constants[at, N_WALLS]) + MOST_ROWS)
+    at = int(constants[table.CHAIN + 1, table.TIPS])
+    return 1 + int(constants[at, table.N_FRAMES]) * (int(constants[at, table.N_WALLS]) + MOST_ROWS)
 
 
 @compiled_inside
@@ -191,14 +171,14 @@ def tips_at(constants, q, dt, previous):
     """`TipLimits.at`: the rows of each frame (see LINEAR), then scratch; no rows where nothing is limited."""
     if not has_tips(constants):
         return np.empty((0, 0))
-    at, nv = int(constants[CHAIN + 1, TIPS]), int(constants[0, NV])
-    frames, walls = int(constants[at, N_FRAMES]), int(constants[at, N_WALLS])
+    at, nv = int(constants[table.CHAIN + 1, table.TIPS]), int(constants[0, table.NV])
+    frames, walls = int(constants[at, table.N_FRAMES]), int(constants[at, table.N_WALLS])
     size, chain = LINEAR + walls, at + 1 + walls
     # no chain has more joints than the robot has
     tips = np.empty((frames * size + nv + 1, max(nv + 2, SLIDE + 3)))
     base = frames * size
     for f in range(frames):
-        joints, first = int(constants[chain + 1, LENGTH]), f * size
+        joints, first = int(constants[chain + 1, table.LENGTH]), f * size
         turn_joints(constants, chain, joints, q, tips, base)
         p0, p1, p2 = columns_of(constants, chain, joints, tips, base, SLIDE, 1, tips, base)
         for i in range(LINEAR):
@@ -221,11 +201,11 @@ def _wall_row(constants, n, dt, previous, tips, first, row):
 
     The latter takes the place of the distance from the wall [m].
     """
-    nv, dofs, braking, speed, G = int(constants[0, NV]), dofs_of(constants), 0.0, 0.0, tips[row]
+    nv, dofs, braking, speed, G = int(constants[0, table.NV]), dofs_of(constants), 0.0, 0.0, tips[row]
     for j in range(nv):
         rate = n[0] * tips[first, j] + n[1] * tips[first + 1, j] + n[2] * tips[first + 2, j]
         G[j] = -rate
-        braking += abs(rate) * constants[dofs + j, ACCELERATION]
+        braking += abs(rate) * constants[dofs + j, table.ACCELERATION]
         speed += rate * previous[j]
     G[nv], G[nv + 1] = -approach_rate(constants, G[nv], G[:nv], norm(G[:nv]), dt), 0.0
     if not math.isnan(speed):
@@ -238,14 +218,14 @@ def breaks(constants, tips, u):
     fast = near = False
     if tips.shape[0] == 0:
         return fast, near
-    at, nv = int(constants[CHAIN + 1, TIPS]), int(constants[0, NV])
-    walls = int(constants[at, N_WALLS])
-    for f in range(int(constants[at, N_FRAMES])):
+    at, nv = int(constants[table.CHAIN + 1, table.TIPS]), int(constants[0, table.NV])
+    walls = int(constants[at, table.N_WALLS])
+    for f in range(int(constants[at, table.N_FRAMES])):
         first = f * (LINEAR + walls)
         for w in range(walls):
             row = first + LINEAR + w
-            near = near or _along(tips, row, u, nv) < tips[row, nv]
-        fast = fast or _velocity(tips, first, u, nv)[3] > constants[at, TIP_SPEED]
+            near = near or dot(u, tips[row]) < tips[row, nv]
+        fast = fast or _velocity(tips, first, u)[3] > constants[at, table.TIP_SPEED]
     return fast or near, near
 
 
@@ -257,38 +237,29 @@ def with_broken(constants, tips, u, space, rows):
     """
     if tips.shape[0] == 0:
         return rows
-    at, nv = int(constants[CHAIN + 1, TIPS]), int(constants[0, NV])
-    walls, fastest = int(constants[at, N_WALLS]), constants[at, TIP_SPEED]
-    for f in range(int(constants[at, N_FRAMES])):
+    at, nv = int(constants[table.CHAIN + 1, table.TIPS]), int(constants[0, table.NV])
+    walls, fastest = int(constants[at, table.N_WALLS]), constants[at, table.TIP_SPEED]
+    for f in range(int(constants[at, table.N_FRAMES])):
         first = f * (LINEAR + walls)
         for w in range(walls):
             row = first + LINEAR + w
-            if tips[row, nv + 1] == 0.0 and _along(tips, row, u, nv) < tips[row, nv]:
+            if tips[row, nv + 1] == 0.0 and dot(u, tips[row]) < tips[row, nv]:
                 for j in range(nv + 1):
-                    space[SLOPE + rows, j] = tips[row, j]
+                    space[table.SLOPE + rows, j] = tips[row, j]
                 tips[row, nv + 1] = 1.0
                 rows += 1
-        v0, v1, v2, speed = _velocity(tips, first, u, nv)
+        v0, v1, v2, speed = _velocity(tips, first, u)
         if speed > fastest:  # the tangent where the ball of velocities was left
             for j in range(nv):
                 along = v0 * tips[first, j] + v1 * tips[first + 1, j] + v2 * tips[first + 2, j]
-                space[SLOPE + rows, j] = -along / speed
-            space[SLOPE + rows, nv] = fastest * (RESERVE - 1.0)
+                space[table.SLOPE + rows, j] = -along / speed
+            space[table.SLOPE + rows, nv] = fastest * (RESERVE - 1.0)
             rows += 1
     return rows
 
 
 @compiled_inside
-def _velocity(tips, first, u, nv):
+def _velocity(tips, first, u):
     """The velocity of the frame whose rows begin at `first`, and its norm [m/s]."""
-    v0, v1, v2 = _along(tips, first, u, nv), _along(tips, first + 1, u, nv), _along(tips, first + 2, u, nv)
+    v0, v1, v2 = dot(u, tips[first]), dot(u, tips[first + 1]), dot(u, tips[first + 2])
     return v0, v1, v2, math.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
-
-
-@compiled_inside
-def _along(tips, row, u, nv):
-    """A row times the velocity."""
-    total = 0.0
-    for j in range(nv):
-        total += tips[row, j] * u[j]
-    return total

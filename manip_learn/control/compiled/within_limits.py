@@ -1,4 +1,7 @@
-"""The law brought within the limits, and what came of it (`outcome`), as loops over plain numbers."""
+"""The law brought within the limits, and what came of it, as loops over plain numbers.
+
+`bounded_velocity.bounded_velocity` with its program, `project_by_active_set`, and `bounded_command`.
+"""
 
 from __future__ import annotations
 
@@ -6,47 +9,31 @@ import math
 
 import numpy as np
 
-from manip_learn.control.compiled.bounded_step import bounded_step, space_of
-from manip_learn.control.compiled.constrained_rows import complete, decompose, norm, rank_of, row_space, truncation
+from manip_learn.constraint.compiled_rows import add, dot
+from manip_learn.control.bounded_velocity import (
+    DEPENDENT,
+    DEVIATION_WEIGHT,
+    LARGEST_RATIO,
+    NEGLIGIBLE,
+    REORTHOGONAL,
+    ROUNDING,
+    TASK_WEIGHT,
+    TOLERANCE,
+)
+from manip_learn.control.compiled import step_table as table
+from manip_learn.control.compiled.constrained_rows import (
+    complete,
+    decompose,
+    dofs_of,
+    norm,
+    rank_of,
+    row_space,
+    truncation,
+)
 from manip_learn.control.compiled.limits import binding, bounds_of, breaks, most_rows, tips_at, with_broken, within
 from manip_learn.control.compiled.near_singularity import bounded_approach, is_singular
-from manip_learn.control.compiled.step_table import (
-    ACCELERATION_LIMITED,
-    DAMPED,
-    DAMPED_STATUS,
-    DAMPING,
-    ESCAPE_PART,
-    FACTS,
-    FOUND,
-    HAS_ESCAPE,
-    INVERSE,
-    LIMITING_JOINT,
-    LIMITS,
-    NULL_PART,
-    NULL_SCALE,
-    NULL_SCALED,
-    OK,
-    OUTSIDE,
-    OUTSIDE_LIMITS,
-    PARTS,
-    POSITION_LIMITED,
-    PROGRESS,
-    RANK,
-    REROUTED,
-    SINGULAR,
-    SLOPE,
-    SMALLEST,
-    STALLED,
-    TASK_PART,
-    TASK_SCALE,
-    TASK_VELOCITY,
-    THRESHOLD,
-    VELOCITY,
-    VELOCITY_LIMITED,
-    Rows,
-    Step,
-)
 from manip_learn.control.limits import ACCELERATION as BY_ACCELERATION
+from manip_learn.control.limits import MOST_ROWS
 from manip_learn.control.limits import POSITION as BY_POSITION
 from manip_learn.control.resolved_rate_law import (
     AT_GOAL,
@@ -56,8 +43,333 @@ from manip_learn.control.resolved_rate_law import (
     SLIDING_AFTER,
     STALLED_BELOW,
 )
-from manip_learn.control.tip_limits import MOST_ROWS
 from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
+
+# rows of the scratch of `project`, each as long as x, before those of the triangle and of the basis
+DIRECTION, ALONG, FALL, MULTIPLIERS, BOUNDS, SIGNS, ACTIVE, SCRATCH = range(8)
+
+
+@compiled_inside
+def space_of(nv, most):
+    """The space for programs of up to `most` rows of the barrier, each row long enough for the bounds of all rows."""
+    width = nv + 1 + most
+    return np.empty((table.SLOPE + most + width + SCRATCH + 2 * (nv + 2), width))
+
+
+@compiled_inside
+def _program(space, nv):
+    """Row where the program begins."""
+    return table.SLOPE + space.shape[1] - nv - 1
+
+
+@compiled_inside
+def bounded_step(step, rows, space, barriers, damping):
+    """Write the velocity within the bounds, `bounded_velocity`, into row FOUND of the space.
+
+    Returns the task's scale, negative where none was found, and whether the barrier could be kept.
+
+    Args:
+        step: Its parts hold A^+ b, N pi and the velocity out of a singularity.
+        rows: Singular values and vectors are needed for a step that slides; of Vt always the null space.
+        space: LOW and HIGH hold the bounds; from SLOPE on are the rows of the barrier.
+        barriers: Number of rows of the barrier.
+        damping: See `bounded_velocity`.
+    """
+    constants, parts, facts, nv = step.constants, step.parts, step.work[table.FACTS], rows.A.shape[1]
+    found, too_fast, dofs = space[table.FOUND], 1.0, dofs_of(constants)
+    for j in range(nv):
+        too_fast = max(too_fast, abs(parts[table.TASK_PART, j]) / constants[dofs + j, table.LIMIT])
+    for attempt in range(2 if barriers > 0 else 1):
+        n = barriers if attempt == 0 else 0
+        scale = _scaled_wish(parts, facts, too_fast, space, n)
+        kept = _along(rows.Vt, scale, parts, facts, space, n)
+        if kept < 0.0:
+            kept = _beside(rows, space, n)
+        slides = kept >= 0.0 and step.slide > 0.0
+        if slides and _nearest(rows.sigma, rows.Vt, damping, space, n, space[table.SLID]):
+            for j in range(nv):
+                found[j] += step.slide * (space[table.SLID, j] - found[j])
+        if kept >= 0.0 and within(found, space, nv, ROUNDING):
+            for j in range(nv):
+                found[j] = min(max(found[j], space[table.LOW, j]), space[table.HIGH, j])
+            return kept / too_fast, attempt == 0
+    for j in range(nv):  # a box always holds a point; this is for a solver that gave up
+        found[j] = min(
+            max(parts[table.TASK_PART, j] + parts[table.NULL_PART, j], space[table.LOW, j]), space[table.HIGH, j]
+        )
+    return -1.0, False
+
+
+@compiled_inside
+def _scaled_wish(parts, facts, too_fast, space, barriers):
+    """v slowed down into row TASK_AIM, the velocity wished for into WISH; returns the scale of v, `approach_scale`."""
+    nv, escapes, scale = parts.shape[1], facts[table.HAS_ESCAPE] != 0.0, 1.0
+    v, wish = space[table.TASK_AIM, :nv], space[table.WISH, :nv]
+    for j in range(nv):
+        v[j] = parts[table.TASK_PART, j] / too_fast
+        wish[j] = parts[table.NULL_PART, j] + (parts[table.ESCAPE_PART, j] if escapes else 0.0)
+    for i in range(barriers):
+        slope = space[table.SLOPE + i]
+        approach = -dot(v, slope)
+        if approach > 0.0:
+            scale = min(scale, max(0.0, (dot(wish, slope) - slope[nv]) / approach))
+    add(wish, scale, v)
+    return scale
+
+
+@compiled_inside
+def _along(Vt, scale, parts, facts, space, barriers):
+    """The first program, that keeps the task's direction: its scale, the velocity in FOUND; -1 if there is none."""
+    nv, rank = parts.shape[1], int(facts[table.RANK])
+    start, v, null, escape = space[table.START], space[table.TASK_AIM, :nv], nv - rank, parts[table.ESCAPE_PART]
+    length = norm(v)
+    speed = norm(escape) if facts[table.HAS_ESCAPE] != 0.0 else 0.0
+    weight = TASK_WEIGHT * max(length, min(norm(parts[table.NULL_PART]), LARGEST_RATIO * length))
+    moves, leaves = length > NEGLIGIBLE, speed > NEGLIGIBLE
+    at, k, program = null, null, _program(space, nv)
+    C = space[program:]
+    for c in range(null):
+        start[c] = 0.0
+        for j in range(nv):
+            C[j, c] = Vt[rank + c, j]
+            start[c] += Vt[rank + c, j] * parts[table.NULL_PART, j]
+    if moves:
+        start[k] = weight * scale
+        for j in range(nv):
+            C[j, k] = v[j] / weight
+        k += 1
+    if leaves:
+        start[k] = speed
+        for j in range(nv):
+            C[j, k] = escape[j] / speed
+        k += 1
+    m = nv + barriers
+    _barrier_rows(C, nv, k, space, barriers)
+    if moves:
+        for c in range(k):
+            C[m, c] = 0.0
+        C[m, at] = 1.0 / weight
+        space[table.LOW, m], space[table.HIGH, m] = 0.0, 1.0
+        m += 1
+    y, work, bounds = space[table.ANSWER], space[program + space.shape[1] :], space[table.LOW : table.HIGH + 1]
+    solved = project(start, C, bounds, m, k, y, work)
+    if not solved and moves:  # too fast to brake: farther along b is better than beside it
+        space[table.HIGH, m - 1] = math.inf
+        solved = project(start, C, bounds, m, k, y, work)
+    if not solved:
+        return -1.0
+    _product(C, y, nv, k, space[table.FOUND])
+    return max(0.0, y[at] / weight) if moves else 1.0
+
+
+@compiled_inside
+def _barrier_rows(C, nv, k, space, barriers):
+    """The barrier along the columns, behind the rows of the joints, and its bounds."""
+    for i in range(barriers):
+        for c in range(k):
+            C[nv + i, c] = dot(C[:nv, c], space[table.SLOPE + i])
+        space[table.LOW, nv + i], space[table.HIGH, nv + i] = space[table.SLOPE + i, nv], math.inf
+
+
+@compiled_inside
+def _product(C, y, m, k, u):
+    """u = C y."""
+    for i in range(m):
+        u[i] = dot(C[i, :k], y)
+
+
+@compiled_inside
+def _beside(rows, space, barriers):
+    """The second program, beside the task's direction: its scale, the velocity in FOUND; -1 if there is none."""
+    A, largest, found = rows.A, rows.sigma[0], space[table.FOUND]
+    s, nv = A.shape
+    across, b, along = np.empty((s, nv)), np.empty(s), np.empty(nv)
+    Ut, sigma, Vt = np.empty((s, s)), np.empty(s), np.empty((s, nv))
+    if largest < 0.0:
+        decompose(A, s, Ut, sigma, Vt)
+        largest = sigma[0]
+    _product(A, space[table.TASK_AIM], s, nv, b)
+    length = norm(b)
+    for j in range(nv):
+        along[j] = 0.0
+        for i in range(s):
+            along[j] += b[i] * A[i, j]
+    for i in range(s):
+        for j in range(nv):
+            across[i, j] = A[i, j]
+            if length >= NEGLIGIBLE:
+                across[i, j] -= b[i] / length * along[j] / length
+    decompose(across, s, Ut, sigma, Vt)
+    if not _nearest(sigma, Vt, largest / DEVIATION_WEIGHT, space, barriers, found):
+        return -1.0
+    if length < NEGLIGIBLE:
+        return 0.0
+    return max(0.0, dot(along, found) / (length * length))
+
+
+@compiled_inside
+def _nearest(sigma, Vt, damping, space, barriers, u):
+    """The velocity within the bounds that is nearest to row WISH, mostly in the rows decomposed; False if none is.
+
+    In x with u = (I + sum_i (r_i - 1) v_i v_i^T) x, r_i = 1 / sqrt(1 + (sigma_i / damping)^2), it is nearest to x* of
+    the wish: the symmetric root, which needs no basis of what is left.
+    """
+    nv = Vt.shape[1]
+    program = _program(space, nv)
+    C, start, wish, y = space[program:], space[table.START], space[table.WISH], space[table.ANSWER]
+    for i in range(nv):
+        start[i] = wish[i]
+        for j in range(nv):
+            C[i, j] = 1.0 if i == j else 0.0
+    for r in range(sigma.shape[0]):
+        ratio = sigma[r] / max(damping, 1e-300)
+        root = math.sqrt(1.0 + ratio * ratio)
+        # 1 - 1 / root without cancellation
+        factor = ratio * ratio / (root * (1.0 + root))
+        add(start[:nv], (root - 1.0) * dot(Vt[r], wish), Vt[r])
+        for i in range(nv):
+            add(C[i, :nv], -factor * Vt[r, i], Vt[r])
+    _barrier_rows(C, nv, nv, space, barriers)
+    work = space[program + space.shape[1] :]
+    if not project(start, C, space[table.LOW : table.HIGH + 1], nv + barriers, nv, y, work):
+        return False
+    _product(C, y, nv, nv, u)
+    return True
+
+
+@compiled_inside
+def project(x, C, bounds, m, k, y, work):
+    """y = argmin |y - x|^2 subject to low <= C y <= high for the first m rows and k columns; False if there is no y.
+
+    The dual active-set method of Goldfarb and Idnani (1983). An orthonormal basis of the active rows' normals is kept
+    with its triangle, and mended when a row comes or goes.
+
+    Args:
+        x: The point.
+        C: One row per constraint.
+        bounds: Lower and upper bounds, in two rows.
+        m: Number of rows.
+        k: Number of columns.
+        y: The answer.
+        work: Scratch, SCRATCH + 2 k rows of k columns or more.
+    """
+    multipliers, active = work[MULTIPLIERS], work[ACTIVE]
+    n = k - k  # none; no literal 0, for which numba would compile everything below a second time
+    for c in range(k):
+        y[c] = x[c]
+    for _ in range(8 * m):
+        worst, excess, sign = _most_exceeded(y, C, bounds, m, k, active, n)
+        if worst < 0:
+            if n > 0:
+                _on_faces(x, y, work, n, k)
+            return True
+        square, multiplier = dot(C[worst, :k], C[worst]), 0.0
+        while True:
+            slope = _across(C, worst, sign, square, work, n, k)
+            full = excess / slope if slope > DEPENDENT * square and n < k else math.inf
+            partial, leaving = math.inf, n
+            for a in range(n):
+                if work[FALL, a] > 0.0 and multipliers[a] < partial * work[FALL, a]:
+                    partial, leaving = multipliers[a] / work[FALL, a], a
+            step = min(full, partial)
+            if step == math.inf:
+                return False
+            for a in range(n):
+                multipliers[a] -= step * work[FALL, a]
+            multiplier += step
+            if full < math.inf:
+                add(y[:k], -step, work[DIRECTION])
+                excess -= step * slope
+            if step == full:
+                active[n], multipliers[n], work[SIGNS, n] = worst, multiplier, sign
+                work[BOUNDS, n] = bounds[1, worst] if sign > 0.0 else -bounds[0, worst]
+                _enter(work, n, k, slope)
+                n += 1
+                break
+            n = _leave(C, work, active, leaving, n, k)
+    return False
+
+
+@compiled_inside
+def _most_exceeded(y, C, bounds, m, k, active, n):
+    """(row, by how much, 1 above and -1 below) of the row whose bound is exceeded most; row -1 if none is."""
+    worst, excess, sign = -1, TOLERANCE, 1.0
+    for i in range(m):
+        reached = dot(C[i, :k], y)
+        beyond = max(reached - bounds[1, i], bounds[0, i] - reached)
+        if beyond > excess:
+            known = False
+            for a in range(n):
+                known = known or active[a] == i
+            if not known:
+                worst, excess, sign = i, beyond, 1.0 if reached > bounds[1, i] else -1.0
+    return worst, excess, sign
+
+
+@compiled_inside
+def _across(C, row, sign, square, work, n, k):
+    """A row's normal without its part along the active ones; returns its square.
+
+    Its coordinates along the basis go into ALONG, how fast the multipliers of the active rows fall into FALL. Where
+    little is left it is projected twice, for what rounding has left.
+    """
+    for c in range(k):
+        work[DIRECTION, c] = sign * C[row, c]
+    for a in range(n):
+        work[ALONG, a] = 0.0
+    slope, direction = 0.0, work[DIRECTION, :k]
+    for _ in range(2):
+        for a in range(n):
+            along = dot(direction, work[SCRATCH + k + a])
+            add(direction, -along, work[SCRATCH + k + a])
+            work[ALONG, a] += along
+        slope = dot(direction, direction)
+        if n == 0 or slope > REORTHOGONAL * square:
+            break
+    for a in range(n - 1, -1, -1):
+        total = work[ALONG, a]
+        for c in range(a + 1, n):
+            total -= work[SCRATCH + a, c] * work[FALL, c]
+        work[FALL, a] = total / work[SCRATCH + a, a]
+    return slope
+
+
+@compiled_inside
+def _enter(work, n, k, slope):
+    """The direction and its coordinates become column n of the basis and of its triangle."""
+    length = math.sqrt(slope)
+    for a in range(n):
+        work[SCRATCH + a, n] = work[ALONG, a]
+    work[SCRATCH + n, n] = length
+    for c in range(k):
+        work[SCRATCH + k + n, c] = work[DIRECTION, c] / length
+
+
+@compiled_inside
+def _leave(C, work, active, leaving, n, k):
+    """Let an active row go, and make the basis of those behind it anew; returns the number of active rows."""
+    for a in range(leaving, n - 1):
+        active[a] = active[a + 1]
+        for i in range(MULTIPLIERS, SIGNS + 1):
+            work[i, a] = work[i, a + 1]
+        slope = _across(C, int(active[a]), work[SIGNS, a], math.inf, work, a, k)
+        _enter(work, a, k, slope)
+    return n - 1
+
+
+@compiled_inside
+def _on_faces(x, y, work, n, k):
+    """The nearest point to x on all active bounds, without the rounding of the steps that led to y."""
+    for c in range(k):
+        y[c] = x[c]
+    for a in range(n):
+        reached = work[BOUNDS, a]
+        for i in range(a):
+            reached -= work[SCRATCH + i, a] * work[FALL, i]
+        work[FALL, a] = reached / work[SCRATCH + a, a]  # where the bounds are along the basis
+    for a in range(n):
+        q = work[SCRATCH + k + a, :k]
+        add(y[:k], work[FALL, a] - dot(q, x), q)
 
 
 @compiled
@@ -77,24 +389,24 @@ def bounded_law(constants, q, dt, previous, slide, law, work):
         work: One row, that of FACTS, with the smallest singular value of A, its rank, which is negative where A is to
             be decomposed, and whether there is a velocity out of a singularity.
     """
-    parts, slope, A, facts = law[:PARTS], law[PARTS], law[PARTS + 1 :], work[FACTS]
+    parts, slope, A, facts = law[: table.PARTS], law[table.PARTS], law[table.PARTS + 1 :], work[table.FACTS]
     s, nv = A.shape
     square, left, space = np.empty((nv + s, nv)), np.empty((s + 1, s)), space_of(nv, most_rows(constants))
     Ut, sigma, Vt = left[:s], left[s], square[:nv]
-    rows, step = Rows(A, Ut, sigma, Vt, square[nv:]), Step(constants, q, dt, previous, slide, parts, work)
-    if facts[RANK] < 0.0:
+    rows, step = table.Rows(A, Ut, sigma, Vt, square[nv:]), table.Step(constants, q, dt, previous, slide, parts, work)
+    if facts[table.RANK] < 0.0:
         decompose(A, s, Ut, sigma, Vt)
-        facts[RANK] = rank_of(sigma, truncation(sigma, nv))
+        facts[table.RANK] = rank_of(sigma, truncation(sigma, nv))
         if is_singular(sigma):
             complete(Vt, rank_of(sigma, 0.0))
     else:
         sigma[0] = -1.0  # unknown
-        row_space(A, s, Vt)
+        row_space(A, Vt, Ut)
     barred = not math.isnan(slope[0])
     if barred:
         for j in range(nv):
-            space[SLOPE, j] = slope[j]
-        barred = bounded_approach(constants, facts[SMALLEST], dt, space)
+            space[table.SLOPE, j] = slope[j]
+        barred = bounded_approach(constants, facts[table.SMALLEST], dt, space)
     return within_limits(step, rows, barred, tips_at(constants, q, dt, previous), space)
 
 
@@ -109,49 +421,46 @@ def within_limits(step, rows, barred, tips, space):
         tips: The limited frames, see `tips_at`.
         space: See `space_of`.
     """
-    constants, parts, facts, A, sigma = step.constants, step.parts, step.work[FACTS], rows.A, rows.sigma
+    constants, parts, facts, A, sigma = step.constants, step.parts, step.work[table.FACTS], rows.A, rows.sigma
     s, nv = A.shape
     singular = is_singular(sigma)
-    damped = int(constants[0, INVERSE]) == DAMPED and facts[SMALLEST] < constants[0, THRESHOLD]
-    if constants[0, LIMITS] == 0.0:
+    damped = int(constants[0, table.INVERSE]) == table.DAMPED and facts[table.SMALLEST] < constants[0, table.THRESHOLD]
+    if constants[0, table.LIMITS] == 0.0:
         return plain_outcome(A, singular, damped, 0.0, parts, facts)
     outside = bounds_of(constants, step.q, step.dt, step.previous, space)
-    broken, near = breaks(constants, tips, parts[VELOCITY])
+    broken, near = breaks(constants, tips, parts[table.VELOCITY])
     slow = not broken and not (barred and _too_fast(parts, space))
-    if slow and within(parts[VELOCITY], space, nv, 0.0):
+    if slow and within(parts[table.VELOCITY], space, nv, 0.0):
         return plain_outcome(A, singular, damped, outside, parts, facts)
     if not singular:
         complete(rows.Vt, s)
     if sigma[0] < 0.0 and step.slide > 0.0:
         decompose(A, s, rows.Ut, sigma, rows.Vt)
     # an explicit step of dt follows sliding that is damped that much
-    blur = max(constants[1, DAMPING], math.sqrt(2.0 * step.dt * norm(parts[TASK_VELOCITY, :s])))
-    barriers, u, scale = 1 if barred else 0, parts[VELOCITY], -1.0
+    blur = max(constants[1, table.DAMPING], math.sqrt(2.0 * step.dt * norm(parts[table.TASK_VELOCITY, :s])))
+    barriers, u, scale = 1 if barred else 0, parts[table.VELOCITY], -1.0
     for turn in range(MOST_ROWS if tips.shape[0] > 0 else 1):  # `TipLimits.bounded`
         more = with_broken(constants, tips, u, space, barriers)
         if turn > 0 and more == barriers:
             break
-        barriers, u = more, space[FOUND]
+        barriers, u = more, space[table.FOUND, :nv]
         scale, kept = bounded_step(step, rows, space, barriers, blur)
         if not kept:  # more rows would be kept even less
             break
-    fits = within(parts[TASK_PART], space, nv, 0.0)
+    fits = within(parts[table.TASK_PART], space, nv, 0.0)
     joint, cause = binding(parts, space)
-    facts[OUTSIDE], facts[LIMITING_JOINT], facts[TASK_SCALE] = outside, joint, max(scale, 0.0)
-    split_parts(space[FOUND], rows.Vt, scale >= 0.0, parts, facts)
+    facts[table.OUTSIDE], facts[table.LIMITING_JOINT], facts[table.TASK_SCALE] = outside, joint, max(scale, 0.0)
+    split_parts(space[table.FOUND], rows.Vt, scale >= 0.0, parts, facts)
     status = bounded_outcome(A, singular, damped, cause, fits, parts, facts)
-    if not broken or damped or status != DAMPED_STATUS:
+    if not broken or damped or status != table.DAMPED_STATUS:
         return status
-    return POSITION_LIMITED if near else VELOCITY_LIMITED
+    return table.POSITION_LIMITED if near else table.VELOCITY_LIMITED
 
 
 @compiled_inside
 def _too_fast(parts, space):
     """Whether the velocity approaches a singularity faster than the barrier allows."""
-    rate, nv = 0.0, parts.shape[1]
-    for j in range(nv):
-        rate += space[SLOPE, j] * parts[VELOCITY, j]
-    return rate < space[SLOPE, nv]
+    return dot(parts[table.VELOCITY], space[table.SLOPE]) < space[table.SLOPE, parts.shape[1]]
 
 
 @compiled_inside
@@ -159,26 +468,24 @@ def progress_of(A, parts):
     """Velocity along b over the velocity asked for, b^T A u / |b|^2; 1 where nothing is asked for."""
     square = along = 0.0
     for i in range(A.shape[0]):
-        b, reached = parts[TASK_VELOCITY, i], 0.0
-        for j in range(A.shape[1]):
-            reached += A[i, j] * parts[VELOCITY, j]
+        b = parts[table.TASK_VELOCITY, i]
         square += b * b
-        along += b * reached
+        along += b * dot(A[i], parts[table.VELOCITY])
     return along / square if square > AT_GOAL * AT_GOAL else 1.0
 
 
 @compiled_inside
 def plain_outcome(A, singular, damped, outside, parts, facts):
     """Status and numbers of a command that no limit changes, `outcome.plain_command`."""
-    progress, status = 1.0, OK
+    progress, status = 1.0, table.OK
     if damped or singular:
         progress = progress_of(A, parts)
-        status = STALLED if progress < STALLED_BELOW else DAMPED_STATUS
+        status = table.STALLED if progress < STALLED_BELOW else table.DAMPED_STATUS
     if singular:
-        status = SINGULAR
-    facts[TASK_SCALE] = facts[NULL_SCALE] = 1.0
-    facts[PROGRESS], facts[OUTSIDE], facts[LIMITING_JOINT] = progress, outside, -1.0
-    return OUTSIDE_LIMITS if outside > 0.0 else status
+        status = table.SINGULAR
+    facts[table.TASK_SCALE] = facts[table.NULL_SCALE] = 1.0
+    facts[table.PROGRESS], facts[table.OUTSIDE], facts[table.LIMITING_JOINT] = progress, outside, -1.0
+    return table.OUTSIDE_LIMITS if outside > 0.0 else status
 
 
 @compiled_inside
@@ -187,58 +494,50 @@ def bounded_outcome(A, singular, damped, cause, task_fits, parts, facts):
 
     The task's scale, how far a joint is outside and the limiting joint are among the facts already.
     """
-    scale, progress = facts[TASK_SCALE], progress_of(A, parts)
-    facts[TASK_SCALE], facts[PROGRESS] = min(scale, 1.0), progress
-    if facts[OUTSIDE] > 0.0:
-        return OUTSIDE_LIMITS
+    scale, progress = facts[table.TASK_SCALE], progress_of(A, parts)
+    facts[table.TASK_SCALE], facts[table.PROGRESS] = min(scale, 1.0), progress
+    if facts[table.OUTSIDE] > 0.0:
+        return table.OUTSIDE_LIMITS
     if singular:
-        return SINGULAR
+        return table.SINGULAR
     if progress < STALLED_BELOW and cause != BY_ACCELERATION:
-        return STALLED
+        return table.STALLED
     if scale < SCALED_BELOW:
-        if facts[LIMITING_JOINT] < 0.0:
-            return DAMPED_STATUS
+        if facts[table.LIMITING_JOINT] < 0.0:
+            return table.DAMPED_STATUS
         if cause == BY_POSITION:
-            return POSITION_LIMITED
-        return ACCELERATION_LIMITED if cause == BY_ACCELERATION else VELOCITY_LIMITED
+            return table.POSITION_LIMITED
+        return table.ACCELERATION_LIMITED if cause == BY_ACCELERATION else table.VELOCITY_LIMITED
     if damped:
-        return DAMPED_STATUS
-    return NULL_SCALED if task_fits else REROUTED
+        return table.DAMPED_STATUS
+    return table.NULL_SCALED if task_fits else table.REROUTED
 
 
 @compiled_inside
 def split_parts(found, Vt, solved, parts, facts):
     """Write the velocity and its parts as commanded into `parts`; see `Command`."""
-    nv, rank = Vt.shape[1], int(facts[RANK])
-    along = square = 0.0
+    nv, rank = Vt.shape[1], int(facts[table.RANK])
+    velocity, task, escape = parts[table.VELOCITY], parts[table.TASK_PART], parts[table.ESCAPE_PART]
+    null_part = parts[table.NULL_PART]
     for j in range(nv):
-        parts[VELOCITY, j], square = found[j], square + parts[NULL_PART, j] * parts[NULL_PART, j]
-        parts[TASK_PART, j] = 0.0
+        velocity[j], task[j] = found[j], 0.0
     for i in range(rank, nv if solved else rank):
-        part = 0.0
-        for j in range(nv):
-            part += Vt[i, j] * found[j]
-        for j in range(nv):
-            parts[TASK_PART, j] += part * Vt[i, j]
-    for j in range(nv):  # the null-space part of the velocity, still in the place of the task's
-        null = parts[TASK_PART, j]
-        along += parts[NULL_PART, j] * null
-        parts[NULL_PART, j], parts[TASK_PART, j] = null, found[j] - null
-    facts[NULL_SCALE] = min(1.0, max(0.0, along / square)) if square > 0.0 else 1.0
-    if facts[HAS_ESCAPE] == 0.0:
+        add(task, dot(velocity, Vt[i]), Vt[i])
+    square, along = dot(null_part, null_part), dot(null_part, task)
+    for j in range(nv):  # the null-space part of the velocity was in the place of the task's
+        null_part[j], task[j] = task[j], velocity[j] - task[j]
+    facts[table.NULL_SCALE] = min(1.0, max(0.0, along / square)) if square > 0.0 else 1.0
+    if facts[table.HAS_ESCAPE] == 0.0:
         return
-    size, reached = norm(parts[ESCAPE_PART]), 0.0
+    factor = min(1.0, max(0.0, dot(velocity, escape) / max(dot(escape, escape), 1e-300)))
     for j in range(nv):
-        reached += found[j] * parts[ESCAPE_PART, j]
-    factor = min(1.0, max(0.0, reached / max(size * size, 1e-300)))
-    for j in range(nv):
-        parts[ESCAPE_PART, j] *= factor
-        parts[TASK_PART, j] -= parts[ESCAPE_PART, j]
+        escape[j] *= factor
+        task[j] -= escape[j]
 
 
 @compiled_inside
 def next_slide(slide, status, progress, dt):
     """`slide` after a command that was held for dt, `outcome.next_slide`."""
-    if status == STALLED:
+    if status == table.STALLED:
         return min(1.0, slide + dt / SLIDING_AFTER)
     return max(0.0, slide - dt / KEEPING_AFTER) if progress > GOING_ON else slide

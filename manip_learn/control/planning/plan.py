@@ -13,19 +13,16 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.law_sequence import ARRIVED, LawSequence
+from manip_learn.control.law_sequence import ARRIVED, JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits, check_inside
-from manip_learn.control.paths.path_problem import PathPolicy, check_joints_add_up
-from manip_learn.control.planning.approach import Clearance, clear_path, self_collision
-from manip_learn.control.planning.grasp import GraspCone
-from manip_learn.control.planning.margins import Margins, margins_of, rooms
+from manip_learn.control.optimise_path import PathPolicy, check_joints_add_up
+from manip_learn.control.planning.approach import Clearance, GraspCone, clear_path, self_collision
 from manip_learn.control.planning.search import TIE, TURN, Ladder, ladder_of, relaxed
-from manip_learn.control.planning.stations import FEWEST, MOST, PERIOD, Postures, Stations
+from manip_learn.control.planning.stations import FEWEST, MOST, PERIOD, Margins, Postures, Stations, margins_of, rooms
 from manip_learn.control.policies import NullSpacePolicy
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.driven_motion import way_in_words
-from manip_learn.control.tasks.joint_motion import JointMotion, every_joint
 from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
 from manip_learn.errors import ConfigurationError, FeatureError, NoPlanError, TargetError, advice, an
@@ -75,7 +72,7 @@ class Plan:
         approach: From the start to that posture, as simulated.
         way: The motion itself, as simulated, from the time when the hand has taken hold.
         margin: Least share of its own limits that the way leaves, at most 1: of the joints' ranges, of their speeds,
-            of the speed that the weakest direction could have (`manip_learn.control.planning.margins` has the formula).
+            of what the weakest direction could do (`manip_learn.control.planning.stations` has the formula).
         margins: The same in parts, with where and which joint.
         outcome: What became of the way: how far, how straight, how fast.
         others: Other postures in which the hand could take hold, and why they were not chosen, best first.
@@ -159,7 +156,7 @@ def plan(
 
     Whether a drawer opens is decided before the pull begins: by the posture in which the handle is taken. The hand's
     place is that of the motion (see `motion`); the posture is chosen among hundreds by the least margin over the whole
-    way, in units of its own limits (`manip_learn.control.planning.margins` has the formula); of margins within a
+    way, in units of its own limits (`manip_learn.control.planning.stations` has the formula); of margins within a
     hundredth of each other the larger manipulability of the rows held and driven decides. The best is simulated, and
     taken if the whole way is done within 2 mm of what holds the hand; else the next one. Surroundings are not known:
     the approach is clear of the arm's own links only.

@@ -21,8 +21,7 @@ from jaxtyping import Bool, Float, Int
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
-from manip_learn.control.planning.margins import node_margins, rooms
-from manip_learn.control.planning.stations import Postures, Stations
+from manip_learn.control.planning.stations import Postures, Stations, node_margins, rooms
 from manip_learn.control.policies import ASCENT_GAIN
 
 SEED_STEPS, MARCH_STEPS = 40, 4  # of Newton's method: from anywhere, and from a station to the next

@@ -1,4 +1,4 @@
-"""A motion along one free direction of a constraint: what is common to straight ways and to mechanisms."""
+"""A motion along one free direction of a constraint: along a straight way, or as a mechanism leaves it free."""
 
 from __future__ import annotations
 
@@ -12,6 +12,13 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.feature_map import sum_in_words
+from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, pose_error
+from manip_learn.constraint.features.mechanism_rows import MechanismRows, Place
+from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.errors import ConstraintError, TargetError, advice
+from manip_learn.linalg import complement_rows
+from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
 
 Unit = Literal["m", "rad"]
 
@@ -56,10 +63,10 @@ class DrivenMotion(ABC):
         """How far posture q is from the start [m or rad]; of angles a turn apart the one next to `near`."""
 
     @abstractmethod
-    def rates(
+    def rates_and_jacobian(
         self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
-    ) -> Float[np.ndarray, " p"]:
-        """Velocities wanted of the features of `constraint`."""
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
+        """Velocities wanted of the features of `constraint`; E of `Task.error_jacobian`, None where that is A(q)."""
 
     @abstractmethod
     def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
@@ -68,18 +75,6 @@ class DrivenMotion(ABC):
     @abstractmethod
     def goal(self, origin: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
         """Where the frame is after a distance: a pose (4, 4), or numbers for the features' rows (p,)."""
-
-    def error_jacobian(
-        self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float
-    ) -> Float[np.ndarray, "s nv"] | None:
-        """E of `Task.error_jacobian`; None where that is A(q)."""
-        return None
-
-    def rates_and_jacobian(
-        self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
-    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
-        """`rates` and `error_jacobian` together, cheaper than one by one where a child shares work."""
-        return self.rates(origin, q, setpoint, gain), self.error_jacobian(origin, q, setpoint.distance)
 
 
 def between(start: Float[np.ndarray, "..."], end: Float[np.ndarray, "..."], share: float) -> Float[np.ndarray, "..."]:
@@ -192,3 +187,441 @@ class ShownPlaces:
         places = [motion.goal(o, float(np.clip(s, first, last) - s)) for o, s in zip(origins, along, strict=True)]
         place = min(places, key=lambda place: apart(here, place))
         return between(here, place, 1.0)  # a loose grip keeps the hand's orientation as it is
+
+
+@final
+@dataclass(frozen=True)
+class MotionProfile:
+    """A distance in time with bounded acceleration and jerk.
+
+    The speed rises and falls as 3 x^2 - 2 x^3 over the ramp, so that the acceleration is continuous and at most
+    1.5 speed / ramp. Where the distance is too short to reach the speed, the ramps stay as long and the speed is less.
+
+    Attributes:
+        distance: [m or rad], negative for the other way.
+        speed: Of the middle part, positive [m/s or rad/s].
+        ramp: Time from rest to the speed [s].
+    """
+
+    distance: float
+    speed: float
+    ramp: float
+
+    @property
+    def peak(self) -> float:
+        """Largest speed that is reached [m/s or rad/s]."""
+        return min(self.speed, abs(self.distance) / self.ramp)
+
+    @property
+    def duration(self) -> float:
+        """Time from rest to rest [s]."""
+        return abs(self.distance) / self.peak + self.ramp
+
+    def at(self, t: float) -> tuple[float, float]:
+        """Distance covered and its rate, t [s] after the start; at rest before the start and after the end."""
+        peak, ramp, duration = math.copysign(self.peak, self.distance), self.ramp, self.duration
+        t = min(max(t, 0.0), duration)
+        left = duration - t
+        x = min(t, left) / ramp
+        if x >= 1.0:
+            return peak * (t - 0.5 * ramp), peak
+        ramped, rate = peak * ramp * x**3 * (1.0 - 0.5 * x), peak * x * x * (3.0 - 2.0 * x)
+        return (ramped if t < left else self.distance - ramped), rate
+
+
+FREE = 0.1  # share of a direction that must be free for it to be meant
+NEGLIGIBLE = 1e-6
+PURE = (
+    0.995  # share of a direction that is translation, or rotation: a learnt one leaks by its uncertainty, 0.1 at most
+)
+
+
+@final
+class StraightMotion(DrivenMotion):
+    """Features move along f, a direction that Lambda leaves free: the goal moves with the constant twist f.
+
+    Along the axes of the base p* = p0 + f_lin s and R* = exp([f_rot]x s) R0; along the frame's own axes the goal is
+    (p0, R0) exp(f s). Features that are the rate of coordinates r have r* = r0 + f s.
+
+    Args:
+        constraint: The learnt constraint, of constant rows.
+        direction: Along the features' rows, or three numbers for the linear ones; None where only one is free.
+        unit: `"m"` or `"rad"`: a translation or a rotation is meant; None for whatever is free.
+        straight: The other free translations stand still too; False leaves them to the null-space policy.
+
+    Raises:
+        ConstraintError: Nothing is free, or several directions are and none was named.
+        TargetError: The direction has the wrong size, is not finite, or is held.
+    """
+
+    def __init__(
+        self, constraint: Constraint, direction: ArrayLike | None, unit: Unit | None = None, straight: bool = False
+    ):
+        features = constraint.features
+        angular = np.array([unit == "rad/s" for unit in features.row_units])
+        f = _direction(constraint, direction, unit, angular)
+        driven = np.vstack([constraint.selection, f])
+        if straight:
+            driven = np.vstack([constraint.selection, _translations_beside(driven, angular), f])
+        self.constraint = Constraint(driven, features, constraint.provenance)
+        linear_size, angular_size = (float(np.linalg.norm(f[part])) for part in (~angular, angular))
+        self.unit = "rad" if angular_size > linear_size else "m"
+        self._f = f / max(linear_size, angular_size)  # a distance counts along the larger part
+        self._square = float(self._f.dot(self._f))
+        self._held = constraint.selection
+        self._twist = np.zeros(6)
+        self.along_rows = isinstance(features, FrameJacobian) and features.only_linear
+        self._features: FrameJacobian | RelativeFrameJacobian | None = None
+        if isinstance(features, FrameJacobian | RelativeFrameJacobian) and not features.only_linear:
+            self._features = features
+            self._rows = [AXES.index(name) for name in features.row_names]
+            self._twist[self._rows] = self._f
+            self._own_axes = isinstance(features, FrameJacobian) and features.reference == "local"
+
+    def origin(self, q: ArrayLike) -> Float[np.ndarray, "..."]:
+        """Pose of the frame, or the coordinates."""
+        return self.constraint.features.coordinates(q) if self._features is None else self._features.pose(q)
+
+    def progress(self, origin: Float[np.ndarray, "..."], q: ArrayLike, near: float) -> float:
+        """How far posture q is from the start, along f."""
+        return near - self._lag(self._error(origin, q, near))
+
+    def rates_and_jacobian(
+        self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
+        """The rate of the error that the moving goal causes, and gain times the error, along f within the speed; E."""
+        if self._features is None:
+            error, along = self._error(origin, q, setpoint.distance), self._f
+            E = self.constraint.features.coordinates_jacobian(q)
+        else:  # from one look at the pose
+            goal = self._goal(origin, setpoint.distance)
+            error, E = self._features.error_and_jacobian(goal, q)
+            along = self._moved(goal, self._features.pose(q))
+        lag = self._lag(error)
+        excess = setpoint.rate + gain * lag - setpoint.approached(lag, gain)
+        rates = along * setpoint.rate + gain * error
+        return rates - excess * self._f if excess else rates, None if E is None else self.constraint.selection.dot(E)
+
+    def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
+        """Error along the constrained rows."""
+        return self._held @ self._error(origin, q, distance)
+
+    def goal(self, origin: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
+        """The pose, or the coordinates, after a distance along f."""
+        return origin + distance * self._f if self._features is None else self._goal(origin, distance)
+
+    def _lag(self, error: np.ndarray) -> float:
+        return float(self._f.dot(error)) / self._square
+
+    def _error(self, origin: np.ndarray, q: ArrayLike, distance: float) -> np.ndarray:
+        if self._features is None:
+            return origin + distance * self._f - self.constraint.features.coordinates(q)
+        goal = self._goal(origin, distance)
+        return pose_error(self._features.pose(q), goal, self._own_axes)[self._rows]
+
+    def _goal(self, origin: np.ndarray, distance: float) -> np.ndarray:
+        v, turn = self._twist[:3] * distance, self._twist[3:] * distance
+        goal, turned = np.eye(4), rotation_matrix(turn)
+        if self._own_axes:
+            goal[:3, :3] = origin[:3, :3] @ turned
+            goal[:3, 3] = origin[:3, 3] + origin[:3, :3] @ left_jacobian(turn) @ v
+        else:
+            goal[:3, :3], goal[:3, 3] = turned @ origin[:3, :3], origin[:3, 3] + v
+        return goal
+
+    def _moved(self, goal: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        """Rate of the error per unit rate of the distance, at a frame that stands still."""
+        out = np.empty(6)
+        turn = pose_error(pose, goal, self._own_axes)[3:]
+        v, w = self._twist[:3], self._twist[3:]
+        out[:3] = pose[:3, :3].T @ goal[:3, :3] @ v if self._own_axes else v
+        out[3:] = left_jacobian_inverse(-turn if self._own_axes else turn) @ w
+        return out[self._rows]
+
+
+def _translations_beside(driven: Float[np.ndarray, "k p"], angular: np.ndarray) -> Float[np.ndarray, "m p"]:
+    """The translations that a straight way along the last row leaves out, beside what is held."""
+    linear = np.eye(len(angular))[~angular]
+    rest = linear - linear @ np.linalg.pinv(driven) @ driven
+    _, sigma, Vt = np.linalg.svd(rest)
+    return Vt[: int(np.count_nonzero(sigma > 0.5))]
+
+
+def _direction(
+    constraint: Constraint, direction: ArrayLike | None, unit: Unit | None, angular: np.ndarray
+) -> Float[np.ndarray, " p"]:
+    features, Lambda = constraint.features, constraint.selection
+    p, free = features.n_rows, features.n_rows - constraint.n_constraints
+    projector = np.eye(p) - Lambda.T @ Lambda
+    if free < 1:
+        raise ConstraintError(f"the constraint leaves none of {' '.join(features.row_names)} free to move along")
+    if unit is not None and direction is None:
+        projector, free = _of_one_unit(Lambda, angular if unit == "rad" else ~angular)
+        if free < 1:
+            what = "turn about" if unit == "rad" else "move along"
+            raise ConstraintError(f"the constraint leaves nothing of {' '.join(features.row_names)} free to {what}")
+    if direction is None:
+        basis = free_directions(projector, free)
+        if free > 1:
+            words = "; ".join(in_words(row, features.row_names) for row in basis)
+            raise ConstraintError(
+                f"the constraint leaves {free} directions free ({words}): say along which one to move"
+                + advice(" with {}", "direction=", "--direction " + ",".join(f"{c:.3g}" for c in basis[0]))
+            )
+        return basis[0]
+    try:
+        given = np.array(direction, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise TargetError(f"the direction must be numbers along the rows of the features: {direction!r}") from error
+    if given.shape == (3,) and p > 3 and set(AXES[:3]) <= set(features.row_names):
+        wanted = np.zeros(p)
+        wanted[[features.row_names.index(name) for name in AXES[:3]]] = given
+        given = wanted
+    if given.shape != (p,) or not np.all(np.isfinite(given)) or not np.linalg.norm(given) > 0.0:
+        raise TargetError(
+            f"the direction must be {p} finite numbers ({', '.join(features.row_names)}) that are not all zero, "
+            f"got {direction!r}"
+        )
+    moved = projector @ given
+    if np.linalg.norm(moved) < FREE * np.linalg.norm(given):
+        words = "; ".join(in_words(row, features.row_names) for row in free_directions(projector, free))
+        raise TargetError(f"the constraint holds the direction {given.tolist()}; free is {words}")
+    return moved / np.linalg.norm(moved)
+
+
+def _of_one_unit(Lambda: Float[np.ndarray, "s p"], wanted: np.ndarray) -> tuple[Float[np.ndarray, "p p"], int]:
+    """The projector onto the free directions that only translate, or only rotate, and how many there are.
+
+    A learnt Lambda leaks a little from one to the other: a direction counts from `PURE` of it on. A single free twist
+    that does both, of a hinge or a screw in the hand's axes, counts as what it mostly is.
+    """
+    free = complement_rows(Lambda).T  # (p, k)
+    _, sigma, Vt = np.linalg.svd(free[wanted], full_matrices=True)
+    pure = free @ Vt[: int(np.count_nonzero(sigma > PURE))].T
+    if pure.shape[1] == 0 and free.shape[1] == 1 and np.sum(free[wanted] ** 2) > 0.5:
+        pure = free
+    return pure @ pure.T, pure.shape[1]
+
+
+def free_directions(projector: Float[np.ndarray, "p p"], number: int) -> Float[np.ndarray, "k p"]:
+    """An orthonormal base of what a projector leaves, each along an axis as far as that goes (pivoted Gram-Schmidt).
+
+    The largest entry of each is positive, so that the sense of a direction does not depend on rounding.
+    """
+    rest, out = projector.copy(), []
+    for _ in range(number):
+        row = rest[int(np.argmax(np.diag(rest)))].copy()
+        row /= np.linalg.norm(row)
+        row *= np.sign(row[int(np.argmax(np.abs(row) > np.max(np.abs(row)) - NEGLIGIBLE))])
+        out.append(row)
+        rest -= np.outer(row, row)
+    return np.array(out)
+
+
+def in_words(row: Float[np.ndarray, " p"], names: tuple[str, ...]) -> str:
+    """A direction as a sum of rows, e.g. "+0.6 x +0.8 y"."""
+    return sum_in_words(row, names, "+.3g", 1e-3)
+
+
+# what may be driven, in words
+DRIVEN = {
+    "turn": "turn (about the axis, with the hand) [rad]",
+    "slide": "slide (along the axis) [m]",
+    "tangential": "tangential (around the axis) [rad]",
+    "axial": "axial (along the axis) [m]",
+    "radial": "radial (away from the axis) [m]",
+}
+
+
+@final
+class MechanismMotion(DrivenMotion):
+    """One free row of a mechanism, driven, while each held row keeps the coordinate that it is the rate of.
+
+    Loose rows are the rates of the cylindrical coordinates (rho, phi, z) of the frame's origin about the axis: `radial`
+    of rho, `axial` of z, `spherical` of the distance from the centre, `helical` of rho (z - h phi) / sqrt(rho^2 + h^2)
+    on its cylinder, and `tangential` rho dphi/dt. Firm rows are those of the hand as a whole, with the rotation
+    R R0^T = swing * exp([a]x theta) since the start and the hand's point that was at c, x: `turn` of theta, `turn-1`
+    and `turn-2` of the swing, `slide` and `slide-1`, `slide-2` of x, `screw` of a.x - h theta.
+
+    Args:
+        constraint: The learnt constraint, of rows of a mechanism.
+        direction: Name of the row that is driven; for a ball the axis of the turn in the base frame (right-handed).
+        unit: `"m"` or `"rad"`: a row that slides or one that turns is meant; None for whatever is free.
+        straight: The other free places of the hand's origin stand still too, so that it stays on one circle or on one
+            line; False leaves them to the null-space policy.
+
+    Raises:
+        ConstraintError: Nothing is free, several are and none was named, or combinations of rows are held.
+        TargetError: A direction that is not free, or no direction.
+    """
+
+    def __init__(
+        self,
+        constraint: Constraint,
+        direction: ArrayLike | str | None,
+        unit: Unit | None = None,
+        straight: bool = False,
+    ):
+        self.along_rows = True
+        rows: MechanismRows = constraint.features  # type: ignore[assignment]
+        g = rows.geometry
+        held = _held(constraint, rows)
+        firm = any(name.startswith("slide") or name == "screw" for name in held)
+        axis, driven = g.axis, ""
+        if "spherical" in held or {"slide", "slide-1", "slide-2"} == set(held):
+            axis, driven = _axis_of_turn(direction), "turn" if firm else "tangential"
+        else:
+            driven = _chosen(held, firm, direction, unit)
+        beside = _beside(held, driven) if straight and not firm else ()
+        self._rows = MechanismRows(
+            rows.robot, rows.frame.name, (*held, *beside, driven), axis=axis, point=g.point, pitch=g.pitch
+        )
+        self.constraint = Constraint(np.eye(self._rows.n_rows), self._rows, constraint.provenance)
+        self.unit = "rad" if driven in ("turn", "tangential") else "m"
+        self._held, self._kept, self._driven = held, (*held, *beside), driven
+        self._turns = any(name.startswith(("turn", "slide", "screw")) for name in (*held, driven))
+
+    def origin(self, q: ArrayLike) -> Float[np.ndarray, "..."]:
+        """Pose of the frame."""
+        return self._rows.robot.pose(q, self._rows.frame)
+
+    def progress(self, origin: Float[np.ndarray, "..."], q: ArrayLike, near: float) -> float:
+        """Angle [rad] or way [m] since the start."""
+        return self._coordinates(origin, q, near)[self._driven]
+
+    def rates_and_jacobian(
+        self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
+        """Held coordinates back to their start values, the driven one towards the setpoint."""
+        now = self._coordinates(origin, q, setpoint.distance)
+        rate = setpoint.approached(setpoint.distance - now[self._driven], gain)
+        if self._driven == "tangential":
+            rate *= now["distance from the axis"]
+        rates = [-gain * now[name] for name in self._kept]
+        if "tangential" in self._kept:  # of an angle: its row is a speed
+            rates[self._kept.index("tangential")] *= now["distance from the axis"]
+        return np.array([*rates, rate]), None
+
+    def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
+        """The held coordinates, less what they were at the start."""
+        now = self._coordinates(origin, q, distance)
+        return np.array([now[name] for name in self._held])
+
+    def goal(self, origin: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
+        """Pose of the frame after a distance of the driven row, as on a hand that turns with the mechanism."""
+        g, goal = self._rows.geometry, np.eye(4)
+        turn = rotation_matrix((distance if self.unit == "rad" else 0.0) * g.axis)
+        shift = {"slide": distance, "axial": distance}.get(self._driven, 0.0) * g.axis
+        if "screw" in self._held or "helical" in self._held:
+            shift = g.pitch * distance * g.axis
+        if self._driven == "radial":
+            out = origin[:3, 3] - g.point
+            out = out - float(g.axis @ out) * g.axis
+            shift = distance * out / np.linalg.norm(out)
+        goal[:3, :3] = turn @ origin[:3, :3]
+        goal[:3, 3] = g.point + turn @ (origin[:3, 3] - g.point) + shift
+        return goal
+
+    def _coordinates(self, origin: np.ndarray, q: ArrayLike, near: float) -> dict[str, float]:
+        """The coordinate of each row, less its value at the start; angles next to `near`."""
+        pose, g = self.origin(q), self._rows.geometry
+        # only what is driven goes beyond half a turn
+        turned, around = (near if self._driven == name else 0.0 for name in ("turn", "tangential"))
+        out = place_about(origin[:3, 3] - g.point, pose[:3, 3] - g.point, g, around)
+        return out | _hand(origin, pose, g, turned) if self._turns else out
+
+
+def place_about(d0: np.ndarray, d: np.ndarray, g: Place, near: float) -> dict[str, float]:
+    """Of the frame's origin, from its places about the point of the axis at the start and now."""
+    a = g.axis
+    z0, z = float(a @ d0), float(a @ d)
+    x0, x = d0 - z0 * a, d - z * a
+    rho0, rho = math.sqrt(x0 @ x0), math.sqrt(x @ x)
+    phi = nearest_turn(math.atan2(float(x @ (skew(a) @ x0)), float(x0 @ x)), near)
+    size = math.hypot(rho, g.pitch)
+    return {
+        "tangential": phi,
+        "radial": rho - rho0,
+        "axial": z - z0,
+        "spherical": math.sqrt(d @ d) - math.sqrt(d0 @ d0),
+        "helical": rho / size * (z - z0 - g.pitch * phi) if size > 0.0 else 0.0,
+        "distance from the axis": rho,
+    }
+
+
+def _hand(start: np.ndarray, pose: np.ndarray, g: Place, near: float) -> dict[str, float]:
+    """Of the hand as a whole, from its poses at the start and now."""
+    Q, a = pose[:3, :3] @ start[:3, :3].T, g.axis
+    r = rotation_vector(Q)
+    angle = math.sqrt(r @ r)
+    along = math.sin(0.5 * angle) * float(a @ r) / angle if angle > 0.0 else 0.0
+    theta = 2.0 * math.atan2(along, math.cos(0.5 * angle))
+    swing = rotation_vector(Q @ rotation_matrix(-theta * a))
+    theta = nearest_turn(theta, near)
+    x = pose[:3, 3] + Q @ (g.point - start[:3, 3]) - g.point
+    return {
+        "turn": theta,
+        "turn-1": float(g.across[0] @ swing),
+        "turn-2": float(g.across[1] @ swing),
+        "slide": float(a @ x),
+        "slide-1": float(g.across[0] @ x),
+        "slide-2": float(g.across[1] @ x),
+        "screw": float(a @ x) - g.pitch * theta,
+    }
+
+
+def _held(constraint: Constraint, rows: MechanismRows) -> tuple[str, ...]:
+    """Names of the rows that are held."""
+    projector = constraint.selection.T @ constraint.selection
+    if np.max(np.abs(projector - np.round(projector))) > 1e-9:
+        raise ConstraintError(
+            f"the constraint holds combinations of the rows {' '.join(rows.row_names)}: FreeDirection needs each of "
+            "them to be held as it is, or not at all"
+        )
+    return tuple(name for name, weight in zip(rows.row_names, np.diag(projector), strict=True) if weight > 0.5)
+
+
+def _beside(held: tuple[str, ...], driven: str) -> tuple[str, ...]:
+    """The cylindrical coordinates of the hand's origin that a way along one of them leaves out, beside what is held.
+
+    A ball and a screw hold a combination of two: with it and the driven one, one of the two is left.
+    """
+    combined = {"spherical": "radial", "helical": "axial"}
+    taken = {driven, *held, *(combined[name] for name in held if name in combined)}
+    return tuple(name for name in ("radial", "axial", "tangential") if name not in taken)
+
+
+def _chosen(held: tuple[str, ...], firm: bool, direction: ArrayLike | str | None, unit: Unit | None) -> str:
+    taken = {*held, "slide" if "screw" in held else "", "axial" if "helical" in held else ""}
+    names = ("turn", "slide") if firm else ("tangential", "axial", "radial")
+    free = [name for name in names if name not in taken and (unit is None or f"[{unit}]" in DRIVEN[name])]
+    words = "; ".join(DRIVEN[name] for name in free)
+    if not free:
+        how = {"m": "move along", "rad": "turn about", None: "move along"}[unit]
+        raise ConstraintError(f"the mechanism's rows {' '.join(held)} leave nothing free to {how}")
+    if direction is None:
+        if len(free) > 1:
+            raise ConstraintError(
+                f"the mechanism leaves {len(free)} directions free ({words}): say along which one to move"
+                + advice(" with {}", f"direction={free[0]!r}", f"--direction {free[0]}")
+            )
+        return free[0]
+    if not (isinstance(direction, str) and direction in free):
+        raise TargetError(f"the direction of a mechanism is the name of a row that is free: {words}; got {direction!r}")
+    return direction
+
+
+def _axis_of_turn(direction: ArrayLike | str | None) -> Float[np.ndarray, " 3"]:
+    if direction is None:
+        raise ConstraintError(
+            "a ball leaves turns about every axis free: give the axis in the base frame"
+            + advice(", e.g. {}", "direction=(0, 0, 1)", "--direction 0,0,1")
+        )
+    refusal = f"the direction of a ball is the axis of the turn, three finite numbers not all zero; got {direction!r}"
+    try:
+        axis = np.array(direction, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise TargetError(refusal) from error
+    if axis.shape != (3,) or not np.all(np.isfinite(axis)) or not np.linalg.norm(axis) > 0.0:
+        raise TargetError(refusal)
+    return axis

@@ -17,16 +17,18 @@ from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.control.policies import ASCENT_GAIN, ManipulabilityAscent
 from manip_learn.control.tasks.driven_motion import (
     DrivenMotion,
+    MechanismMotion,
+    MotionProfile,
     Setpoint,
     ShownPlaces,
+    StraightMotion,
     Unit,
     apart,
     between,
+    place_about,
     shown_sense,
 )
-from manip_learn.control.tasks.mechanism_motion import MechanismMotion, place_about
 from manip_learn.control.tasks.point_attractor import Task
-from manip_learn.control.tasks.straight_motion import MotionProfile, StraightMotion
 from manip_learn.errors import ConstraintError, TargetError, advice
 
 APPROACH_SPEED = 0.25  # [m/s] of a hand on its way to the mechanism: the reduced speed of ISO 10218-1 beside people
@@ -258,8 +260,7 @@ class FreeDirection(Task):
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
         """E with d/dt (error along the rows) = -E u for a setpoint at rest; None where E = A(q) (see `Task`)."""
-        origin, setpoint = self._now(q, t)
-        return self._motion.error_jacobian(origin, q, setpoint.distance)
+        return self.velocity_and_jacobian(constraint, q, t)[1]
 
     def velocity_and_jacobian(
         self, constraint: Constraint, q: np.ndarray, t: float

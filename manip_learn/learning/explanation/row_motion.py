@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
-from manip_learn.constraint.features.place_rows import PlaceForm, PlaceRows
+from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning.deciding import CUBIC, LONGEST_STEP_SECONDS, OVER_NOISE, SHORT_WINDOWS_SECONDS
 from manip_learn.learning.samples import whitening

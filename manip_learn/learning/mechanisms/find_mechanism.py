@@ -12,10 +12,8 @@ from jaxtyping import Bool, Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.constraint.features.place_rows import PlaceForm, PlaceRows
-from manip_learn.constraint.mechanism import Mechanism
-from manip_learn.constraint.mechanism_kinds import MECHANISM_KINDS, MechanismKind
-from manip_learn.constraint.mechanism_reading import Read, read_kind, rows_of
+from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
+from manip_learn.constraint.mechanism import MECHANISM_KINDS, Mechanism, MechanismKind, Read, read_kind, rows_of
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.deciding import (
     BELIEVED_STRENGTH,

@@ -31,7 +31,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.constraint.mechanism_kinds import MechanismKind
+from manip_learn.constraint.mechanism import MechanismKind
 from manip_learn.learning.deciding import SCATTER_ERRORS, STANDARD_ERRORS, STATED_SHARE_OF_PLACES, VARIANCE_FLOOR
 from manip_learn.learning.descent import descend
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place

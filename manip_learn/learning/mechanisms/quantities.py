@@ -13,7 +13,7 @@ from typing import Literal, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.constraint.features.place_fields import Place
+from manip_learn.constraint.features.mechanism_rows import Place
 from manip_learn.learning.mechanisms.tip_paths import TipPaths
 from manip_learn.robot.rotations import left_jacobian_inverse, skew
 

@@ -30,15 +30,11 @@ PACKAGE = Path(__file__).resolve().parents[2]
 KERNEL_FILES = (
     "robot/batch/compiled_kinematics.py",
     "constraint/compiled_rows.py",
-    "constraint/compiled_manipulability.py",
     "control/compiled/step_table.py",
     "control/compiled/constrained_rows.py",
     "control/compiled/limits.py",
-    "control/compiled/null_policy.py",
     "control/compiled/near_singularity.py",
-    "control/compiled/bounded_step.py",
     "control/compiled/within_limits.py",
-    "control/compiled/free_step.py",
     "control/compiled/control_step.py",
 )
 # the constants that the kernels take from elsewhere
@@ -49,7 +45,6 @@ CONSTANT_FILES = (
     "constraint/small_matrices.py",
     "control/command.py",
     "control/limits.py",
-    "control/tip_limits.py",
     "control/singularity.py",
     "control/resolved_rate_law.py",
     "control/bounded_velocity.py",

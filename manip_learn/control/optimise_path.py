@@ -1,8 +1,11 @@
-"""The optimisation problem behind `optimise_path`, and the policy that follows its answer."""
+"""The null-space motion that is best over a whole horizon, never worse than the greedy law."""
 
 from __future__ import annotations
 
-from typing import NamedTuple, final
+from collections.abc import Callable
+from functools import cache
+from importlib.util import find_spec
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,9 +14,15 @@ from scipy.interpolate import CubicSpline
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
-from manip_learn.control.policies import NullSpacePolicy
-from manip_learn.control.tasks import Task
-from manip_learn.errors import FeatureError
+from manip_learn.control.command import Controller
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy
+from manip_learn.control.rollout import Rollout
+from manip_learn.control.simulation import simulate
+from manip_learn.control.tasks import FreeDirection, Task
+from manip_learn.control.way import farthest_off, places_of
+from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError
+from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.robot import Robot
 
 SLOWNESS = 1.0  # cost of a knot at which the task stands still, in units of log mu: a factor e of manipulability
@@ -265,6 +274,85 @@ class PathProblem:
         return Triplets(np.concatenate([p[0] for p in places]), np.concatenate([p[1] for p in places]))
 
 
+@cache
+def _evaluations() -> Any:
+    """The class of functions of NumPy vectors that CasADi can call; made late, since CasADi is slow to load."""
+    import casadi
+
+    class Evaluation(casadi.Callback):
+        def __init__(self, name: str, inputs: dict[str, Any], outputs: dict[str, Any], function: Callable[..., list]):
+            casadi.Callback.__init__(self)
+            self._names_in, self._names_out = tuple(inputs), tuple(outputs)
+            self._in, self._out, self._function = tuple(inputs.values()), tuple(outputs.values()), function
+            self.construct(name, {})
+
+        def get_n_in(self) -> int:
+            return len(self._in)
+
+        def get_n_out(self) -> int:
+            return len(self._out)
+
+        def get_name_in(self, i: int) -> str:
+            return self._names_in[i]
+
+        def get_name_out(self, i: int) -> str:
+            return self._names_out[i]
+
+        def get_sparsity_in(self, i: int):
+            return self._in[i]
+
+        def get_sparsity_out(self, i: int):
+            return self._out[i]
+
+        def eval(self, arg):
+            return self._function(*[np.asarray(a.nonzeros()) for a in arg])
+
+    return Evaluation
+
+
+def solve(
+    problem: PathProblem, start: Float[np.ndarray, " size"], iterations: int, tolerance: float
+) -> tuple[Float[np.ndarray, " size"], bool]:
+    """Where IPOPT stops near a start, a local minimum as a rule, and whether its conditions of optimality hold there.
+
+    Args:
+        problem: Objective, constraints and their derivatives.
+        start: First values of the variables; they need not be feasible.
+        iterations: Most iterations.
+        tolerance: Of the optimality conditions.
+    """
+    import casadi
+
+    low, high = problem.constraint_bounds()
+    size, rows, p = problem.size, low.shape[0], problem
+    dense, function = casadi.Sparsity.dense, _evaluations()
+    x, g, one, none = dense(size, 1), dense(rows, 1), dense(1, 1), dense(0, 1)
+
+    def sparse(places: Triplets, shape: tuple[int, int]) -> tuple[Any, Callable[[np.ndarray], Any]]:
+        order = np.lexsort((places.rows, places.columns))  # CasADi's order, by columns
+        sparsity = casadi.Sparsity.triplet(*shape, places.rows[order].tolist(), places.columns[order].tolist())
+        return sparsity, lambda entries: casadi.DM(sparsity, entries[order])
+
+    (J, jacobian), (H, hessian) = sparse(p.jacobian_places, (rows, size)), sparse(p.hessian_places, (size, size))
+    here, there = {"x": x, "p": none}, {"f": one, "g": g}
+    weighted, upper = {**here, "lam_f": one, "lam_g": g}, {"triu_hess_gamma_x_x": H}
+    options = {
+        "grad_f": function("nlp_grad_f", here, {"f": one, "grad_f_x": x}, lambda v, _: [p.objective(v), p.gradient(v)]),
+        "jac_g": function(
+            "nlp_jac_g", here, {"g": g, "jac_g_x": J}, lambda v, _: [p.constraints(v), jacobian(p.jacobian(v))]
+        ),
+        "hess_lag": function("nlp_hess_l", weighted, upper, lambda v, _, f, m: [hessian(p.hessian(v, float(f[0]), m))]),
+        "print_time": False,
+        "no_nlp_grad": True,
+        "ipopt": {"print_level": 0, "sb": "yes", "max_iter": iterations, "tol": tolerance, "mu_strategy": "adaptive"},
+    }
+    oracle = function("nlp", here, there, lambda v, _: [p.objective(v), p.constraints(v)])
+    solver = casadi.nlpsol("path", "ipopt", oracle, options)
+    lowest, highest = p.variable_bounds()
+    answer = solver(x0=start, lbx=lowest, ubx=highest, lbg=low, ubg=high)
+    return np.asarray(answer["x"]).reshape(-1), bool(solver.stats()["success"])
+
+
 def check_joints_add_up(robot: Robot, what: str) -> None:
     """Refuse robots whose joint positions do not add up.
 
@@ -318,3 +406,170 @@ class PathPolicy(NullSpacePolicy):
 
     def __repr__(self) -> str:
         return f"PathPolicy({len(self.time)} knots over {self.time[-1] - self.time[0]:g} s, gain={self.gain:g})"
+
+
+Law = Callable[[NullSpacePolicy], Controller]
+FLOOR_RATIO = 1e-2  # mu below this part of its median over random postures counts as singular
+SPARE_SPEED = 0.98  # part of the velocity limit that the knots use: a spline overshoots its knots
+TASK_SLACK, TASK_FLOOR = 1.01, 1e-6  # a path may leave this much more of the task undone than the greedy law
+TASK_STRAY = 1e-3  # [m or rad] and on a way at no time by more: half of what a hand may be off what holds it
+TOLERANCE = 1e-3  # of the conditions of optimality, in units of log mu
+MOST_ITERATIONS = 60
+SAMPLES = 200
+
+
+def optimise_path(
+    constraint: Constraint,
+    task: Task,
+    q0: ArrayLike,
+    duration: float = 4.0,
+    dt: float = 0.01,
+    *,
+    knots: int = 40,
+    gain: float = 3.0,
+    acceleration_limit: ArrayLike | None = None,
+    guesses: int = 4,
+    law: Law | None = None,
+    rng: np.random.Generator | None = None,
+) -> Rollout:
+    """Null-space motion that maximises the mean of log mu over a horizon, along the task's own motion.
+
+    The greedy law climbs the manipulability from instant to instant, and can be trapped where it must first become
+    smaller, or by a joint limit. Here postures at `knots` instants are optimised together (see `PathProblem`; IPOPT
+    through CasADi, the extra `path`), from the greedy law's own motion and from the best of a few motions to random
+    postures. The controller then follows them in the null space of the task: every sample obeys the task and the limits
+    as those of any other rollout do.
+
+    Args:
+        constraint: A(q); its features may be of any kind.
+        task: b(q, t).
+        q0: Start posture.
+        duration: Horizon [s].
+        dt: Step of the rollout [s].
+        knots: Number of instants.
+        gain: Of the greedy law, `ManipulabilityAscent`.
+        acceleration_limit: Of each joint between knots [rad/s2 or m/s2]; None for none.
+        guesses: Number of motions to random postures that are tried; 0 starts from the greedy law only.
+        law: Null-space policy -> controller; by default a `ResolvedRateController` with its default settings.
+        rng: Random numbers of the guesses; `np.random.default_rng(0)` by default.
+
+    Returns:
+        The rollout with the highest mean of log mu (bounded near singularities) out of the greedy one and those found,
+        if its distance to the task's goal, both mean and final, is at most 1 % above the greedy one's, and, on a
+        way, if the hand is at no time farther from what holds it by more than a millimetre or a milliradian.
+
+    Raises:
+        MissingExtraError: CasADi is not installed.
+        ConfigurationError: A start that does not fit, knots fewer than 3 or more than the steps, limits not positive.
+        FeatureError: Joints whose positions do not add up (planar and floating bases).
+    """
+    _check(constraint, knots, duration, dt)
+    rows = task.rows(constraint)
+    controller_of = law or (lambda policy: ResolvedRateController(constraint, task, policy, dt=dt))
+    posture = _posture(constraint, q0)
+    start = _positions(constraint, posture)
+    rng = rng or np.random.default_rng(0)
+    random = _random_postures(constraint, start, rng)
+    floor = FLOOR_RATIO * max(float(np.median(manipulability_batch(rows, random).mu)), np.finfo(np.float64).tiny)
+
+    def run(policy: NullSpacePolicy) -> _Candidate:
+        rollout = simulate(constraint.robot, controller_of(policy), posture, duration, dt)
+        return _Candidate(rollout, _score(rows, rollout, floor))
+
+    greedy = run(ManipulabilityAscent(rows, gain))
+    bounds = _bounds(constraint, start.shape[0], acceleration_limit)
+    problem = PathProblem(rows, task, start, duration / knots, knots, bounds, floor)
+    pull = 4.0 / duration
+    tried = [run(JointAttractor(goal, pull, constraint.robot)) for goal in random[:guesses]]
+    best_guess = max([c for c in tried if _serves(c, greedy, task)], key=lambda c: c.score, default=None)
+    found = [run(policy) for policy in _optimised(problem, [greedy] + ([best_guess] if best_guess else []))]
+    acceptable = [c for c in [*found, *tried] if _serves(c, greedy, task)]
+    return max([greedy, *acceptable], key=lambda c: c.score).rollout
+
+
+@final
+class _Candidate(NamedTuple):
+    """A rollout and its mean of bounded log mu."""
+
+    rollout: Rollout
+    score: float
+
+
+def _optimised(problem: PathProblem, starts: list[_Candidate]) -> list[PathPolicy]:
+    """Policies along the optima found from some rollouts; none where the solver left the feasible set."""
+    policies, robot = [], problem.constraint.robot
+    time = np.arange(problem.knots + 1) * problem.h
+    for candidate in starts:
+        rollout = candidate.rollout
+        positions = rollout.q if robot is None else unwound(robot, rollout.q)
+        at_knots = np.array([np.interp(time[1:], rollout.time, column) for column in positions.T]).T
+        x, _ = solve(problem, problem.packed(at_knots), MOST_ITERATIONS, TOLERANCE)
+        q = problem.postures(x)
+        if np.all(np.isfinite(q)):
+            policies.append(PathPolicy(time, q, 1.0 / problem.h, robot))
+    return policies
+
+
+def _score(constraint: Constraint, rollout: Rollout, floor: float) -> float:
+    """Mean over time of log sqrt(mu^2 + floor^2)."""
+    mu = manipulability_batch(constraint, rollout.q).mu
+    return float(np.mean(0.5 * np.log(mu**2 + floor**2)))
+
+
+def _serves(candidate: _Candidate, greedy: _Candidate, task: Task) -> bool:
+    """Whether a candidate comes as close to its goal as the greedy law does: on average and in the end, and, on a
+    way, no farther from what holds the hand.
+    """
+    ours, theirs = candidate.rollout.task_error, greedy.rollout.task_error
+    if np.any(np.isnan(theirs)):
+        return True
+    allowed = TASK_SLACK * np.array([np.mean(theirs), theirs[-1]]) + TASK_FLOOR
+    strays = _strays(task, candidate.rollout) > _strays(task, greedy.rollout) + TASK_STRAY
+    return bool(np.mean(ours) <= allowed[0] and ours[-1] <= allowed[1] and not strays)
+
+
+def _strays(task: Task, rollout: Rollout) -> float:
+    """Largest distance of the hand from what holds it on a way [m or rad]; 0 for other tasks."""
+    return farthest_off(task, rollout, places_of(task, rollout)) if isinstance(task, FreeDirection) else 0.0
+
+
+def _posture(constraint: Constraint, q0: ArrayLike) -> Float[np.ndarray, " n"]:
+    if constraint.robot is not None:
+        return constraint.robot.checked_posture(q0)
+    vector = np.array(q0, dtype=np.float64)
+    if vector.shape != (constraint.nv,) or not np.all(np.isfinite(vector)):
+        raise ConfigurationError(f"the start must be {constraint.nv} finite numbers, got {vector.tolist()}")
+    return vector
+
+
+def _positions(constraint: Constraint, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nv"]:
+    return q if constraint.robot is None else constraint.robot.positions(q)
+
+
+def _random_postures(constraint: Constraint, start: np.ndarray, rng: np.random.Generator) -> Float[np.ndarray, "m nv"]:
+    robot = constraint.robot
+    if robot is None:
+        return start + rng.uniform(-np.pi, np.pi, (SAMPLES, start.shape[0]))
+    return np.array([robot.positions(robot.random_configuration(rng)) for _ in range(SAMPLES)])
+
+
+def _bounds(constraint: Constraint, n: int, acceleration: ArrayLike | None) -> JointBounds:
+    infinite = np.full(n, np.inf)
+    a = infinite if acceleration is None else np.broadcast_to(np.asarray(acceleration, dtype=np.float64), (n,))
+    if not np.all(a > 0.0):
+        raise ConfigurationError(f"acceleration limits must be positive, got {a.tolist()}")
+    robot = constraint.robot
+    if robot is None:
+        return JointBounds(-infinite, infinite, infinite, a)
+    return JointBounds(robot.position_lower, robot.position_upper, SPARE_SPEED * robot.velocity_limit, a)
+
+
+def _check(constraint: Constraint, knots: int, duration: float, dt: float) -> None:
+    if find_spec("casadi") is None:
+        raise MissingExtraError("optimising a path", "path")
+    if not (np.isfinite(duration) and np.isfinite(dt) and 0.0 < dt <= duration):
+        raise ConfigurationError(f"duration and dt must be positive numbers of seconds, got {duration!r} and {dt!r}")
+    if not 3 <= knots <= round(duration / dt):
+        raise ConfigurationError(f"knots must be between 3 and the {round(duration / dt)} steps, got {knots}")
+    if constraint.robot is not None:
+        check_joints_add_up(constraint.robot, "paths are optimised")

@@ -1,0 +1,273 @@
+"""Features that are no rows of one frame: the centre of mass, the user's own functions, several maps stacked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian, parse_axes
+from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
+from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.errors import ConstraintMismatchError, FeatureError
+from manip_learn.robot.robot import Robot
+
+
+@final
+class CentreOfMass(FeatureMap):
+    """Velocity of the centre of mass [m/s] along the axes of the robot's base.
+
+    Args:
+        robot: The robot; its URDF needs inertias.
+        axes: Any of `x y z`.
+
+    Raises:
+        FeatureError: Unknown axes, or a robot without mass.
+    """
+
+    def __init__(self, robot: Robot, axes: str = "xyz"):
+        self.robot = robot
+        self.row_names = parse_axes(axes)
+        if any(n not in "xyz" for n in self.row_names):
+            raise FeatureError(f"the centre of mass has the axes x y z only, not {axes!r}")
+        if robot.mass <= 0.0:
+            raise FeatureError(f"robot {robot.name!r} has no mass: its URDF gives no inertias")
+        self.row_units = ("m/s",) * len(self.row_names)
+        self.nv = robot.nv
+        self._rows = ["xyz".index(n) for n in self.row_names]
+
+    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
+        """Phi(q): rows of the centre of mass's Jacobian [m/s a joint velocity]."""
+        return self.value_and_derivative(q)[0]
+
+    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
+        """dPhi/dq, exact."""
+        return self.value_and_derivative(q)[1]
+
+    def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
+        """Phi(q) and dPhi/dq in one pass."""
+        J, H = self.robot.centre_of_mass_jacobian_and_derivative(q)
+        return J[self._rows], H[self._rows]
+
+    def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Centre of mass in the base frame [m], the chosen rows."""
+        return self.robot.centre_of_mass(q)[self._rows]
+
+    def describe(self) -> dict[str, Any]:
+        """Axes, as saved in a constraint file."""
+        return {"kind": "centre-of-mass", "axes": list(self.row_names), "units": list(self.row_units)}
+
+    def __repr__(self) -> str:
+        return f"CentreOfMass({self.robot.name!r}, axes={' '.join(self.row_names)!r})"
+
+
+STEP = 1e-5  # central differences: truncation h^2 meets rounding eps / h
+
+
+@final
+class CustomFeatures(FeatureMap):
+    """Phi(q) from a function, e.g. polynomials of the state of a system that is no robot arm.
+
+    Args:
+        function: q -> Phi, shape (p, nv).
+        row_names: One name a row.
+        nv: Number of velocities; taken from the robot if one is given.
+        derivative: q -> dPhi/dq, shape (p, nv, nv). Without it central differences are used (error about 1e-10).
+        coordinates: q -> r, shape (p,), with dr/dt = Phi u; only needed for attractor tasks.
+        row_units: One unit a row.
+        robot: The robot that q belongs to; without one q is a plain vector of size nv.
+
+    Raises:
+        FeatureError: No size, or a function that returns the wrong shape or values that are not finite.
+    """
+
+    def __init__(
+        self,
+        function: Callable[[np.ndarray], ArrayLike],
+        row_names: Sequence[str],
+        nv: int | None = None,
+        *,
+        derivative: Callable[[np.ndarray], ArrayLike] | None = None,
+        coordinates: Callable[[np.ndarray], ArrayLike] | None = None,
+        row_units: Sequence[str] | None = None,
+        robot: Robot | None = None,
+    ):
+        if nv is None and robot is None:
+            raise FeatureError("CustomFeatures needs nv= (number of velocities) or robot=")
+        if not row_names:
+            raise FeatureError("CustomFeatures needs one row name for each row of Phi")
+        self.robot = robot
+        self.nv = int(nv) if nv is not None else robot.nv  # type: ignore[union-attr]
+        self.row_names = tuple(row_names)
+        self.row_units = tuple(row_units) if row_units else ("1",) * len(self.row_names)
+        self._function = function
+        self._derivative = derivative
+        self._coordinates = coordinates
+
+    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
+        """Phi(q), checked for shape and NaN.
+
+        Raises:
+            FeatureError: Wrong shape or not finite.
+        """
+        return self._checked(self._function(self._state(q)), (self.n_rows, self.nv), "Phi")
+
+    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
+        """dPhi/dq along tangent coordinates.
+
+        Raises:
+            FeatureError: Wrong shape or not finite.
+        """
+        state = self._state(q)
+        shape = (self.n_rows, self.nv, self.nv)
+        if self._derivative is not None:
+            return self._checked(self._derivative(state), shape, "dPhi/dq")
+        out = np.empty(shape)
+        for k in range(self.nv):
+            step = np.zeros(self.nv)
+            step[k] = STEP
+            out[:, :, k] = (self(self._moved(state, step)) - self(self._moved(state, -step))) / (2 * STEP)
+        return out
+
+    def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Task coordinates r(q), if they were given.
+
+        Raises:
+            FeatureError: They were not, or have the wrong shape.
+        """
+        if self._coordinates is None:
+            return super().coordinates(q)
+        return self._checked(self._coordinates(self._state(q)), (self.n_rows,), "coordinates")
+
+    def _state(self, q: ArrayLike) -> np.ndarray:
+        if self.robot is not None:
+            return self.robot.configuration(q)
+        return np.asarray(q, dtype=np.float64)
+
+    def _moved(self, state: np.ndarray, step: np.ndarray) -> np.ndarray:
+        return state + step if self.robot is None else self.robot.integrate(state, step)
+
+    def _checked(self, value: ArrayLike, shape: tuple[int, ...], what: str) -> np.ndarray:
+        array = np.asarray(value, dtype=np.float64)
+        if array.shape != shape:
+            raise FeatureError(f"{what} of {self!r} must have shape {shape}, the function returned {array.shape}")
+        if not np.all(np.isfinite(array)):
+            raise FeatureError(f"{what} of {self!r} is not finite: {array.tolist()}")
+        return array
+
+    def __repr__(self) -> str:
+        return f"CustomFeatures(rows={' '.join(self.row_names)!r}, nv={self.nv})"
+
+
+@final
+class Stacked(FeatureMap):
+    """Rows of several feature maps of one robot, in order: two hands, a hand and an elbow, ...
+
+    Args:
+        parts: At least one feature map; all act on the same velocities.
+
+    Raises:
+        FeatureError: None given, or sizes differ.
+    """
+
+    def __init__(self, parts: Sequence[FeatureMap]):
+        self.parts = tuple(parts)
+        sizes = {part.nv for part in self.parts}
+        if len(sizes) != 1:
+            raise FeatureError(f"stacked feature maps must act on one robot's velocities: nv is {sorted(sizes)}")
+        robots = [r for r in (getattr(part, "robot", None) for part in self.parts) if r is not None]
+        if any(r.fingerprint != robots[0].fingerprint for r in robots):
+            raise FeatureError(f"stacked feature maps must share one robot, got {[r.name for r in robots]}")
+        self.robot = robots[0] if robots else None
+        self.nv = sizes.pop()
+        self.row_names = tuple(f"{i}.{n}" for i, part in enumerate(self.parts) for n in part.row_names)
+        self.row_units = tuple(u for part in self.parts for u in part.row_units)
+
+    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
+        """Phi(q): the parts' rows in order."""
+        return np.concatenate([part(q) for part in self.parts])
+
+    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
+        """dPhi/dq: the parts' derivatives in order."""
+        return np.concatenate([part.derivative(q) for part in self.parts])
+
+    def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
+        """Phi(q) and dPhi/dq of all parts."""
+        values, derivatives = zip(*(part.value_and_derivative(q) for part in self.parts), strict=True)
+        return np.concatenate(values), np.concatenate(derivatives)
+
+    def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
+        """Phi at many configurations, each part in its own fast way."""
+        return np.concatenate([part.batch(q) for part in self.parts], axis=1)
+
+    def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
+        """Phi and dPhi/dq at many configurations, each part in its own fast way."""
+        values, derivatives = zip(*(part.batch_with_derivative(q) for part in self.parts), strict=True)
+        return np.concatenate(values, axis=1), np.concatenate(derivatives, axis=1)
+
+    def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Task coordinates of all parts."""
+        return np.concatenate([part.coordinates(q) for part in self.parts])
+
+    def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Displacement to a target, part by part (see the parts)."""
+        goal = np.asarray(target, dtype=np.float64)
+        if goal.shape != (self.n_rows,):
+            return super().error_to(goal, q)
+        out, row = [], 0
+        for part in self.parts:
+            out.append(part.error_to(goal[row : row + part.n_rows], q))
+            row += part.n_rows
+        return np.concatenate(out)
+
+    def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
+        """Rates of the coordinates, part by part."""
+        return self._stack([part.coordinates_jacobian(q) for part in self.parts], q)
+
+    def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
+        """E with d/dt `error_to(target, q)` = -E u, part by part."""
+        goal = np.asarray(target, dtype=np.float64)
+        if goal.shape != (self.n_rows,):
+            return None  # no part knows what is meant: `error_to` says so
+        ends = np.cumsum([part.n_rows for part in self.parts])
+        parts = zip(self.parts, np.split(goal, ends[:-1]), strict=True)
+        return self._stack([part.error_jacobian(own, q) for part, own in parts], q)
+
+    def _stack(self, blocks: list[Float[np.ndarray, "k nv"] | None], q: ArrayLike) -> np.ndarray | None:
+        if all(block is None for block in blocks):
+            return None
+        return np.concatenate([p(q) if b is None else b for p, b in zip(self.parts, blocks, strict=True)])
+
+    def describe(self) -> dict[str, Any]:
+        """The parts, as saved in a constraint file."""
+        return {"kind": "stacked", "parts": [part.describe() for part in self.parts]}
+
+    def __repr__(self) -> str:
+        return f"Stacked([{', '.join(map(repr, self.parts))}])"
+
+
+def described_features(described: dict[str, Any], robot: Robot) -> FeatureMap:
+    """The feature map that `describe` wrote down, for the robot that it belongs to.
+
+    Raises:
+        ConstraintMismatchError: A kind of features that this version does not know.
+        FeatureError: Settings that this robot does not have, or out of range.
+    """
+    kind = described["kind"]
+    if kind == "frame-jacobian":
+        return FrameJacobian(robot, described["frame"], described["axes"], described["reference"])
+    if kind == "relative-frame-jacobian":
+        return RelativeFrameJacobian(robot, described["frame"], described["relative_to"], described["axes"])
+    if kind == "centre-of-mass":
+        return CentreOfMass(robot, " ".join(described["axes"]))
+    if kind == "mechanism-rows":
+        return MechanismRows.from_description(robot, described)
+    if kind == "place-rows":
+        return PlaceRows(robot, described["frame"], described["form"], described["middle"])
+    if kind == "stacked":
+        return Stacked([described_features(part, robot) for part in described["parts"]])
+    raise ConstraintMismatchError(f"unknown kind of features {kind!r}: this file comes from a newer version")
