@@ -17,12 +17,10 @@ import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.constraint.features.place_rows import PlaceRows
 from manip_learn.errors import FeatureError
-from manip_learn.learning.explanation.evidence import HeldScale, evidence, gains_of, held_by, states_of
-from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, find
-from manip_learn.learning.explanation.odd import agreeing
-from manip_learn.learning.explanation.proposals import SAME, distinct, fitted_rows, proposed
+from manip_learn.learning.explanation.evidence import HeldScale, Stretch, evidence, gains_of, held_by, states_of
+from manip_learn.learning.explanation.explain import SAME, distinct, fitted_rows, proposed
+from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, agreeing, find
 from manip_learn.learning.explanation.row_motion import RowMotion, broken_energy, joints_at_once
-from manip_learn.learning.explanation.stretch import Stretch
 from manip_learn.linalg import complement_rows, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory

@@ -16,10 +16,18 @@ from manip_learn.experiments.ways import fit_told_noise
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.estimators.estimate import Estimate, GapTable
 from manip_learn.learning.estimators.joint_estimator import estimate_joint
-from manip_learn.learning.estimators.noise_covariance import noise_in_time, shape_in_time, whitened, whitening_factor
-from manip_learn.learning.estimators.policy_equations import OrthonormalRegressors, Projections, Solver, curvature
+from manip_learn.learning.estimators.model_search import explain
+from manip_learn.learning.estimators.policy_equations import (
+    OrthonormalRegressors,
+    Projections,
+    Solver,
+    curvature,
+    noise_in_time,
+    shape_in_time,
+    whitened,
+    whitening_factor,
+)
 from manip_learn.learning.estimators.policy_model import HarmonicModel, PolynomialModel, TrajectoryOffsetModel
-from manip_learn.learning.estimators.row_count import explain
 from manip_learn.learning.estimators.variable_projection import (
     fit_joint,
     fit_projected,

@@ -14,11 +14,11 @@ from scipy.signal import lfilter
 
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning.advice import advise
-from manip_learn.learning.excitation import doubt_velocities
+from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.learning.explanation.findings import Findings
-from manip_learn.learning.explanation.stretch import Stretch
 from manip_learn.learning.repeats import IndependentRecordings
+from manip_learn.learning.report import advise
+from manip_learn.learning.samples import doubt_velocities
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.velocities import with_velocities as derived
 

@@ -18,9 +18,15 @@ from manip_learn.learning.estimators.null_space import fit_null_space
 from manip_learn.learning.estimators.policy_model import PolynomialModel
 from manip_learn.learning.estimators.variable_projection import _ByRows, fit_joint
 from manip_learn.learning.samples import Samples, TrajectoryBlocks
-from manip_learn.learning.streaming.passes import Accumulator, accumulate, merge_parts, merge_tree
 from manip_learn.learning.streaming.refinement import Iterate, PassSummary, Policy, SummaryAccumulator
-from manip_learn.learning.streaming.sample_stream import TrajectoryBuffer, chunks
+from manip_learn.learning.streaming.sample_stream import (
+    Accumulator,
+    TrajectoryBuffer,
+    accumulate,
+    chunks,
+    merge_parts,
+    merge_tree,
+)
 from manip_learn.linalg import orthonormal_rows, row_space_angle, row_space_angles
 from manip_learn.recordings import RecordingSource, load_demonstrations, trajectory_source
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -241,7 +247,7 @@ def test_a_stream_is_learnt_from(features, monkeypatch):
     learnt = ConstraintLearner(features, **HELD).fit(stream)
     # the joints of the first trajectory, some recordings that say what holds, all samples once: these are kept
     assert stream.passes == 3
-    monkeypatch.setattr("manip_learn.learning.streaming.passes.KEPT_BYTES", 100_000)
+    monkeypatch.setattr("manip_learn.learning.streaming.sample_stream.KEPT_BYTES", 100_000)
     again = ConstraintLearner(features, **HELD).fit(stream)
     assert stream.passes >= 3 + 5  # too many to be kept: read in each pass
     listed = ConstraintLearner(features, **HELD).fit(list(stream))
@@ -278,7 +284,7 @@ class Yielded:
 
 def test_memory_does_not_grow(features, held, monkeypatch):
     """Five times as many samples need no more memory."""
-    monkeypatch.setattr("manip_learn.learning.streaming.passes.KEPT_BYTES", 100_000)
+    monkeypatch.setattr("manip_learn.learning.streaming.sample_stream.KEPT_BYTES", 100_000)
     from_few(monkeypatch, 2000)
 
     class Repeated:

@@ -15,7 +15,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeFrameJacobian
 from manip_learn.errors import FeatureError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
-from manip_learn.learning.candidate import EstimatorName
+from manip_learn.learning.answer import EstimatorName
 from manip_learn.learning.deciding import BELIEVED_STRENGTH
 from manip_learn.learning.learner import ESTIMATORS, Switch
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names

@@ -15,8 +15,8 @@ from manip_learn.experiments.peers import closed_form
 from manip_learn.experiments.row_by_row import fit_row_by_row
 from manip_learn.experiments.scaled_rows import ScaledRows
 from manip_learn.learning.estimators.joint_estimator import estimate_joint
-from manip_learn.learning.estimators.noise_covariance import whitened
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
+from manip_learn.learning.estimators.policy_equations import whitened
 from manip_learn.learning.estimators.policy_model import PolynomialModel
 from manip_learn.learning.estimators.separation import estimate_separate, separate_null_motion
 from manip_learn.learning.estimators.variable_projection import fit_joint

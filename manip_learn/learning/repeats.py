@@ -33,7 +33,7 @@ from manip_learn.learning.deciding import (
     SEAM_SPEED,
     SEAM_STEPS,
 )
-from manip_learn.learning.explanation.stretch import Stretch
+from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.local_fit import noise_variance
 from manip_learn.recordings.preprocessing import evenly

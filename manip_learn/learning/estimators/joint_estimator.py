@@ -26,12 +26,14 @@ from manip_learn.learning.estimators.model_search import (
     N_FOLDS,
     ROUNDING,
     CrossValidatedFit,
+    RowCount,
     best_of_starts,
     conditional_pca,
+    count_rows,
     null_energy,
     search_model,
 )
-from manip_learn.learning.estimators.noise_covariance import noise_in_time, shape_in_time, whitened, whitening_factor
+from manip_learn.learning.estimators.policy_equations import noise_in_time, shape_in_time, whitened, whitening_factor
 from manip_learn.learning.estimators.policy_model import (
     HarmonicModel,
     PolicyModel,
@@ -39,9 +41,13 @@ from manip_learn.learning.estimators.policy_model import (
     RadialModel,
     TrajectoryOffsetModel,
 )
-from manip_learn.learning.estimators.policy_prior import ScoredFit, fit_marginal
-from manip_learn.learning.estimators.row_count import RowCount, count_rows
-from manip_learn.learning.estimators.variable_projection import fit_joint, held_out_costs, scores
+from manip_learn.learning.estimators.variable_projection import (
+    ScoredFit,
+    fit_joint,
+    fit_marginal,
+    held_out_costs,
+    scores,
+)
 from manip_learn.learning.samples import Samples, runs
 
 # share of the motion that is rounding
