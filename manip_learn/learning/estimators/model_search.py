@@ -3,10 +3,11 @@
 A policy model that is too small bends Lambda, silently; one degree too many costs a few percent. So of the models whose
 held-out cost does not exceed the least beyond chance, in pairs over the trajectories, the richest is taken.
 
-The number of rows is that of the explanation of the motion with the most evidence, in nats. An explanation is a Lambda of s rows with a policy model. It accounts for all of u_n = Q_n c_n + Z_n w_n, with Q_n and
-Z_n orthonormal bases of the rows and of the null space of A_n: w_n is the policy and white noise of variance sigma^2,
-c_n the task's own motion, of which nothing is known but that it is a signal in time. With S_k the mean square of c in
-octave k of the cosine transform of each trajectory, which has N_k entries, and m parameters in all,
+The number of rows is that of the explanation of the motion with the most evidence, in nats. An explanation is a Lambda
+of s rows with a policy model. It accounts for all of u_n = Q_n c_n + Z_n w_n, with Q_n and Z_n orthonormal bases of the
+rows and of the null space of A_n: w_n is the policy and white noise of variance sigma^2, c_n the task's own motion, of
+which nothing is known but that it is a signal in time. With S_k the mean square of c in octave k of the cosine
+transform of each trajectory, which has N_k entries, and m parameters in all,
 
     l = - n (nv - s) / 2 (log sigma^2 + 1) - sum_k N_k / 2 (log S_k + 1) - m / 2 log n
 

@@ -1,13 +1,14 @@
 """Normal equations of a policy model with many regressors, for a fixed Lambda.
 
-With N_n = I - A_n^+ A_n and pi = Theta^T beta, |Z^T (u - pi)|^2 = |N (u - pi)|^2, and the Hessian for Theta is
-sum beta beta^T (x) N: one matrix product over the samples, where a QR of the rows costs ten times as much. The
-condition number is squared thereby: the regressors are made orthonormal first, and since residuals are formed sample by
-sample, a further solution for what is left takes off what rounding has left (iterative refinement).
+With N_n = I - A_n^+ A_n and pi = Theta^T beta, |Z^T (u - pi)|^2 = |N (u - pi)|^2, and the Hessian for Theta is sum beta
+beta^T (x) N: one matrix product over the samples, where a QR of the rows costs ten times as much. The condition number
+is squared thereby: the regressors are made orthonormal first, and since residuals are formed sample by sample, a
+further solution for what is left takes off what rounding has left (iterative refinement).
 
-Noise of the joint velocities may be stronger in some joints than in others. With cov e = Sigma = L L^T the residuals Z^T (u - pi), Z = null(A), have the covariance Z^T Sigma Z. Since L^T Z spans
-the null space of A L^-T, they are, whitened, the residuals of the isotropic case on L^-1 u, Phi L^-T and L^-1 pi, which
-is as linear in its parameters as pi: generalised least squares without a new estimator.
+Noise of the joint velocities may be stronger in some joints than in others. With cov e = Sigma = L L^T the residuals
+Z^T (u - pi), Z = null(A), have the covariance Z^T Sigma Z. Since L^T Z spans the null space of A L^-T, they are,
+whitened, the residuals of the isotropic case on L^-1 u, Phi L^-T and L^-1 pi, which is as linear in its parameters as
+pi: generalised least squares without a new estimator.
 """
 
 from __future__ import annotations
