@@ -60,10 +60,7 @@ class Separation:
 
 
 def separate(
-    x: Float[np.ndarray, "n m"],
-    u: Float[np.ndarray, "n nv"],
-    model: PolicyModel,
-    max_iterations: int = MAX_ITERATIONS,
+    x: Float[np.ndarray, "n m"], u: Float[np.ndarray, "n nv"], model: PolicyModel, max_iterations: int = MAX_ITERATIONS
 ) -> Separation:
     """Levenberg-Marquardt from the regression of u on the posture; random starts end in poor minima now and then.
 

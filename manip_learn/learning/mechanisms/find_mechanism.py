@@ -196,12 +196,7 @@ def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]
 
 
 def _read(
-    robot: Robot,
-    tip: Frame,
-    moved: Sequence[Trajectory],
-    paths: TipPaths,
-    rng: np.random.Generator,
-    least: float,
+    robot: Robot, tip: Frame, moved: Sequence[Trajectory], paths: TipPaths, rng: np.random.Generator, least: float
 ) -> tuple[Read | None, tuple[int, ...], tuple[Alternative, ...]]:
     """What the rows say that explain most, the trajectories that they explain, and all that was tested."""
     middle = paths.p.mean(axis=0)

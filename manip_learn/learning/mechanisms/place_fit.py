@@ -317,11 +317,7 @@ class PlaceErrors:
 
 
 def fit_place(
-    paths: TipPaths,
-    kind: MechanismKind,
-    start: Place,
-    shared: tuple[str, ...] = (),
-    weights: Weights | None = None,
+    paths: TipPaths, kind: MechanismKind, start: Place, shared: tuple[str, ...] = (), weights: Weights | None = None
 ) -> PlaceFit:
     """The mechanism at its most likely place: Levenberg-Marquardt, the point of an axis beside the hand.
 
