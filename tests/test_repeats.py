@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 import itertools
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
+from task_sets import arm, generated
 
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError
@@ -22,28 +21,14 @@ from manip_learn.learning.samples import doubt_velocities
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.velocities import with_velocities as derived
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-LOCKED = {"panda": ("panda_finger_joint1", "panda_finger_joint2")}
 Motion = tuple[np.ndarray, np.ndarray]
-
-
-def made(
-    kind: str, robot: str, seed: int, n: int, noise: float = 1e-4, whole: bool = False
-) -> tuple[list[Motion], str]:
-    """Generated motions, and the frame that holds the hand."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(EXAMPLES))
-        motions, truth = importlib.import_module("make_recordings.kinematic_sets").make_set(
-            kind, robot, seed, n, noise, whole
-        )
-    return motions, truth["tip"]
 
 
 @pytest.fixture(scope="module")
 def drawers() -> tuple[ml.FrameJacobian, list[Motion]]:
     """Phi of a drawer, and three motions with it."""
-    motions, tip = made("drawer", "panda", 30001, 3)
-    return ml.FrameJacobian(ml.load_robot("panda", locked=LOCKED["panda"]), tip, "xyz"), motions
+    truth, made = generated("drawer", "panda", 30001, 3, False)
+    return ml.FrameJacobian(arm("panda"), truth["tip"], "xyz"), [(t.time, t.q) for t in made]
 
 
 def named(motions: list[Motion]) -> list[ml.Trajectory]:
@@ -134,7 +119,7 @@ def test_one_recording_in_eight_is_no_more_than_one(drawers):
 def test_demonstrations_of_their_own_count_each(kind: str, robot: str, noise: float):
     """Nothing repeats in what was demonstrated anew each time, be it a reach in nearly the same way."""
     for whole in (True, False):
-        given = Demonstrations(named(made(kind, robot, 20000, 6, noise, whole)[0]))
+        given = Demonstrations(generated(kind, robot, 20000, 6, whole, noise=noise)[1])
         found = IndependentRecordings.of(given)
         assert found.demonstrations is given and not found.warnings
 
@@ -168,7 +153,7 @@ def with_velocities(
 @pytest.fixture(scope="module")
 def smooth_drawers(drawers) -> tuple[ml.FrameJacobian, list[Motion]]:
     """The same without noise, so that its derivative is the velocity."""
-    return drawers[0], made("drawer", "panda", 30001, 3, 0.0)[0]
+    return drawers[0], [(t.time, t.q) for t in generated("drawer", "panda", 30001, 3, False, noise=0.0)[1]]
 
 
 @pytest.mark.parametrize("factor", [0.85, 1.08, 1.2])

@@ -157,20 +157,3 @@ def _must_equal(subject: Subject, one: Learner, other: Learner, *, same_clock: b
         reports = [dataclasses.replace(report, phases=(), row_evidence=(), evidence="") for report in reports]
     if repr(reports[0]) != repr(reports[1]):  # NaN is not equal to itself
         subject.broken("two reports that must be the same differ")
-
-
-CHECKS = (
-    refit_forgets,
-    same_answer_twice,
-    input_is_unchanged,
-    other_kinds_of_arrays,
-    single_precision,
-    integers,
-    time_offset,
-    order_of_trajectories,
-    trajectories_twice,
-    faster_motion,
-    units_of_the_rows,
-    order_of_the_rows,
-    demonstrations_from_a_generator,
-)

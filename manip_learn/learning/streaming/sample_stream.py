@@ -211,7 +211,6 @@ class TrajectoryBuffer(TrajectorySource):
     """
 
     def __init__(self, in_memory: int = IN_MEMORY):
-        self._in_memory = in_memory
         self._file = tempfile.SpooledTemporaryFile(in_memory, prefix="manip_learn_")
         weakref.finalize(self, self._file.close)
         self._held: list[FilePlace] = []
@@ -225,12 +224,6 @@ class TrajectoryBuffer(TrajectorySource):
     def n_parts(self) -> int:
         """As for a list."""
         return len(self._starts) - 1
-
-    @property
-    def bytes_in_memory(self) -> int:
-        """Of the arrays that are not in the file."""
-        size = self._file.seek(0, 2)
-        return size if size <= self._in_memory else 0
 
     def add(self, source: TrajectorySource, features: list[FeatureMap], velocities: VelocityMethod) -> None:
         """Keep the trajectories of a source, with velocities; all of them, or none if one cannot be used.
