@@ -86,7 +86,7 @@ def test_exact_where_nothing_disturbs():
 
 
 def test_normal_equations_find_what_the_qr_finds(monkeypatch):
-    """The same Lambda and cost either way, but for combinations of regressors that hardly show."""
+    """Lambda and cost agree either way, but for combinations of regressors that hardly show."""
     demos, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(33), 40, noise=0.01)
     samples, model = Samples.collect(truth.features, demos), PolynomialModel(2, 3)
     start = truth.selection @ np.linalg.pinv(samples.whitening)
@@ -232,7 +232,7 @@ def test_a_policy_alone_is_no_task():
 
 @pytest.mark.parametrize("rate", [1.0, 0.7, -1.0])
 def test_a_motion_that_is_replayed_is_one_motion(rate: float, rng):
-    """The same free motion six times, with noise, at another rate or backwards: said by its name."""
+    """One free motion six times, with noise, at another rate or backwards, is refused by name."""
     features, t = arm_features(), np.linspace(0.0, 2.0, 120)
     middle = 0.5 * (features.robot.position_lower + features.robot.position_upper)
     pace, phase = rng.uniform(1.0, 3.0, 7), rng.uniform(0.0, 6.0, 7)

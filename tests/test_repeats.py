@@ -43,7 +43,7 @@ def at_rate(motion: Motion, rate: float, slower: float = 1.0, late: float = 0.0)
 
 
 def replayed(motion: Motion) -> Motion:
-    """The same path faster, with noise of its own."""
+    """The path run faster, with noise of its own."""
     t, q = motion
     at = np.linspace(t[0], t[-1], int(0.8 * len(t)))
     return 0.8 * at, CubicSpline(t, q)(at) + np.random.default_rng(0).normal(0.0, 1e-4, (len(at), q.shape[1]))
@@ -152,7 +152,7 @@ def with_velocities(
 
 @pytest.fixture(scope="module")
 def smooth_drawers(drawers) -> tuple[ml.FrameJacobian, list[Motion]]:
-    """The same without noise, so that its derivative is the velocity."""
+    """The drawers without noise, so that the derivative of the postures is the velocity."""
     return drawers[0], [(t.time, t.q) for t in generated("drawer", "panda", 30001, 3, False, noise=0.0)[1]]
 
 

@@ -242,7 +242,7 @@ def stated(gradients, quantile: float) -> float:
 
 
 def plain(gradients, quantile: float) -> float:
-    """The same from the bootstrap alone: quantile of |sum of the drawn influences|, in the first order."""
+    """The angle from the bootstrap alone: quantile of |sum of the drawn influences|, in the first order."""
     n = len(gradients)
     # sum H = 1e4 n, leverage 1 / n each
     influence = gradients / (1e4 * n * np.sqrt(1.0 - 1.0 / n)) * np.sqrt(n / (n - 1.0))

@@ -37,7 +37,7 @@ from manip_learn.recordings.preprocessing import evenly
 
 EstimatorName = Literal["auto", "joint", "null-space", "separate"]
 
-# one of so many of the chosen samples is enough for a joint estimate that all samples refine afterwards
+# every fourth of the chosen samples is enough for a joint estimate that all samples refine afterwards
 START_SHARE = 4
 
 
@@ -338,7 +338,7 @@ def _explained(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
     held = dataclasses.replace(settings, estimator="null-space", n_constraints=asked or n)
     candidate, data = fit(dataclasses.replace(part, feature_maps=(features,)), held)
     if isinstance(features, PlaceRows) and candidate.estimate.table.verdict(candidate.estimate.n_rows) == "none":
-        # so few rows of so many are not determined by a contact that gives way: plainer ones are
+        # a contact that gives way does not determine few rows among many: plainer ones it does
         candidate, data = fit(dataclasses.replace(part, feature_maps=part.asked), held)
     if evidence is None or candidate.samples.features is not rows:
         evidence = _evidence(candidate.samples.features, part, settings)

@@ -315,7 +315,7 @@ def _seam(trajectories: Sequence[Trajectory], before: int, after: int, told: flo
 
 
 def _left_by_cubics(q: Float[np.ndarray, "T n"], width: int) -> Float[np.ndarray, " k"]:
-    """What a cubic leaves of each window of so many samples, root mean square [rad]."""
+    """Root mean square of the rest that a cubic leaves of each window of `width` samples [rad]."""
     basis = np.linalg.qr(np.linspace(-1.0, 1.0, width)[:, None] ** np.arange(4))[0]
     windows = np.lib.stride_tricks.sliding_window_view(q, width, axis=0)
     left = windows - (windows @ basis) @ basis.T

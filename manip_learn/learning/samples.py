@@ -29,7 +29,7 @@ from manip_learn.recordings.validation.velocity_checks import FEWEST, compare_ve
 from manip_learn.robot.robot import Robot
 
 # up to this many samples are learnt from directly; of more, this many are chosen, and all of them refine the answer.
-# Phi of so many samples of 6 rows and 7 joints takes 5.5 MB, four blocks
+# Phi of these samples, with 6 rows and 7 joints, takes 5.5 MB: four blocks
 IN_MEMORY_SAMPLES = 16_384
 BLOCK = 4096
 # Phi of more samples than this is computed anew at each pass instead of kept [numbers]

@@ -150,7 +150,7 @@ def _must_equal(subject: Subject, one: Learner, other: Learner, *, same_clock: b
         subject.broken("two answers that must be the same differ")
     reports = [dataclasses.replace(learner.report_, seconds=0.0) for learner in (one, other)]
     if not same_clock:
-        # stamps of 1.7e9 s are known to 2e-7 s only: what is weighted by the steps between them differs in as much
+        # stamps of 1.7e9 s are known to 2e-7 s only: what is weighted by the steps between them differs by that
         strengths = [[row.strength for row in report.row_evidence] for report in reports]
         if not np.allclose(*strengths, rtol=1e-3):
             subject.broken("the evidence depends on the clock")

@@ -307,7 +307,7 @@ def _try_closer_models(
 def _climb_exact_models(
     samples: Samples, usable: list[PolicyModel], best: CrossValidatedFit, residuals: dict[str, float]
 ) -> tuple[CrossValidatedFit, dict[str, float]]:
-    """The same where next to nothing is left, and normal equations would compare rounding: fits by QR, one by one."""
+    """`search_model` where next to nothing is left and normal equations would compare rounding: QR fits, one by one."""
     for model in (model for model in usable if model.n_terms * samples.nv <= SCAN_COLUMNS):
         if model.name == best.fit.model.name or best.held_out <= ROUNDING * best.fit.energy:
             continue
@@ -464,7 +464,7 @@ def _explained(samples: Samples, fit: JointFit) -> Explanation:
 
 
 def _null_nats(samples: Samples, s: int, model: PolicyModel, left: float) -> float:
-    """Evidence for s rows with a model that leaves so much of each null direction, but for the task's motion."""
+    """Evidence for s rows with a model that leaves the variance `left` of each null direction, task's motion aside."""
     n, parameters = len(samples), model.n_terms * samples.nv + s * (samples.n_rows - s)
     return _gaussian_nats(n * (samples.nv - s), left, _resolved(samples)) - 0.5 * parameters * float(np.log(n))
 
@@ -472,7 +472,7 @@ def _null_nats(samples: Samples, s: int, model: PolicyModel, left: float) -> flo
 def _gaussian_nats(
     count: Float[np.ndarray, " k"] | int, square: Float[np.ndarray, " k"] | float, least: float
 ) -> float:
-    """Largest log-likelihood, but for a constant, of so many numbers with such a mean square and no less a variance."""
+    """Largest log-likelihood, but for a constant, of `count` numbers of mean square `square`, their variance no less."""
     variance = np.maximum(square, least)
     return float(-0.5 * np.sum(count * (np.log(variance) + square / variance)))
 
@@ -503,12 +503,12 @@ def _resolved(samples: Samples) -> float:
 
 
 def _left(samples: Samples, fit: JointFit) -> float:
-    """What is left of the motion, a direction of the null space [(rad/s)^2]."""
+    """Mean square of the residual in each direction of the null space [(rad/s)^2]."""
     return fit.cost / (samples.nv - len(fit.whitened_selection))
 
 
 def _variance(samples: Samples, fit: JointFit) -> float:
-    """The same a degree of freedom, which the policy's parameters take from the samples."""
+    """Residual variance per degree of freedom: the policy's parameters take theirs from the samples [(rad/s)^2]."""
     n, z = len(samples), samples.nv - len(fit.whitened_selection)
     return n * fit.cost / max(n * z - fit.model.n_terms * samples.nv, 1)
 

@@ -178,7 +178,7 @@ def upper(side: int) -> tuple[Int[np.ndarray, " e"], Int[np.ndarray, " e"]]:
 
 
 def _side(entries: int) -> int:
-    """Side of the square matrix whose upper triangle has so many entries."""
+    """Side of the square matrix whose upper triangle has this number of entries."""
     return (math.isqrt(8 * entries + 1) - 1) // 2
 
 
@@ -330,7 +330,7 @@ def shape_in_time(samples: Samples) -> Float[np.ndarray, "nv nv"] | None:
 
 
 def noise_in_time(samples: Samples) -> float:
-    """Variance of the same, the mean over the joints; bursts do not count [(rad/s)^2]."""
+    """Variance of what in u is no smooth motion, mean over the joints; bursts do not count [(rad/s)^2]."""
     e = _differences(samples)
     return float(np.mean((np.median(np.abs(e), axis=0) / MEDIAN) ** 2)) if len(e) else 0.0
 

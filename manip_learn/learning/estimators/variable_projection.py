@@ -63,7 +63,7 @@ NEARLY_EXACT = 1e-6
 LEAST_PIVOT = 1e-8
 # parameters of the policy beyond which normal equations take the place of a QR of all rows however they are conditioned
 MANY_COLUMNS = 64
-# trajectories beyond so many are taken in blocks: a Hessian of each, for Theta too, is kept
+# more trajectories than this are taken in blocks: a Hessian of each, for Theta too, is kept
 MAX_BLOCKS = 100
 
 
@@ -260,7 +260,7 @@ def held_out_by_fold(
 def _held_out_by_rows(
     samples: Samples, Lambda: np.ndarray, model: PolicyModel, folds: np.ndarray
 ) -> Float[np.ndarray, " f"]:
-    """The same by QR: each fold is boiled down to a triangle once, leaving it out means solving with the others'."""
+    """`held_out_by_fold` by QR: each fold becomes a triangle once; leaving it out means solving with the others'."""
     triangles, before = dict[int, np.ndarray](), 0
     for rows in _rows(samples, Lambda, model):
         after = before + len(rows) // (samples.nv - len(Lambda))

@@ -238,7 +238,7 @@ class Hypothesis:
         return float(supports_of(self.gains[:, None])[0])
 
     def price(self, seconds: float) -> float:
-        """Of the s (r - s) parameters of Lambda, learnt from so many seconds (G. Schwarz, 1978) [nats]."""
+        """Of the s (r - s) parameters of Lambda, learnt from this much motion (G. Schwarz, 1978) [nats]."""
         s, r = self.rows.shape
         return 0.5 * s * (r - s) * float(np.log(max(seconds / CHANGE_SECONDS, 2.0)))
 
@@ -348,7 +348,7 @@ class Explanation:
         return now
 
     def plainest(self) -> Explanation:
-        """Each hypothesis in the first view in which as many rows explain as much, the price of them considered."""
+        """Each hypothesis in the first view in which the same number of rows explains no less, their price considered."""
         now, seconds = self, float(self.thin.weight.sum())
         for k, h in enumerate(self.hypotheses):
             for number, view in enumerate(self.views[: h.view]):

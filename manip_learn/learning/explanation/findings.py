@@ -405,8 +405,7 @@ class _Recombination:
     def __call__(self, view: View, h: Hypothesis, held: Bool[np.ndarray, " n"]) -> bool:
         """Whether several recordings confirm the hypothesis, or the only one does."""
         shown = stretches_of(view.thin, held.astype(np.int64), 1)
-        # a slip of some millimetres is a few samples of evidence, and as much as exchanged joints break of a short
-        # contact
+        # a slip of some millimetres is a few samples of evidence; exchanged joints break no more of a short contact
         still = agreeing(view.thin, h.rows, shown)
         stretches, pieces = pieces_of(self.trajectories, [s for s, good in zip(shown, still, strict=True) if good])
         recordings = {s.trajectory for s in stretches}

@@ -96,7 +96,7 @@ class TipPaths:
 
 
 def thinned(q: Float[np.ndarray, "T n"], most: int) -> Float[np.ndarray, "t n"]:
-    """At most so many samples of a trajectory, evenly spread, ends included."""
+    """At most `most` samples of a trajectory, evenly spread, ends included."""
     return q[evenly(len(q), most)]
 
 
