@@ -472,7 +472,7 @@ def _null_nats(samples: Samples, s: int, model: PolicyModel, left: float) -> flo
 def _gaussian_nats(
     count: Float[np.ndarray, " k"] | int, square: Float[np.ndarray, " k"] | float, least: float
 ) -> float:
-    """Largest log-likelihood, but for a constant, of `count` numbers of mean square `square`, their variance no less."""
+    """Largest log-likelihood, but for a constant, of `count` numbers of this mean square, variance at least `least`."""
     variance = np.maximum(square, least)
     return float(-0.5 * np.sum(count * (np.log(variance) + square / variance)))
 

@@ -348,7 +348,7 @@ class Explanation:
         return now
 
     def plainest(self) -> Explanation:
-        """Each hypothesis in the first view in which the same number of rows explains no less, their price considered."""
+        """Each hypothesis in the first view in which as many rows explain no less, their price considered."""
         now, seconds = self, float(self.thin.weight.sum())
         for k, h in enumerate(self.hypotheses):
             for number, view in enumerate(self.views[: h.view]):
