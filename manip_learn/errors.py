@@ -335,7 +335,7 @@ class NoPlanError(ManipLearnError):
         self.largest, self.posture, self.stopped_by, self.helps = largest, posture, stopped_by, tuple(helps)
 
     def facts(self) -> dict[str, object]:
-        """The same with the posture as a list."""
+        """The facts of every error, with the posture as a list."""
         return super().facts() | ({} if self.posture is None else {"posture": list(map(float, self.posture))})
 
 

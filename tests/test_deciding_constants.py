@@ -14,10 +14,8 @@ MOST = 100
 # every other number of a module of the room: it bounds time or memory (or how much is printed), or it is rounding (or a
 # step on the way to a converged answer, a property of a distribution, the size of a thing). What decides is no choice
 BESIDE = {
-    "advice": {"time": "ADVICES_SAID"},
-    "answer": {"time": "MOST_PATHS"},
+    "answer": {"time": "MOST_PATHS START_SHARE"},
     "audit": {"time": "CHUNK", "rounding": "NOTABLE MAD_EFFICIENCY MAD_SMALL MAD_TO_SIGMA"},
-    "candidate": {"time": "START_SHARE"},
     "effort_witness": {"time": "MOST_SAMPLES DRAWS", "rounding": "SHORTEST RANK"},
     "descent": {"rounding": "FIRST_DAMPING MOST_DAMPED CUTOFF"},
     "estimators.joint_estimator": {
@@ -25,28 +23,25 @@ BESIDE = {
         "rounding": "EXACT NOISY",
     },
     "estimators.model_search": {
-        "time": "N_FOLDS SCAN_COLUMNS ROUNDS MOST_TRIALS COMPARE",
+        "time": "N_FOLDS SCAN_COLUMNS ROUNDS MOST_TRIALS COMPARE RANDOM_STARTS SUBSPACES PROGRESS",
         "rounding": "ROUNDING EXACT VANISHING",
     },
-    "estimators.noise_covariance": {"time": "TYLER_STEPS", "rounding": "PRIOR DIFFERENCES MEDIAN"},
     "estimators.null_space": {"time": "MAX_ITERATIONS MAX_FOLDS", "rounding": "SAME_COST"},
-    "estimators.policy_equations": {"time": "REFINEMENTS CHUNK", "rounding": "FLAT FLOOR"},
-    "estimators.policy_prior": {
-        "time": "MAX_ITERATIONS FIRST_UPDATES UPDATES START KEEP_LIMIT",
-        "rounding": "SETTLED LEAST DETERMINED",
+    "estimators.policy_equations": {
+        "time": "REFINEMENTS CHUNK TYLER_STEPS",
+        "rounding": "FLAT FLOOR PRIOR DIFFERENCES MEDIAN",
     },
-    "estimators.row_count": {"time": "RANDOM_STARTS SUBSPACES PROGRESS"},
     "estimators.separation": {"time": "MAX_ITERATIONS STALLED SEPARATION_LIMIT", "rounding": "STAGES NO_GAIN"},
     "estimators.variable_projection": {
-        "time": "MAX_ITERATIONS MANY_COLUMNS MAX_BLOCKS",
-        "rounding": "RANK_TOLERANCE BASIS_TOLERANCE NEARLY_EXACT LEAST_PIVOT",
+        "time": "MAX_ITERATIONS MANY_COLUMNS MAX_BLOCKS MARGINAL_ITERATIONS FIRST_UPDATES UPDATES START KEEP_LIMIT",
+        "rounding": "RANK_TOLERANCE BASIS_TOLERANCE NEARLY_EXACT LEAST_PIVOT SETTLED LEAST DETERMINED",
     },
-    "excitation": {"rounding": "SAME"},
     "explanation.explain": {
-        "time": "MOST_CONSTRAINTS MOST_TESTED FIRST_SCALES KEPT TURNS SETTLING BEST_ALONE",
+        "time": "MOST_CONSTRAINTS MOST_TESTED FIRST_SCALES KEPT TURNS SETTLING BEST_ALONE STRIDE MOST_PAIRED "
+        "MOST_ALONE MOST_PAIRS MOST SAME",
+        "rounding": "TINY",
     },
-    "explanation.odd": {"rounding": "MEDIAN_SQUARE"},
-    "explanation.proposals": {"time": "STRIDE MOST_PAIRED MOST_ALONE MOST_PAIRS MOST SAME", "rounding": "TINY"},
+    "explanation.findings": {"rounding": "MEDIAN_SQUARE"},
     "explanation.row_motion": {"time": "SCAN_RATE FEW", "rounding": "RANK"},
     "mechanisms.find_mechanism": {"time": "SAMPLES MOST LEAST", "rounding": "BLIND"},
     "mechanisms.place_fit": {
@@ -54,21 +49,19 @@ BESIDE = {
         "rounding": "SETTLED UNDETERMINED LEVERAGE_FLOOR",
     },
     "mechanisms.quantities": {"rounding": "NEAR_AXIS QUANTITIES"},
-    "overview": {"time": "SPANS_SHOWN"},
     "recombination": {
         "time": "SURE MOST_BINS MOST_POINTS NODES_PER_BIN RECOMBINATIONS MOST_RECOMBINATIONS MOST_TRAJECTORIES SHIFTS "
         "MOMENTS_AT_ONCE",
         "rounding": "LEVEL_FLOOR",
     },
     "repeats": {"time": "POSTURES PROBES PROBES_NEAR THINNED SEAM SEAM_SHARE"},
-    "report": {"time": "MOST_NOTES KEPT_POSTURES"},
-    "samples": {"time": "IN_MEMORY_SAMPLES BLOCK KEEP_LIMIT KEEP_WHITENED_LIMIT", "rounding": "PRUNE_RATIO"},
-    "streaming.passes": {"time": "KEPT_BYTES"},
+    "report": {"time": "ADVICES_SAID MOST_NOTES KEPT_POSTURES SPANS_SHOWN"},
+    "samples": {"time": "IN_MEMORY_SAMPLES BLOCK KEEP_LIMIT KEEP_WHITENED_LIMIT", "rounding": "PRUNE_RATIO SAME"},
     "streaming.refinement": {
         "time": "GOLDEN MAX_PASSES NULL_SPACE_BLOCKS",
         "rounding": "SETTLED ROUNDING WITHIN_ROUNDING",
     },
-    "streaming.sample_stream": {"time": "CHUNK TOGETHER MOST_RECORDINGS IN_MEMORY"},
+    "streaming.sample_stream": {"time": "CHUNK TOGETHER MOST_RECORDINGS IN_MEMORY KEPT_BYTES"},
     "uncertainty": {
         "time": "DRAWS MOST_STEPS TAU_STEPS MOST_SAMPLES",
         "rounding": "LEVERAGE_FLOOR SPENT LEAST_VARIANCE UNSEEN",

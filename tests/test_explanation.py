@@ -4,48 +4,29 @@ explains itself.
 
 from __future__ import annotations
 
-import importlib
 import itertools
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from task_sets import learnt
+from task_sets import moving as recordings
 
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.errors import FeatureError
-from manip_learn.learning.explanation.evidence import HeldScale, evidence, gains_of, held_by, states_of
-from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, find
-from manip_learn.learning.explanation.odd import agreeing
-from manip_learn.learning.explanation.proposals import SAME, distinct, fitted_rows, proposed
+from manip_learn.learning.explanation.evidence import HeldScale, Stretch, evidence, gains_of, held_by, states_of
+from manip_learn.learning.explanation.explain import SAME, distinct, fitted_rows, proposed
+from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, agreeing, find
 from manip_learn.learning.explanation.row_motion import RowMotion, broken_energy, joints_at_once
-from manip_learn.learning.explanation.stretch import Stretch
 from manip_learn.linalg import complement_rows, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_velocities
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-LOCKED = {"panda": ("panda_finger_joint1", "panda_finger_joint2")}
 MOVES = 0.01  # tip slower than this is at rest [m/s]
 Recordings = tuple[FrameJacobian, list[Trajectory], dict[str, Any]]
-
-
-@cache
-def recordings(kind: str, robot: str, seed: int, n: int, whole: bool = True, tilt: float = 0.0) -> Recordings:
-    """Generated recordings, with velocities, and their truth."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(EXAMPLES))
-        make_set = importlib.import_module("make_recordings.kinematic_sets").make_set
-        motions, truth = make_set(kind, robot, seed, n, whole=whole, tilt=tilt)
-    arm = ml.load_robot(robot, locked=LOCKED.get(robot, ()))
-    made = [
-        derive_velocities(Trajectory(t, q, None, arm.joint_names, f"demo_{i}"), arm) for i, (t, q) in enumerate(motions)
-    ]
-    return FrameJacobian(arm, truth["tip"], "xyz"), made, truth
 
 
 def found(made: Recordings, **options: Any) -> Findings:
@@ -223,9 +204,8 @@ def test_a_tether_is_learnt_from_whole_recordings(robot: str, seed: int, n: int)
     """Type, centre and radius within 0.5 mm, one row; the second one's sphere is so large that parts of it pass for a
     soft plane.
     """
-    features, made, truth = recordings("tether", robot, seed, n)
-    maps = [FrameJacobian(features.robot, truth["tip"], "xyz", r) for r in ("world", "local")]
-    learner = ml.ConstraintLearner(maps).fit(made)
+    _, made, truth = recordings("tether", robot, seed, n)
+    learner = learnt(robot, truth["tip"], made)
     report, true = learner.report_, truth["mechanisms"][0]
     assert report.mechanism is not None
     assert report.mechanism.type == "ball"
@@ -238,9 +218,7 @@ def test_an_orientation_that_is_held_softly_is_learnt_with_its_axis():
     """A glass that sways by a degree: its two rows, about the vertical within three stated standard deviations."""
     features, made, truth = recordings("glass", "sawyer", 33003, 6, whole=False)
     arm = features.robot
-    learner = ml.ConstraintLearner([FrameJacobian(arm, truth["tip"], "rotation", r) for r in ("world", "local")]).fit(
-        made
-    )
+    learner = learnt("sawyer", truth["tip"], made, axes="rotation")
     mechanism = learner.report_.mechanism
     assert mechanism is not None
     assert mechanism.type == "held-orientation"

@@ -77,7 +77,7 @@ def test_no_motion_breaks_nothing():
 
 
 def test_levels_are_relative_to_a_motion_of_all_joints():
-    """The same motion, ten times as fast, has the same levels; they are root mean squares along whitened directions."""
+    """Ten times as fast, a motion has the same levels; they are root mean squares along whitened directions."""
     samples = held(4)
     sizes, directions = levels(samples)
     faster, _ = levels(dataclasses.replace(samples, u=10.0 * samples.u))

@@ -1,36 +1,18 @@
-"""Recordings that do not belong are named, those that do are not, and two tasks in equal parts are two constraints."""
+"""Recordings that do not belong are named, those that do are not, and two tasks in equal parts are two constraints;
+rows, mechanism and odd recordings of one answer say the same.
+"""
 
 from __future__ import annotations
 
-import importlib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from task_sets import generated, learnt, moving
 
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.linalg import row_space_angle
-
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-LOCKED = {"panda": ("panda_finger_joint1", "panda_finger_joint2")}
-
-
-def generated(kind: str, robot: str, seed: int, n: int, whole: bool) -> tuple[dict[str, Any], list[ml.Trajectory]]:
-    """Truth and recordings of a set that the scripts beside the examples make."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(EXAMPLES))
-        make_set = importlib.import_module("make_recordings.kinematic_sets").make_set
-        motions, truth = make_set(kind, robot, seed, n, whole=whole)
-    return truth, [ml.Trajectory(t, q, name=f"demo_{i}") for i, (t, q) in enumerate(motions)]
-
-
-def learnt(robot: str, tip: str, demos: list[ml.Trajectory]) -> ml.ConstraintLearner:
-    """With the rows of the tip's position in both references, as the command line does."""
-    arm = ml.load_robot(robot, locked=LOCKED.get(robot, ()))
-    maps = [ml.FrameJacobian(arm, tip, "xyz", reference) for reference in ("world", "local")]
-    return ml.ConstraintLearner(maps).fit(demos)
 
 
 def away_from_axis(report: ml.LearningReport, truth: dict[str, Any]) -> float:
@@ -141,3 +123,44 @@ def test_a_door_and_a_table_beside_a_drawer_are_not_pooled():
         assert report.mechanism is not None and report.mechanism.axis is not None
         true = truths[int(min(task).removeprefix("demo_")) // 3]
         assert np.linalg.norm(np.cross(report.mechanism.axis, true["axis"])) < np.radians(0.1)
+
+
+def test_a_door_elsewhere_is_left_out_of_the_rows_too():
+    """Recordings in which the others' hinge does not hold are named, and both rows of the others are kept."""
+    _, trajectories, truth = moving("door_other_place", "sawyer", 1003, 8)
+    learner = learnt("sawyer", truth["tip"], trajectories)
+    named = {odd.trajectory for odd in learner.report_.odd_trajectories}
+    assert {trajectories[i].name for i in truth["contaminated"]} <= named
+    assert learner.constraint_.n_constraints == 2
+
+
+@pytest.mark.parametrize(
+    ("kind", "robot", "seed", "whole", "axes", "mechanism", "rows"),
+    [
+        pytest.param("door", "panda", 2031, True, "xyz", "hinge", ("radial", "axial"),
+                     id="the phases show one constant row of a door, along the axis"),
+        pytest.param("door", "sawyer", 2031, True, "xyz", "hinge", ("radial", "axial"), id="so with another arm"),
+        pytest.param("hinge", "xarm7", 2001, False, "pose", "hinge", 5, id="a firm lever has no constant rows beside"),
+        pytest.param("tether", "sawyer", 1007, False, "xyz", "ball", ("spherical",),
+                     id="the gap shows two weak constant rows that nothing holds"),
+    ],
+)  # fmt: skip
+def test_rows_and_mechanism_do_not_contradict_each_other(kind, robot, seed, whole, axes, mechanism, rows):
+    """All rows of the mechanism are held, none of the world's axes beside them."""
+    _, trajectories, truth = moving(kind, robot, seed, 6, whole)
+    learner = learnt(robot, truth["tip"], trajectories, axes)
+    report = learner.report_
+    assert report.mechanism is not None and report.mechanism.type == mechanism
+    if isinstance(rows, int):
+        assert learner.constraint_.n_constraints == rows
+        assert report.reference != "world" or not report.sentence.startswith("The tip can move along")
+    else:
+        assert learner.constraint_.features.row_names == rows
+    assert not whole or not any("asked for" in warning for warning in report.warnings)
+
+
+def test_one_free_motion_is_no_ball():
+    """A single free motion stays near some sphere: that alone is no answer, and the reason is said."""
+    _, trajectories, truth = moving("free", "panda", 1000, 1)
+    with pytest.raises(NotIdentifiableError, match="^record at least 3, better 5, .* not 1 recording"):
+        learnt("panda", truth["tip"], trajectories)

@@ -16,10 +16,18 @@ from manip_learn.experiments.ways import fit_told_noise
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.estimators.estimate import Estimate, GapTable
 from manip_learn.learning.estimators.joint_estimator import estimate_joint
-from manip_learn.learning.estimators.noise_covariance import noise_in_time, shape_in_time, whitened, whitening_factor
-from manip_learn.learning.estimators.policy_equations import OrthonormalRegressors, Projections, Solver, curvature
+from manip_learn.learning.estimators.model_search import explain
+from manip_learn.learning.estimators.policy_equations import (
+    OrthonormalRegressors,
+    Projections,
+    Solver,
+    curvature,
+    noise_in_time,
+    shape_in_time,
+    whitened,
+    whitening_factor,
+)
 from manip_learn.learning.estimators.policy_model import HarmonicModel, PolynomialModel, TrajectoryOffsetModel
-from manip_learn.learning.estimators.row_count import explain
 from manip_learn.learning.estimators.variable_projection import (
     fit_joint,
     fit_projected,
@@ -78,7 +86,7 @@ def test_exact_where_nothing_disturbs():
 
 
 def test_normal_equations_find_what_the_qr_finds(monkeypatch):
-    """The same Lambda and cost either way, but for combinations of regressors that hardly show."""
+    """Lambda and cost agree either way, but for combinations of regressors that hardly show."""
     demos, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(33), 40, noise=0.01)
     samples, model = Samples.collect(truth.features, demos), PolynomialModel(2, 3)
     start = truth.selection @ np.linalg.pinv(samples.whitening)
@@ -224,7 +232,7 @@ def test_a_policy_alone_is_no_task():
 
 @pytest.mark.parametrize("rate", [1.0, 0.7, -1.0])
 def test_a_motion_that_is_replayed_is_one_motion(rate: float, rng):
-    """The same free motion six times, with noise, at another rate or backwards: said by its name."""
+    """One free motion six times, with noise, at another rate or backwards, is refused by name."""
     features, t = arm_features(), np.linspace(0.0, 2.0, 120)
     middle = 0.5 * (features.robot.position_lower + features.robot.position_upper)
     pace, phase = rng.uniform(1.0, 3.0, 7), rng.uniform(0.0, 6.0, 7)

@@ -11,8 +11,7 @@ from generated_motions import PLANAR_ROWS, paper_motions
 
 from manip_learn.learning.estimators.estimate import PolicyPrior
 from manip_learn.learning.estimators.policy_model import HarmonicModel, PolynomialModel
-from manip_learn.learning.estimators.policy_prior import GradedRegressors, ScoredFit, fit_marginal
-from manip_learn.learning.estimators.variable_projection import fit_joint
+from manip_learn.learning.estimators.variable_projection import GradedRegressors, ScoredFit, fit_joint, fit_marginal
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import complement_rows, orthonormal_rows
 

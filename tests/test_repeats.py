@@ -2,48 +2,33 @@
 
 from __future__ import annotations
 
-import importlib
 import itertools
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
+from task_sets import arm, generated
 
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning.advice import advise
-from manip_learn.learning.excitation import doubt_velocities
+from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.learning.explanation.findings import Findings
-from manip_learn.learning.explanation.stretch import Stretch
 from manip_learn.learning.repeats import IndependentRecordings
+from manip_learn.learning.report import advise
+from manip_learn.learning.samples import doubt_velocities
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.velocities import with_velocities as derived
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-LOCKED = {"panda": ("panda_finger_joint1", "panda_finger_joint2")}
 Motion = tuple[np.ndarray, np.ndarray]
-
-
-def made(
-    kind: str, robot: str, seed: int, n: int, noise: float = 1e-4, whole: bool = False
-) -> tuple[list[Motion], str]:
-    """Generated motions, and the frame that holds the hand."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(EXAMPLES))
-        motions, truth = importlib.import_module("make_recordings.kinematic_sets").make_set(
-            kind, robot, seed, n, noise, whole
-        )
-    return motions, truth["tip"]
 
 
 @pytest.fixture(scope="module")
 def drawers() -> tuple[ml.FrameJacobian, list[Motion]]:
     """Phi of a drawer, and three motions with it."""
-    motions, tip = made("drawer", "panda", 30001, 3)
-    return ml.FrameJacobian(ml.load_robot("panda", locked=LOCKED["panda"]), tip, "xyz"), motions
+    truth, made = generated("drawer", "panda", 30001, 3, False)
+    return ml.FrameJacobian(arm("panda"), truth["tip"], "xyz"), [(t.time, t.q) for t in made]
 
 
 def named(motions: list[Motion]) -> list[ml.Trajectory]:
@@ -58,7 +43,7 @@ def at_rate(motion: Motion, rate: float, slower: float = 1.0, late: float = 0.0)
 
 
 def replayed(motion: Motion) -> Motion:
-    """The same path faster, with noise of its own."""
+    """The path run faster, with noise of its own."""
     t, q = motion
     at = np.linspace(t[0], t[-1], int(0.8 * len(t)))
     return 0.8 * at, CubicSpline(t, q)(at) + np.random.default_rng(0).normal(0.0, 1e-4, (len(at), q.shape[1]))
@@ -134,7 +119,7 @@ def test_one_recording_in_eight_is_no_more_than_one(drawers):
 def test_demonstrations_of_their_own_count_each(kind: str, robot: str, noise: float):
     """Nothing repeats in what was demonstrated anew each time, be it a reach in nearly the same way."""
     for whole in (True, False):
-        given = Demonstrations(named(made(kind, robot, 20000, 6, noise, whole)[0]))
+        given = Demonstrations(generated(kind, robot, 20000, 6, whole, noise=noise)[1])
         found = IndependentRecordings.of(given)
         assert found.demonstrations is given and not found.warnings
 
@@ -167,8 +152,8 @@ def with_velocities(
 
 @pytest.fixture(scope="module")
 def smooth_drawers(drawers) -> tuple[ml.FrameJacobian, list[Motion]]:
-    """The same without noise, so that its derivative is the velocity."""
-    return drawers[0], made("drawer", "panda", 30001, 3, 0.0)[0]
+    """The drawers without noise, so that the derivative of the postures is the velocity."""
+    return drawers[0], [(t.time, t.q) for t in generated("drawer", "panda", 30001, 3, False, noise=0.0)[1]]
 
 
 @pytest.mark.parametrize("factor", [0.85, 1.08, 1.2])

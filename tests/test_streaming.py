@@ -18,9 +18,15 @@ from manip_learn.learning.estimators.null_space import fit_null_space
 from manip_learn.learning.estimators.policy_model import PolynomialModel
 from manip_learn.learning.estimators.variable_projection import _ByRows, fit_joint
 from manip_learn.learning.samples import Samples, TrajectoryBlocks
-from manip_learn.learning.streaming.passes import Accumulator, accumulate, merge_parts, merge_tree
 from manip_learn.learning.streaming.refinement import Iterate, PassSummary, Policy, SummaryAccumulator
-from manip_learn.learning.streaming.sample_stream import TrajectoryBuffer, chunks
+from manip_learn.learning.streaming.sample_stream import (
+    Accumulator,
+    TrajectoryBuffer,
+    accumulate,
+    chunks,
+    merge_parts,
+    merge_tree,
+)
 from manip_learn.linalg import orthonormal_rows, row_space_angle, row_space_angles
 from manip_learn.recordings import RecordingSource, load_demonstrations, trajectory_source
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -119,11 +125,11 @@ def level_by_level(parts: list[str]) -> str:
     return parts[0]
 
 
-@pytest.mark.parametrize("n", range(1, 23))
-def test_sums_are_taken_in_one_order(n):
+def test_sums_are_taken_in_one_order():
     """A tree over the parts, the same one as a cluster builds level by level, with only a few totals waiting."""
-    parts = [chr(97 + i) for i in range(n)]
-    assert merge_tree(lambda before, after: f"({before}{after})", parts) == level_by_level(parts)
+    for n in range(1, 23):
+        parts = [chr(97 + i) for i in range(n)]
+        assert merge_tree(lambda before, after: f"({before}{after})", parts) == level_by_level(parts), n
 
 
 def test_parts_without_samples_add_nothing():
@@ -241,7 +247,7 @@ def test_a_stream_is_learnt_from(features, monkeypatch):
     learnt = ConstraintLearner(features, **HELD).fit(stream)
     # the joints of the first trajectory, some recordings that say what holds, all samples once: these are kept
     assert stream.passes == 3
-    monkeypatch.setattr("manip_learn.learning.streaming.passes.KEPT_BYTES", 100_000)
+    monkeypatch.setattr("manip_learn.learning.streaming.sample_stream.KEPT_BYTES", 100_000)
     again = ConstraintLearner(features, **HELD).fit(stream)
     assert stream.passes >= 3 + 5  # too many to be kept: read in each pass
     listed = ConstraintLearner(features, **HELD).fit(list(stream))
@@ -278,7 +284,7 @@ class Yielded:
 
 def test_memory_does_not_grow(features, held, monkeypatch):
     """Five times as many samples need no more memory."""
-    monkeypatch.setattr("manip_learn.learning.streaming.passes.KEPT_BYTES", 100_000)
+    monkeypatch.setattr("manip_learn.learning.streaming.sample_stream.KEPT_BYTES", 100_000)
     from_few(monkeypatch, 2000)
 
     class Repeated:
@@ -350,7 +356,7 @@ def test_partial_fit_spills_to_a_file(features, held):
     """Beyond the limit, trajectories lie in a file and come back as they were."""
     kept = TrajectoryBuffer(in_memory=40_000)
     kept.add(source_of(held), [features], "auto")
-    assert kept.bytes_in_memory <= 40_000
+    assert kept._file._rolled  # type: ignore[attr-defined]
     back = [t for i in range(kept.n_parts) for t in kept.part(i)]
     assert len(back) == len(held)
     for a, b in zip(back, held, strict=True):

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 import manip_learn as ml
 from manip_learn.constraint.mechanism import MECHANISM_KINDS
 from manip_learn.learning.mechanisms.place_fit import fit_place
-from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place
-from manip_learn.learning.mechanisms.tip_paths import TipPaths
+from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths
 
 AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
 POINT = np.array([0.55, 0.25, 0.35])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import re
 from pathlib import Path
@@ -10,29 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from task_sets import DATA, arm, generated, learnt, learnt_from, shipped
 
 import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.linalg import row_space_angle
 
-DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
-FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 MOVES = 0.01  # a tip slower than this is at rest [m/s]
-
-
-def shipped(folder: str) -> tuple[dict[str, Any], ml.Robot, ml.Demonstrations]:
-    """Truth, robot and recordings of a folder."""
-    truth = json.loads((DATA / folder / "truth.json").read_text())
-    robot = ml.load_robot(truth["robot"], locked=FINGERS if truth["robot"] == "panda" else ())
-    return truth, robot, ml.load_demonstrations(sorted((DATA / folder).glob("*.csv")), robot)
-
-
-def learnt(folder: str, **settings: Any) -> tuple[dict[str, Any], ml.Demonstrations, ml.ConstraintLearner]:
-    """Truth and answer for a folder, with rows of the tip's position in both references."""
-    truth, robot, demos = shipped(folder)
-    maps = [ml.FrameJacobian(robot, truth["tip"], "xyz", reference) for reference in ("world", "local")]
-    return truth, demos, ml.ConstraintLearner(maps, **settings).fit(demos)
 
 
 def true_rows(truth: dict[str, Any], number: int) -> np.ndarray:
@@ -67,7 +51,7 @@ def check_windows(
 
 def test_whole_recordings_of_a_drawer():
     """Approach and retreat are told from the contact, and the drawer's direction is right to 0.1 degrees."""
-    truth, demos, learner = learnt("panda_drawer_whole")
+    (truth, demos), learner = shipped("panda_drawer_whole"), learnt_from("panda_drawer_whole")
     report = learner.report_
     assert report.n_constraints == 2 and len(learner.constraints_) == 1
     assert np.degrees(row_space_angle(learner.constraint_.selection, true_rows(truth, 0))) < 0.1
@@ -82,7 +66,7 @@ def test_whole_recordings_of_a_drawer():
 
 def test_two_tasks_in_one_recording():
     """A drawer and then a table in the same files are two constraints, each right to 0.3 degrees."""
-    truth, demos, learner = learnt("xarm7_drawer_then_table")
+    (truth, demos), learner = shipped("xarm7_drawer_then_table"), learnt_from("xarm7_drawer_then_table")
     assert len(learner.constraints_) == 2
     order = sorted(range(2), key=lambda number: -len(true_rows(truth, number)))
     found = sorted(learner.constraints_, key=lambda c: -c.n_constraints)
@@ -93,9 +77,9 @@ def test_two_tasks_in_one_recording():
 
 def with_one_table() -> tuple[ml.FrameJacobian, list[ml.Trajectory], tuple[float, float]]:
     """A drawer in all recordings, and a table in the last one only; and when that is."""
-    truth, robot, demos = shipped("xarm7_drawer_then_table")
+    truth, demos = shipped("xarm7_drawer_then_table")
     cut = [t[: 0.5 * (w[0][1] + w[1][0])] for t, w in zip(demos, truth["windows"], strict=True)]
-    features = ml.FrameJacobian(robot, truth["tip"], "xyz")
+    features = ml.FrameJacobian(arm("xarm7"), truth["tip"], "xyz")
     return features, [*cut[:-1], demos[len(demos) - 1]], tuple(truth["windows"][-1][1][:2])
 
 
@@ -117,19 +101,40 @@ def test_a_contact_in_one_recording_only_is_named_and_not_learnt():
 def test_a_refusal_names_a_contact_in_one_recording_only():
     """Where nothing else is held, the refusal says which recording shows a contact, and when."""
     features, demos, (start, _) = with_one_table()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(DATA.parent))
-        made = importlib.import_module("make_recordings.kinematic_sets").make_set("free", "xarm7", 7, 5)[0]
-    free = [ml.Trajectory(t, q, None, demos[0].joint_names, f"free_{i}") for i, (t, q) in enumerate(made)]
+    _, made = generated("free", "xarm7", 7, 5)
+    free = [ml.Trajectory(t.time, t.q, None, demos[0].joint_names, f"free_{i}") for i, t in enumerate(made)]
     with pytest.raises(
         NotIdentifiableError, match=f"1 contact that one recording alone shows: in {demos[-1].name} from"
     ):
         ml.ConstraintLearner(features).fit([*free, demos[-1][start - 1.0 :]])
 
 
+@pytest.mark.parametrize(
+    ("robot", "seed"),
+    [
+        pytest.param("panda", 4000, id="recombined recordings must not keep the door of one of them"),
+        pytest.param("xarm7", 4001, id="a door that is found as a tether"),
+    ],
+)
+def test_the_drawer_of_one_recording_is_named_beside_the_door_of_all(robot: str, seed: int):
+    """Six recordings of a door, the last of which opens a drawer too: the hinge is learnt, no recording is odd, and the
+    drawer is named where it is.
+    """
+    truth, made = generated("door_then_drawer", robot, seed, 6)
+    ends = [0.5 * (first[1] + second[0]) for first, second in truth["windows"]]
+    demos = [t.part(slice(int(np.searchsorted(t.time, end)))) for t, end in zip(made[:5], ends, strict=False)]
+    report = learnt(robot, truth["tip"], [*demos, made[5]]).report_
+    assert report.mechanism is not None and report.mechanism.type == "hinge"
+    assert not report.odd_trajectories
+    alone = [p for p in report.phases if p.reason == "appears in one recording only"]
+    assert [p.trajectory for p in alone] == ["demo_5"]
+    start, end, _ = truth["windows"][5][1]
+    assert min(alone[0].end, end) - max(alone[0].start, start) > 0.8 * (end - start)
+
+
 def test_a_loosely_held_door_is_a_hinge(tmp_path: Path):
     """The rows that turn with the door are found; the constraint is saved, read back and controlled."""
-    truth, demos, learner = learnt("ur5_loose_door")
+    (truth, demos), learner = shipped("ur5_loose_door"), learnt_from("ur5_loose_door")
     mechanism, constraint = learner.report_.mechanism, learner.constraint_
     (true,) = truth["mechanisms"]
     assert mechanism is not None and mechanism.type == "hinge" and constraint.n_constraints == 2
@@ -147,7 +152,7 @@ def test_a_loosely_held_door_is_a_hinge(tmp_path: Path):
 
 def test_another_drawer_among_the_recordings_is_named():
     """The odd recordings are named with the reason, and the answer is that of the others: no row disappears."""
-    truth, demos, learner = learnt("panda_drawer_mixed")
+    (truth, demos), learner = shipped("panda_drawer_mixed"), learnt_from("panda_drawer_mixed")
     assert learner.report_.n_constraints == 2
     assert np.degrees(row_space_angle(learner.constraint_.selection, true_rows(truth, 0))) < 0.1
     named = {odd.trajectory for odd in learner.report_.odd_trajectories}
@@ -159,29 +164,15 @@ def test_another_drawer_among_the_recordings_is_named():
 @pytest.mark.parametrize("kind", ["free", "free_repeated", "free_sticking", "free_slow"])
 def test_free_motion_is_no_constraint(kind: str):
     """Reaches, a reach that is repeated, sticking joints and slow motion are refused, with what to do."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(DATA.parent))
-        motions, truth = importlib.import_module("make_recordings.kinematic_sets").make_set(kind, "xarm7", 1500, 6)
-    robot = ml.load_robot("xarm7")
-    demos = [ml.Trajectory(time, q) for time, q in motions]
+    truth, demos = generated(kind, "xarm7", 1500, 6)
     with pytest.raises(NotIdentifiableError, match=r"^[a-z]([^.]|\.\d)*\. [A-Z]"):
-        ml.ConstraintLearner(ml.FrameJacobian(robot, truth["tip"], "xyz")).fit(demos)
-
-
-def generated(kind: str, robot: str, seed: int, n: int, whole: bool) -> tuple[dict[str, Any], list[ml.Trajectory]]:
-    """Truth and recordings of a set that the scripts beside the examples make."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(DATA.parent))
-        make_set = importlib.import_module("make_recordings.kinematic_sets").make_set
-        motions, truth = make_set(kind, robot, seed, n, whole=whole)
-    return truth, [ml.Trajectory(t, q, name=f"demo_{i}") for i, (t, q) in enumerate(motions)]
+        ml.ConstraintLearner(ml.FrameJacobian(arm("xarm7"), truth["tip"], "xyz")).fit(demos)
 
 
 def test_a_slip_that_the_phases_cut_out_is_named():
     """The grip slips in one of eight recordings: the answer is right without the slip, and the recording is named."""
     truth, demos = generated("drawer_slip", "xarm7", 1201, 8, whole=True)
-    robot = ml.load_robot("xarm7")
-    report = ml.ConstraintLearner(ml.FrameJacobian(robot, truth["tip"], "xyz")).fit(demos).report_
+    report = ml.ConstraintLearner(ml.FrameJacobian(arm("xarm7"), truth["tip"], "xyz")).fit(demos).report_
     assert [odd.trajectory for odd in report.odd_trajectories] == [f"demo_{i}" for i in truth["contaminated"]]
     for odd, number in zip(report.odd_trajectories, truth["contaminated"], strict=True):
         (_, before, _), (after, _, _) = truth["windows"][number]
@@ -193,8 +184,7 @@ def test_a_slip_that_the_phases_cut_out_is_named():
 def test_constraints_that_replace_each_other_do_not_keep_the_search_going():
     """Two constraints that explain the same stretches, each better in its turn, end the search all the same."""
     truth, demos = generated("door_slip", "panda", 1204, 8, whole=True)
-    robot = ml.load_robot("panda", locked=FINGERS)
-    report = ml.ConstraintLearner(ml.FrameJacobian(robot, truth["tip"], "xyz")).fit(demos).report_
+    report = ml.ConstraintLearner(ml.FrameJacobian(arm("panda"), truth["tip"], "xyz")).fit(demos).report_
     assert report.mechanism is not None and report.mechanism.type == "hinge"
     assert {odd.trajectory for odd in report.odd_trajectories} == {f"demo_{i}" for i in truth["contaminated"]}
 
@@ -205,7 +195,7 @@ def test_a_door_that_hardly_turns_is_answered_with_the_width_of_what_is_not_know
     turn it.
     """
     truth, demos = generated("door", "xarm7", seed, 6, whole=False)
-    robot, (true,) = ml.load_robot("xarm7"), truth["mechanisms"]
+    robot, (true,) = arm("xarm7"), truth["mechanisms"]
     tip, axis, point = robot.frame(truth["tip"]), np.array(true["axis"]), np.array(true["point"])
     short = []
     for t in demos:
@@ -222,8 +212,8 @@ def test_a_door_that_hardly_turns_is_answered_with_the_width_of_what_is_not_know
 
 def test_one_recording_is_not_answered_with_certainty():
     """A single trajectory cannot show that a row is held: the answer, if any, carries a warning."""
-    _, robot, demos = shipped("ur5_loose_door")
-    features = ml.FrameJacobian(robot, "tool0", "xyz")
+    _, demos = shipped("ur5_loose_door")
+    features = ml.FrameJacobian(arm("ur5"), "tool0", "xyz")
     try:
         report = ml.ConstraintLearner(features).fit(demos[:1]).report_
     except NotIdentifiableError:
@@ -233,8 +223,10 @@ def test_one_recording_is_not_answered_with_certainty():
 
 def test_phases_can_be_turned_off():
     """With `phases="off"` whole recordings are refused, and the refusal says that they are not of one piece."""
+    truth, demos = shipped("panda_drawer_whole")
+    features = ml.FrameJacobian(arm("panda"), truth["tip"], "xyz")
     with pytest.raises(NotIdentifiableError, match="phases='auto'"):
-        learnt("panda_drawer_whole", phases="off")
+        ml.ConstraintLearner(features, phases="off").fit(demos)
 
 
 def test_the_command_line_tells_phases_and_mechanisms(capsys: pytest.CaptureFixture[str], tmp_path: Path):

@@ -222,7 +222,7 @@ AUDIT_TERMS = ("score", "sigma", "broken", "mm, deg", "margin", "speed", "jerk",
 
 def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> None:
     """The sentence, the evidence, the warnings."""
-    from manip_learn.learning.overview import RecordingOverview
+    from manip_learn.learning.report import RecordingOverview
 
     report = learnt.report
     console.print(f"[bold]{escape(report.sentence)}[/bold]", highlight=False)

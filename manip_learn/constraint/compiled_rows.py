@@ -20,7 +20,6 @@ from manip_learn.robot.batch.compiled_kinematics import (
     jacobian_vjp,
     joint_turns,
 )
-from manip_learn.robot.batch.compiled_vjp import jacobian_vjp
 from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 
 # columns of a row of Lambda in the work space, behind its six weights: their slopes along p, and scratch

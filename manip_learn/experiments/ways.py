@@ -32,8 +32,8 @@ from scipy.optimize import least_squares
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.experiments.paper_setup import null_parts, tip
 from manip_learn.learning.estimators.joint_estimator import estimate_joint
-from manip_learn.learning.estimators.noise_covariance import whitened
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
+from manip_learn.learning.estimators.policy_equations import whitened
 from manip_learn.learning.estimators.policy_model import PolynomialModel
 from manip_learn.learning.estimators.separation import estimate_separate, separate_null_motion
 from manip_learn.learning.estimators.variable_projection import fit_joint

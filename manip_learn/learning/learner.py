@@ -13,17 +13,13 @@ import numpy as np
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import FeatureError, NotFittedError, NotIdentifiableError, NumberOfConstraintsError, an
-from manip_learn.learning.advice import advise, advise_in_general
-from manip_learn.learning.answer import Answer, find_answers
-from manip_learn.learning.candidate import Candidate, EstimatorName, LearnerSettings, learn_best
+from manip_learn.learning.answer import Answer, Candidate, EstimatorName, LearnerSettings, find_answers, learn_best
 from manip_learn.learning.deciding import BELIEVED_STRENGTH
-from manip_learn.learning.excitation import check_fastest, doubt_velocities
+from manip_learn.learning.explanation.evidence import BeforeSmoothing
 from manip_learn.learning.explanation.findings import Findings, Part, find, unexplained
-from manip_learn.learning.explanation.stretch import BeforeSmoothing
-from manip_learn.learning.overview import RecordingOverview
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.report import LearningReport, build_report
-from manip_learn.learning.samples import IN_MEMORY_SAMPLES, DataSummary, in_memory
+from manip_learn.learning.report import LearningReport, RecordingOverview, advise, advise_in_general, build_report
+from manip_learn.learning.samples import IN_MEMORY_SAMPLES, DataSummary, check_fastest, doubt_velocities, in_memory
 from manip_learn.learning.uncertainty import uncertainty_of
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations

@@ -57,7 +57,7 @@ class RowEvidence:
 
     Attributes:
         strengths: How much more the motion uses each row when joints are exchanged between the trajectories: median.
-        least: The same, least of all recombinations.
+        least: The least of these ratios over all recombinations.
         p_values: Chance of a level as low as the recorded one if the joints moved independently of each other.
         levels: How much the recorded motion uses each row: 0 not at all, 1 as a motion equally strong in all joints.
         directions: The rows, in the features' own units, orthonormal, shape (r, p).
@@ -220,7 +220,7 @@ class PhasePath:
         return self.steps.reshape(self.n_bins, NODES_PER_BIN, -1).sum(axis=1)
 
     def reverse(self) -> PhasePath:
-        """The same way from its end to its start; displacements keep their sign."""
+        """The path run from its end to its start; displacements keep their sign."""
         q, weight, steps = self.q[::-1], self.weight[::-1], self.steps[::-1]
         return PhasePath(q, 1.0 - self.edges[::-1], self.n_bins - 1 - self.bins[::-1], weight, steps)
 
@@ -282,7 +282,7 @@ def _path(trajectory: Trajectory, scale: Float[np.ndarray, " nv"], n_bins: int) 
 
 
 def _turned(paths: list[PhasePath], scale: Float[np.ndarray, " nv"]) -> list[PhasePath]:
-    """The same with backward strokes turned round, and trajectories that are backward as a whole run in reverse."""
+    """The paths with backward strokes turned round; trajectories that are backward as a whole run in reverse."""
     by_bin = np.stack([path.bin_steps() for path in paths]) / scale
     common = np.linalg.svd(by_bin.reshape(-1, by_bin.shape[2]), full_matrices=False)[2][0]
     turned = []

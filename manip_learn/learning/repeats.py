@@ -16,6 +16,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache, cached_property
+from itertools import product
 from typing import final
 
 import numpy as np
@@ -33,7 +35,7 @@ from manip_learn.learning.deciding import (
     SEAM_SPEED,
     SEAM_STEPS,
 )
-from manip_learn.learning.explanation.stretch import Stretch
+from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.local_fit import noise_variance
 from manip_learn.recordings.preprocessing import evenly
@@ -119,16 +121,16 @@ def _in_words(names: Sequence[str], chain: Sequence[int]) -> str:
 def _repeats(trajectories: Sequence[Trajectory]) -> dict[int, tuple[int, float]]:
     """Recordings whose path lies on another's -> that one, which repeats none, and the largest distance [rad]."""
     paths = [_Path.of(t) for t in trajectories]
-    lies: dict[tuple[int, int], float] = {}
-    for j, near in enumerate(_nearby(paths)):
-        for i in near:
-            distance = paths[i].distance_from(paths[j])
-            if distance is not None:
-                lies[i, j] = distance
+    near = [set(numbers) for numbers in _nearby(paths)]
+
+    @cache
+    def lies(i: int, j: int) -> float | None:
+        return paths[i].distance_from(paths[j]) if i in near[j] else None
+
     found: dict[int, tuple[int, float]] = {}
-    for (i, j), distance in sorted(lies.items()):
+    for i, j in product(range(len(paths)), repeat=2):
         # of two that repeat each other the first stays
-        if i not in found and (j < i or (j, i) not in lies):
+        if i not in found and (distance := lies(i, j)) is not None and (j < i or lies(j, i) is None):
             found[i] = j, distance
     for i in found:
         while found[i][0] in found:
@@ -162,7 +164,7 @@ class _Path:
         probes = thinned[np.searchsorted(way, np.linspace(0.0, way[-1], PROBES)).clip(0, len(way) - 1)]
         return _Path(trajectory, probes, thinned, float(np.linalg.norm(np.ptp(thinned, axis=0))))
 
-    @property
+    @cached_property
     def noise2(self) -> float:
         """Variance of a posture, all joints together, no less than `REPEATED_RAD` squared [rad^2]."""
         t = self.trajectory
@@ -313,7 +315,7 @@ def _seam(trajectories: Sequence[Trajectory], before: int, after: int, told: flo
 
 
 def _left_by_cubics(q: Float[np.ndarray, "T n"], width: int) -> Float[np.ndarray, " k"]:
-    """What a cubic leaves of each window of so many samples, root mean square [rad]."""
+    """Root mean square of the rest that a cubic leaves of each window of `width` samples [rad]."""
     basis = np.linalg.qr(np.linspace(-1.0, 1.0, width)[:, None] ** np.arange(4))[0]
     windows = np.lib.stride_tricks.sliding_window_view(q, width, axis=0)
     left = windows - (windows @ basis) @ basis.T

@@ -1,29 +1,141 @@
-"""The evidence that comes with a learnt constraint."""
+"""What is said in the end: where each constraint holds, with the evidence for it; or why none was found, and what to
+try next.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.selection_in_words import describe, free_directions, known_to, said_by_rows
-from manip_learn.errors import counted, listed
+from manip_learn.errors import NotIdentifiableError, advice, counted, listed, named, number_if_known
 from manip_learn.learning.answer import Answer
-from manip_learn.learning.deciding import CLEAR_GAP
+from manip_learn.learning.deciding import CLEAR_GAP, FEWEST_TRAJECTORIES, REST_SPEED, STILL_ENERGY
 from manip_learn.learning.effort_witness import EffortWitness, effort_witness
-from manip_learn.learning.excitation import energy_shares
-from manip_learn.learning.overview import OddTrajectory, Phase, RecordingOverview
+from manip_learn.learning.explanation.evidence import Stretch
+from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, held_throughout
 from manip_learn.learning.recombination import RowSupport
+from manip_learn.learning.repeats import IndependentRecordings
+from manip_learn.learning.samples import energy_shares
 from manip_learn.learning.uncertainty import PARTS, Uncertainty, in_words, total_deg
-from manip_learn.recordings.demonstrations import distinct_names
+from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.preprocessing import evenly
 from manip_learn.robot import html_card
+
+SPANS_SHOWN = 6  # of each constraint, in words
+NO_ANSWER = "what several recordings show here could not be learnt"
+
+
+class Phase(NamedTuple):
+    """A stretch of a recording.
+
+    Attributes:
+        trajectory: Name of the recording.
+        start, end: On the recording's own clock [s].
+        constraint: Number of the constraint that holds, counted from 0 in `constraints_`; None for free motion.
+        reason: Why nothing is learnt from a stretch in which something seems to be held; else empty.
+    """
+
+    trajectory: str
+    start: float
+    end: float
+    constraint: int | None
+    reason: str = ""
+
+
+class OddTrajectory(NamedTuple):
+    """A recording that does not agree with the others.
+
+    Attributes:
+        trajectory: Its name.
+        reason: How it differs, in numbers and units.
+    """
+
+    trajectory: str
+    reason: str
+
+
+@final
+@dataclass(frozen=True)
+class RecordingOverview:
+    """What the recordings show as a whole, the same for every constraint.
+
+    Attributes:
+        phases: Every stretch that moves.
+        odd_trajectories: Recordings that do not agree with the others.
+        warnings: Doubts about the findings.
+    """
+
+    phases: tuple[Phase, ...] = ()
+    odd_trajectories: tuple[OddTrajectory, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(answers: Sequence[Answer], findings: Findings, recordings: IndependentRecordings) -> RecordingOverview:
+        """The phases with the names of the recordings, on the clocks of those that were given."""
+        names, given = distinct_names(recordings.demonstrations), distinct_names(recordings.given)
+        number = {id(answer.part): k for k, answer in enumerate(answers)}
+        phases = []
+        for s, part, why in findings.phases():
+            constraint = None if part is None else number.get(id(findings.parts[part]))
+            reason = NO_ANSWER if part is not None and constraint is None else why
+            phases += [Phase(given[p.trajectory], p.start, p.end, constraint, reason) for p in recordings.places(s)]
+        odd = dict(findings.odd)
+        warnings = [*findings.warnings, *lone_contacts(findings, recordings)]
+        if odd:
+            listed = "; ".join(f"{names[i]}: {why}" for i, why in sorted(odd.items()))
+            warnings.append(
+                f"{len(odd)} of {len(names)} recordings do not agree with the others; what does not agree was "
+                f"left out of the first constraint: {listed}"
+            )
+        return RecordingOverview(
+            tuple(phases), tuple(OddTrajectory(names[i], why) for i, why in sorted(odd.items())), tuple(warnings)
+        )
+
+    def sentences(self) -> tuple[str, ...]:
+        """Where each constraint holds, in words."""
+        numbers = sorted({p.constraint for p in self.phases if p.constraint is not None})
+        free = sum(p.constraint is None and not p.reason for p in self.phases)
+        unlearnt = [p for p in self.phases if p.reason]
+        if not free and not unlearnt and len(numbers) < 2:
+            return ()
+        out = []
+        for k in numbers:
+            spans = [
+                f"from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}" for p in self.phases if p.constraint == k
+            ]
+            more = f" and {len(spans) - SPANS_SHOWN} more" if len(spans) > SPANS_SHOWN else ""
+            out.append(f"constraint {k + 1} is held {', '.join(spans[:SPANS_SHOWN])}{more}")
+        if free:
+            out.append(f"free motion in {counted(free, 'stretch')}")
+        out += [f"not learnt from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}: {p.reason}" for p in unlearnt]
+        return tuple(out)
+
+
+def lone_contacts(findings: Findings, recordings: IndependentRecordings) -> tuple[str, ...]:
+    """Advice about contacts that one recording alone shows."""
+    alone = [p for s, why in findings.unlearnt if why == IN_ONE_ONLY for p in recordings.places(s)]
+    names = distinct_names(recordings.given)
+    contacts = [f"in {names[p.trajectory]} from {p.start:.1f} s to {p.end:.1f} s" for p in alone]
+    if not contacts:
+        return ()
+    more = f" and {len(contacts) - SPANS_SHOWN} more" if len(contacts) > SPANS_SHOWN else ""
+    seen = counted(len(contacts), "contact")
+    return (
+        f"record again, at least twice, {seen} that one recording alone shows: "
+        f"{', '.join(contacts[:SPANS_SHOWN])}{more}",
+    )
+
 
 MOST_NOTES = 20
 # what a constraint file keeps of where its task was shown, evenly over all samples: the place and the reach of a drawer
@@ -280,3 +392,145 @@ def _few_notes(notes: tuple[str, ...]) -> tuple[str, ...]:
     if len(unique) <= MOST_NOTES:
         return unique
     return (*unique[:MOST_NOTES], f"and {len(unique) - MOST_NOTES} more notes of this kind")
+
+
+ADVICES_SAID = 2  # in the sentence, the likeliest ones; more would hide them
+ADVISED = ("weak-gap", "no-evidence", "no-freedom")
+
+
+def advise(
+    refusal: NotIdentifiableError,
+    demonstrations: Demonstrations,
+    feature_maps: Sequence[FeatureMap],
+    findings: Findings,
+    *,
+    recordings: IndependentRecordings,
+    phases: str,
+) -> NotIdentifiableError:
+    """The refusal with its likely causes and the next thing to try for each; others than those of the evidence pass.
+
+    Args:
+        refusal: Why nothing was learnt.
+        demonstrations: With velocities.
+        feature_maps: The candidates for Phi.
+        findings: What was found out about the recordings.
+        recordings: Which of those that were given are learnt from.
+        phases: Whether phases were looked for (`"auto"`, `"off"`).
+    """
+    if refusal.code not in ADVISED:
+        return _advised(refusal, (), recordings.warnings) if recordings.warnings else refusal
+    causes = [
+        *_too_few(recordings),
+        *lone_contacts(findings, recordings),
+        *_several_phases(findings, demonstrations, phases),
+        *_other_rows(demonstrations, feature_maps),
+        *_still_joints(demonstrations),
+        *_too_slow(demonstrations),
+    ]
+    facts = [*recordings.warnings, *_places(findings, recordings)]
+    return _advised(refusal, causes, facts) if causes else advise_in_general(refusal)
+
+
+def advise_in_general(refusal: NotIdentifiableError) -> NotIdentifiableError:
+    """The refusal with what usually helps, where nothing of the data is known."""
+    if refusal.code != "weak-gap":
+        return _advised(refusal, ())
+    usual = "record more varied motions, try other axes or the other reference" + number_if_known(2)
+    return _advised(refusal, (usual,))
+
+
+def _advised(refusal: NotIdentifiableError, causes: Sequence[str], facts: Sequence[str] = ()) -> NotIdentifiableError:
+    """What to do, then why and the facts, in two sentences; the first advices are said, all are kept."""
+    everything = (*refusal.advice, *causes)
+    why = "; ".join([str(refusal), *facts])
+    said = f"{'; or '.join(everything[:ADVICES_SAID])}. {why[0].upper()}{why[1:]}" if everything else why
+    return NotIdentifiableError(said, code=refusal.code, gaps=refusal.gaps, advice=(*everything, *facts))
+
+
+def _too_few(recordings: IndependentRecordings) -> list[str]:
+    n = len(recordings.demonstrations)
+    if n >= FEWEST_TRAJECTORIES:
+        return []
+    wanted = f"record at least {FEWEST_TRAJECTORIES}, better 5, that differ in way and posture"
+    return [f"{wanted}, not {counted(n, 'recording')}"]
+
+
+def _several_phases(findings: Findings, demonstrations: Demonstrations, phases: str) -> list[str]:
+    if phases == "off":
+        return [
+            "cut the recordings to the contact, since no single constraint fits them as a whole"
+            + advice(", or allow {}", "phases='auto'", "--phases auto")
+        ]
+    if findings.unlearnt or _throughout(findings.refused, demonstrations):
+        return []
+    if _held(findings):
+        return ["cut the recordings more closely to what seems held, each stretch in a file of its own"]
+    if len(demonstrations) < 2:
+        return [
+            "cut the recording to the contact"
+            + advice(" with {}", "trajectory[start:until]", "--from and --until")
+            + ", since no single constraint fits it as a whole"
+        ]
+    return [
+        "cut the recordings to the contact"
+        + advice(" ({})", "trajectory[start:until]", "--from and --until")
+        + ", for no stretch of them obeys a constraint that several confirm, as in free motion"
+    ]
+
+
+def _held(findings: Findings) -> list[Stretch]:
+    """Stretches in which rows are held."""
+    return [s for part in findings.parts for s in part.stretches] if findings.explained else []
+
+
+def _throughout(stretches: Sequence[Stretch], demonstrations: Demonstrations) -> bool:
+    """Whether these stretches are all of the recordings, each as a whole."""
+    spans = {(s.trajectory, s.start, s.end) for s in stretches}
+    return all((i, float(t.time[0]), float(t.time[-1])) in spans for i, t in enumerate(demonstrations))
+
+
+def _places(findings: Findings, recordings: IndependentRecordings) -> list[str]:
+    """Where something seems held, or nearly so: each recording with its times."""
+    held = _held(findings)
+    names, times = distinct_names(recordings.given), dict[str, list[str]]()
+    for place in (p for s in held or findings.refused for p in recordings.places(s)):
+        times.setdefault(names[place.trajectory], []).append(f"{place.start:.1f} to {place.end:.1f} s")
+    spans = ", ".join(f"{name} {listed(of_one)}" for name, of_one in times.items())
+    what = "what seems held" if held else "the likeliest contact, if anything was touched"
+    return [f"{what}: {spans}"] if spans else []
+
+
+def _other_rows(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> list[str]:
+    """Whether rows that were not asked for are held."""
+    first = feature_maps[0]
+    if not isinstance(first, FrameJacobian) or len(demonstrations) < 2:
+        return []
+    tried = {(f.row_names, f.reference) for f in feature_maps if isinstance(f, FrameJacobian)}
+    for axes in ("xyz", "rotation", "pose"):
+        for reference in ("world", "local"):
+            other = FrameJacobian(first.robot, first.frame.name, axes, reference)
+            if (other.row_names, reference) not in tried and held_throughout([other], demonstrations):
+                python, flags = f"axes={axes!r}, reference={reference!r}", f"--axes {axes} --reference {reference}"
+                return [f"try other rows{advice(', {}', python, flags)}, with which one constraint does fit"]
+    return []
+
+
+def _still_joints(demonstrations: Demonstrations) -> list[str]:
+    energy = sum(np.einsum("nv,nv->v", t.u, t.u) for t in demonstrations if t.u is not None)
+    total = float(np.sum(energy))
+    if total <= 0.0:
+        return []
+    still = [
+        n for n, e in zip(demonstrations.joint_names, np.atleast_1d(energy), strict=True) if e < STILL_ENERGY * total
+    ]
+    if not still:
+        return []
+    python, flags = f"load_robot(..., locked={still})", " ".join(f"--lock {name}" for name in still)
+    return [f"move {named('joint', still)} too, or lock what shall hardly move{advice(' ({})', python, flags)}"]
+
+
+def _too_slow(demonstrations: Demonstrations) -> list[str]:
+    speed = max((float(np.max(np.abs(t.u))) for t in demonstrations if t.u is not None), default=0.0)
+    return (
+        [f"move faster, noise hides a motion in which no joint exceeds {speed:.2g} rad/s"] if speed < REST_SPEED else []
+    )

@@ -154,21 +154,3 @@ def trajectories_of_all_lengths(subject: Subject) -> None:
 def _fitted(subject: Subject) -> Learner:
     motion = subject.motion()
     return subject.fitted(motion.features, motion.demonstrations)
-
-
-CHECKS = (
-    clean_motion_is_learnt,
-    one_row_is_learnt,
-    fit_returns_the_learner,
-    nothing_learnt_before_fit,
-    rows_are_orthonormal,
-    report_is_complete,
-    report_through_json,
-    constraint_through_json,
-    learner_can_be_copied,
-    notes_are_kept,
-    features_outlive_the_fit,
-    planar_arm_in_six_rows,
-    repeated_rows,
-    trajectories_of_all_lengths,
-)

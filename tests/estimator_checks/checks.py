@@ -7,6 +7,7 @@ with an error of this library; what it may never do is give a wrong answer in si
 from __future__ import annotations
 
 from collections.abc import Iterable
+from inspect import isfunction, signature
 
 from estimator_checks import answers, invariance, refusals
 from estimator_checks.motions import MotionKind
@@ -14,9 +15,14 @@ from estimator_checks.subject import Check, EstimatorCheckError, MakeLearner, Su
 
 
 def checks() -> dict[str, Check]:
-    """Name -> check, all there are."""
+    """Name -> check, all there are: what three modules define that takes a subject alone."""
     parts = (answers, invariance, refusals)
-    return {check.__name__: check for part in parts for check in part.CHECKS}
+    functions = {name: each for part in parts for name, each in vars(part).items() if isfunction(each)}
+    return {
+        name: each
+        for name, each in functions.items()
+        if name[0] != "_" and list(signature(each).parameters) == ["subject"]
+    }
 
 
 def check_learner(

@@ -150,27 +150,10 @@ def _must_equal(subject: Subject, one: Learner, other: Learner, *, same_clock: b
         subject.broken("two answers that must be the same differ")
     reports = [dataclasses.replace(learner.report_, seconds=0.0) for learner in (one, other)]
     if not same_clock:
-        # stamps of 1.7e9 s are known to 2e-7 s only: what is weighted by the steps between them differs in as much
+        # stamps of 1.7e9 s are known to 2e-7 s only: what is weighted by the steps between them differs by that
         strengths = [[row.strength for row in report.row_evidence] for report in reports]
         if not np.allclose(*strengths, rtol=1e-3):
             subject.broken("the evidence depends on the clock")
         reports = [dataclasses.replace(report, phases=(), row_evidence=(), evidence="") for report in reports]
     if repr(reports[0]) != repr(reports[1]):  # NaN is not equal to itself
         subject.broken("two reports that must be the same differ")
-
-
-CHECKS = (
-    refit_forgets,
-    same_answer_twice,
-    input_is_unchanged,
-    other_kinds_of_arrays,
-    single_precision,
-    integers,
-    time_offset,
-    order_of_trajectories,
-    trajectories_twice,
-    faster_motion,
-    units_of_the_rows,
-    order_of_the_rows,
-    demonstrations_from_a_generator,
-)

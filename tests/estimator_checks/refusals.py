@@ -259,37 +259,3 @@ def recordings_without_velocities_or_robot(subject: Subject) -> None:
     motion = subject.motion()
     features = CustomFeatures(motion.features, motion.features.row_names, 3)
     subject.must_refuse(features, lambda: Demonstrations(mapped(motion.demonstrations, u=lambda t: None)))
-
-
-CHECKS = (
-    no_demonstrations,
-    no_trajectories_at_all,
-    one_row,
-    too_few_samples,
-    one_column,
-    zero_actions,
-    constant_state,
-    duplicated_rows,
-    rows_with_nan,
-    features_with_nan,
-    outlier_in_velocity,
-    outlier_in_position,
-    velocities_of_other_samples,
-    random_motion,
-    two_constraints_mixed,
-    features_of_another_robot,
-    features_of_another_size,
-    joints_in_another_order,
-    rows_that_are_zero,
-    numbers_of_constraints_that_cannot_be,
-    as_many_constraints_as_joints,
-    more_constraints_than_there_are,
-    fewer_constraints_than_there_are,
-    motion_of_the_other_kind,
-    stiction,
-    joint_that_never_moved,
-    one_trajectory,
-    two_trajectories_of_two_robots,
-    after_a_refusal_there_is_no_old_answer,
-    recordings_without_velocities_or_robot,
-)

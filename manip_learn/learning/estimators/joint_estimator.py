@@ -26,12 +26,14 @@ from manip_learn.learning.estimators.model_search import (
     N_FOLDS,
     ROUNDING,
     CrossValidatedFit,
+    RowCount,
     best_of_starts,
     conditional_pca,
+    count_rows,
     null_energy,
     search_model,
 )
-from manip_learn.learning.estimators.noise_covariance import noise_in_time, shape_in_time, whitened, whitening_factor
+from manip_learn.learning.estimators.policy_equations import noise_in_time, shape_in_time, whitened, whitening_factor
 from manip_learn.learning.estimators.policy_model import (
     HarmonicModel,
     PolicyModel,
@@ -39,9 +41,13 @@ from manip_learn.learning.estimators.policy_model import (
     RadialModel,
     TrajectoryOffsetModel,
 )
-from manip_learn.learning.estimators.policy_prior import ScoredFit, fit_marginal
-from manip_learn.learning.estimators.row_count import RowCount, count_rows
-from manip_learn.learning.estimators.variable_projection import fit_joint, held_out_costs, scores
+from manip_learn.learning.estimators.variable_projection import (
+    ScoredFit,
+    fit_joint,
+    fit_marginal,
+    held_out_costs,
+    scores,
+)
 from manip_learn.learning.samples import Samples, runs
 
 # share of the motion that is rounding
@@ -54,7 +60,7 @@ MOST_POSTURES = 2_000  # between the samples of a path, against noise that makes
 # share of the energy above which a residual is noise that hides a part of the policy
 NOISY = 1e-10
 # a rest posture for each trajectory makes the cost bumpy: the search begins from many starts on a few trajectories and
-# samples, until so many rounds of starts have found nothing better, and goes on with the best of each round
+# samples, until IDLE_ROUNDS rounds of starts have found nothing better, and goes on with the best of each round
 FEW, FEW_SAMPLES = 16, 600
 STARTS, IDLE_ROUNDS, REFINED = 20, 2, 8
 LOOK: dict[str, Any] = {"max_iterations": 5, "gain": 1e-3}
@@ -165,7 +171,7 @@ def _repeat_one_motion(samples: Samples) -> bool:
 
 
 def _densely(path: Float[np.ndarray, "t nq"], step: float) -> Float[np.ndarray, "k nq"]:
-    """The path with so many postures between its samples that none are farther apart than a step [rad]."""
+    """The path with postures added between its samples, until none are farther apart than a step [rad]."""
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     n = min(int(along[-1] / step) + 1, MOST_POSTURES) if step > 0.0 else 0
     places = np.union1d(along, np.linspace(0.0, along[-1], n + 1))

@@ -32,7 +32,7 @@ MAX_ITERATIONS = 200
 STAGES = (1e-6, 1e-8, 1e-10)
 # relative decrease of the cost in a step below which to stop; the coarse stages only lead the way
 NO_GAIN = (1e-3, 1e-3, 1e-6)
-STALLED = 5  # so many steps of little gain in a row end a stage
+STALLED = 5  # steps of little gain in a row that end a stage
 # the descent is dense in samples times parameters: 4,000 samples of 7 joints and 96 centres are 21 MB
 SEPARATION_LIMIT = 4_000
 
@@ -60,10 +60,7 @@ class Separation:
 
 
 def separate(
-    x: Float[np.ndarray, "n m"],
-    u: Float[np.ndarray, "n nv"],
-    model: PolicyModel,
-    max_iterations: int = MAX_ITERATIONS,
+    x: Float[np.ndarray, "n m"], u: Float[np.ndarray, "n nv"], model: PolicyModel, max_iterations: int = MAX_ITERATIONS
 ) -> Separation:
     """Levenberg-Marquardt from the regression of u on the posture; random starts end in poor minima now and then.
 

@@ -7,30 +7,51 @@ was. pi(q) = Theta^T beta(q) is linear in its parameters, so Theta is eliminated
 Kaufman's Jacobian, 1975), in two ways. Normal equations cost a tenth of a QR of all rows, and square the condition
 number: they are used where what is left of the motion is noise, far above their rounding, and where their Cholesky
 factor shows that they are well conditioned.
+
+Or the policy's parameters are integrated out instead of fitted (`fit_marginal`): Lambda by marginal likelihood, with
+Theta ~ N(0, T) with one variance tau_g^2 for all parameters of grade g (degree of the monomials), so that Z^T u is
+normal with the covariance sigma^2 I + K T K^T, K = d (Z^T pi) / d Theta. With C = K^T K = sum beta beta^T (x) N,
+P = sigma^2 T^-1, theta the posterior mean of Theta and c its length
+
+    2 l(Lambda) = (n z - c) log sigma^2 + log |C + P| + log |T| + (|Z^T u|^2 - theta^T K^T u) / sigma^2
+
+tau and sigma by maximum likelihood too (MacKay, 1992, Neural Computation 4(3), eq. (2.33) and following). No degree has
+to be chosen: one that the data do not need has tau = 0, one of which they cannot tell widens the angle. Fitted without
+a prior, combinations of parameters that the null spaces hardly show become large; they make the Gauss-Newton Hessian
+of Lambda, which grows with pi, too large, and left-out trajectories badly predicted.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import factorial, prod
 from typing import final
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import qr, solve_triangular
 
-from manip_learn.learning.estimators.estimate import JointFit, descend_rows
+from manip_learn.learning.deciding import MOST_LIKELY_DEGREE
+from manip_learn.learning.descent import descend
+from manip_learn.learning.estimators.estimate import JointFit, PolicyPrior, descend_rows
 from manip_learn.learning.estimators.policy_equations import (
+    CHUNK,
     OrthonormalRegressors,
     Projections,
     Solver,
     curvature,
     left_out,
+    packed,
+    products,
+    pull,
     solve_policy,
+    unpacked_curvature,
+    upper,
 )
-from manip_learn.learning.estimators.policy_model import PolicyModel
+from manip_learn.learning.estimators.policy_model import PolicyModel, PolynomialModel
 from manip_learn.learning.samples import Samples, TrajectoryBlocks
-from manip_learn.linalg import batch_row_spaces, complement_rows, inverse_triangles, orthonormal_rows
+from manip_learn.linalg import batch_row_spaces, complement_rows, inverse_triangles, orthonormal_rows, turned
 
 MAX_ITERATIONS = 30
 RANK_TOLERANCE = 1e-13
@@ -42,7 +63,7 @@ NEARLY_EXACT = 1e-6
 LEAST_PIVOT = 1e-8
 # parameters of the policy beyond which normal equations take the place of a QR of all rows however they are conditioned
 MANY_COLUMNS = 64
-# trajectories beyond so many are taken in blocks: a Hessian of each, for Theta too, is kept
+# more trajectories than this are taken in blocks: a Hessian of each, for Theta too, is kept
 MAX_BLOCKS = 100
 
 
@@ -239,7 +260,7 @@ def held_out_by_fold(
 def _held_out_by_rows(
     samples: Samples, Lambda: np.ndarray, model: PolicyModel, folds: np.ndarray
 ) -> Float[np.ndarray, " f"]:
-    """The same by QR: each fold is boiled down to a triangle once, leaving it out means solving with the others'."""
+    """`held_out_by_fold` by QR: each fold becomes a triangle once; leaving it out means solving with the others'."""
     triangles, before = dict[int, np.ndarray](), 0
     for rows in _rows(samples, Lambda, model):
         after = before + len(rows) // (samples.nv - len(Lambda))
@@ -299,3 +320,245 @@ def _solve(K: np.ndarray, y: np.ndarray) -> np.ndarray:
     if rank:
         out[pivots[:rank]] = solve_triangular(R[:rank, :rank], Q[:, :rank].T @ y, check_finite=False)
     return out
+
+
+MARGINAL_ITERATIONS = 40
+# squared length of the last step in standard errors
+SETTLED = 1e-6
+# updates of the variances before the first step, and after each
+FIRST_UPDATES, UPDATES = 4, 2
+# variance of the parameters over the mean square of u: at the start, and least
+START, LEAST = 4.0, 1e-14
+# least number of parameters of a grade that count as determined
+DETERMINED = 1e-6
+# products of regressors that are kept from one pass to the next [numbers]
+KEEP_LIMIT = 3_000_000
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class GradedRegressors:
+    """beta of each sample, and what shares a variance.
+
+    Attributes:
+        values: Shape (n, k).
+        grades: Grade of each regressor, counted from 0, shape (k,).
+    """
+
+    values: Float[np.ndarray, "n k"]
+    grades: Int[np.ndarray, " k"]
+    _kept: list[np.ndarray] = field(default_factory=list, repr=False)
+
+    def products(self) -> Iterator[tuple[slice, Float[np.ndarray, "g n"]]]:
+        """Products of all pairs of regressors, some samples at a time; kept for the next pass where they are few."""
+        n, k = self.values.shape
+        keep = n * k * (k + 1) // 2 <= KEEP_LIMIT
+        for i, start in enumerate(range(0, n, CHUNK)):
+            part = slice(start, start + CHUNK)
+            pairs = self._kept[i] if i < len(self._kept) else products(self.values[part])
+            if keep and i == len(self._kept):
+                self._kept.append(pairs)
+            yield part, pairs
+
+    @staticmethod
+    def of(samples: Samples, model: PolicyModel, most_columns: int) -> GradedRegressors:
+        """Polynomials by degree, and those of a model that is none as one more grade.
+
+        Args:
+            samples: What was recorded.
+            model: The policy model that was selected.
+            most_columns: Number of parameters for which no higher degree is added.
+        """
+        x, m = samples.x, samples.q.shape[1]
+        own = np.zeros((len(x), 0)) if isinstance(model, PolynomialModel) else model(x, samples.trajectory)
+        least = model.degree if isinstance(model, PolynomialModel) else 1
+        polynomials = [PolynomialModel(degree, m) for degree in range(max(least, MOST_LIKELY_DEGREE) + 1)]
+        fitting = [
+            one
+            for one in polynomials
+            if one.degree <= least or (one.n_terms + own.shape[1]) * samples.nv <= most_columns
+        ]
+        largest = fitting[-1]
+        degrees = np.array([0, *map(len, largest.terms)])
+        values = np.concatenate([largest(x) * _weights(largest, m), own], axis=1)
+        return GradedRegressors(values, np.append(degrees, np.full(own.shape[1], largest.degree + 1)))
+
+
+def _weights(model: PolynomialModel, m: int) -> Float[np.ndarray, " k"]:
+    """Factors of the monomials that make sum beta_i(x) beta_i(y) = sum over the degrees of (x . y / m)^degree."""
+    counts = [factorial(len(t)) / prod(factorial(t.count(i)) for i in set(t)) / m ** len(t) for t in model.terms]
+    return np.sqrt(np.array([1.0, *counts]))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Variances:
+    """Of the noise and of the policy's parameters.
+
+    Attributes:
+        noise: sigma^2 [(rad/s)^2].
+        parameters: tau^2 of each grade [(rad/s)^2].
+    """
+
+    noise: float
+    parameters: Float[np.ndarray, " g"]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class ScoredFit:
+    """Lambda, and what its uncertainty needs.
+
+    Attributes:
+        whitened_selection: Lambda in whitened coordinates, orthonormal rows, shape (s, p').
+        gradients: Of each block of trajectories; first the parameters of the policy, then those of Lambda.
+        hessians: Gauss-Newton Hessians, likewise, without the prior.
+        prior: Of the policy's parameters; None if they were fitted.
+    """
+
+    whitened_selection: Float[np.ndarray, "s r"]
+    gradients: Float[np.ndarray, "g d"]
+    hessians: Float[np.ndarray, "g d d"]
+    prior: PolicyPrior | None = None
+
+
+def fit_marginal(samples: Samples, fit: JointFit, most_columns: int) -> ScoredFit:
+    """Gauss-Newton steps on the marginal likelihood from a fit.
+
+    Args:
+        samples: What was recorded.
+        fit: The start, with the selected policy model.
+        most_columns: See `GradedRegressors.of`.
+    """
+    regressors = GradedRegressors.of(samples, fit.model, most_columns)
+    here = _Posterior(samples, regressors, fit.whitened_selection)
+    scale = float(np.mean(samples.u**2))
+    n_grades = int(regressors.grades.max()) + 1
+    noise = max(fit.cost / max(samples.nv - len(fit.whitened_selection), 1), LEAST * scale)
+    here.settle(Variances(noise, np.full(n_grades, START * scale)), FIRST_UPDATES)
+    here, _ = descend(
+        here, _Posterior.moved, MARGINAL_ITERATIONS, settled=lambda _, step, H: float(step @ H @ step) < SETTLED
+    )
+    gradients, hessians = here.scores()
+    precision = np.append(here.precision, np.zeros(hessians.shape[1] - len(here.precision)))
+    return ScoredFit(here.Lambda, gradients, hessians, PolicyPrior(precision, here.variances.noise))
+
+
+@final
+class _Posterior:
+    """Theta given Lambda and the variances; `settle` comes first.
+
+    Args:
+        samples: What was recorded.
+        regressors: beta.
+        Lambda: In whitened coordinates, shape (s, p').
+    """
+
+    def __init__(self, samples: Samples, regressors: GradedRegressors, Lambda: Float[np.ndarray, "s r"]):
+        self.samples, self.regressors, self.Lambda = samples, regressors, Lambda
+        self._projections = Projections.of(samples, Lambda)
+        entries = packed(self._projections.N)
+        self._curvature = unpacked_curvature(np.sum([p @ entries[part] for part, p in regressors.products()], axis=0))
+        null_part = self._projections.project(samples.u)
+        self._pulled = pull(regressors.values, null_part[:, :, None])[:, 0]
+        self._energy = float(np.sum(null_part**2))
+        self._grades = np.repeat(regressors.grades, samples.nv)
+
+    def settle(self, variances: Variances, updates: int) -> None:
+        """Solve with some variances, and change these towards the largest likelihood some times."""
+        self._solve(variances)
+        for _ in range(updates):
+            self._solve(self._updated())
+
+    def moved(self, step: Float[np.ndarray, " m"]) -> _Posterior:
+        """After a step, settled from the variances here."""
+        there = _Posterior(self.samples, self.regressors, turned(self.Lambda, step))
+        there.settle(self.variances, UPDATES)
+        return there
+
+    @property
+    def cost(self) -> float:
+        """2 l, see the module."""
+        noise, n_rows = self.variances.noise, len(self.samples) * (self.samples.nv - len(self.Lambda))
+        fit = (self._energy - float(self._pulled @ self._theta)) / noise
+        log_prior = float(np.sum(np.log(self.variances.parameters[self._grades])))
+        return (n_rows - len(self._theta)) * np.log(noise) + self._solver.log_determinant + log_prior + fit
+
+    def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
+        """Gauss-Newton Hessian and gradient of l for B."""
+        H, gradient = self._projections.equations(self.regressors.values, self._residual, self._solver)
+        noise = self.variances.noise
+        return H / noise, gradient / noise + self._spread_slopes(np.ones(len(self.samples)))[0]
+
+    def scores(self) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
+        """Gradient and Hessian of sigma^2 l of each block of trajectories, for (Theta, B), see `_without_noise`."""
+        blocks = TrajectoryBlocks(self.samples.n_trajectories, MAX_BLOCKS)
+        runs, membership = blocks.runs(self.samples.trajectory), np.zeros((blocks.n_blocks, len(self.samples)))
+        sums = self._projections.blockwise(self.regressors.values, self._residual, runs)
+        _, gradients, hessians = map(np.array, zip(*sums, strict=True))
+        for i, part in runs:
+            membership[i, part] = 1.0
+        gradients[:, len(self._theta) :] += self.variances.noise * self._spread_slopes(membership)
+        return gradients, self._without_noise(hessians, membership)
+
+    def _without_noise(
+        self, hessians: Float[np.ndarray, "g d d"], membership: Float[np.ndarray, "g n"]
+    ) -> Float[np.ndarray, "g d d"]:
+        """Gauss-Newton Hessians without what the noise of u adds to them in the mean.
+
+        A^{+T} (u - pi) carries noise of covariance sigma^2 A^{+T} A^+, independent of the residual's; the curvature of
+        l itself has no such part (errors in variables). Where noise is most of the Hessian in some direction, no more
+        is taken off than leaves it positive (Fuller, 1987, section 2.5: the least root less one over the samples).
+        """
+        duals, free = self._projections.duals, self._projections.free
+        C, F = duals @ duals.transpose(0, 2, 1), free.transpose(0, 2, 1) @ free
+        each = np.einsum("gn,nst,nkl->gsktl", membership, C, F, optimize=True)
+        c, m = len(self._theta), C.shape[1] * F.shape[1]
+        added = self.variances.noise * each.reshape(-1, m, m)
+        total = hessians.sum(axis=0) + np.diag(np.append(self.precision, np.zeros(m)))
+        own = total[c:, c:] - total[c:, :c] @ self._solver(total[:c, c:])
+        least = 1.0 / float(np.max(np.linalg.eigvals(np.linalg.solve(own, added.sum(axis=0))).real, initial=1e-300))
+        share = min(1.0, least * (1.0 - 1.0 / len(self.samples)))
+        hessians[:, c:, c:] -= share * added
+        return hessians
+
+    def _solve(self, variances: Variances) -> None:
+        self.variances = variances
+        self.precision = variances.noise / variances.parameters[self._grades]
+        self._solver = Solver(self._curvature + np.diag(self.precision))
+        self._theta = self._solver(self._pulled[:, None])[:, 0]
+        self._residual = self.samples.u - self.regressors.values @ self._theta.reshape(-1, self.samples.nv)
+
+    def _updated(self) -> Variances:
+        """MacKay's update: sums of squares over the numbers of parameters, and of residuals, that data determine."""
+        n_grades = len(self.variances.parameters)
+        determined = 1.0 - self.precision * self._solver.inverse_diagonal()
+        counts = np.maximum(np.bincount(self._grades, determined, n_grades), DETERMINED)
+        least = LEAST * float(np.mean(self.samples.u**2))
+        parameters = np.maximum(np.bincount(self._grades, self._theta**2, n_grades) / counts, least)
+        n_rows = len(self.samples) * (self.samples.nv - len(self.Lambda))
+        square = float(np.sum(self._projections.project(self._residual) ** 2))
+        return Variances(max(square / max(n_rows - counts.sum(), 1.0), least), parameters)
+
+    def _spread_slopes(self, weights: Float[np.ndarray, "*g n"]) -> Float[np.ndarray, "g m"]:
+        """Half the derivative by B of log |C + P|, each sample's share weighted: that of the posterior spread of pi."""
+        slopes = np.concatenate(
+            [
+                -np.einsum("nsv,nvw,nwk->nsk", self._projections.duals[i], S, self._projections.free[i], optimize=True)
+                for i, S in self._spreads()
+            ]
+        )
+        return np.atleast_2d(weights) @ slopes.reshape(len(slopes), -1)
+
+    def _spreads(self) -> Iterator[tuple[slice, Float[np.ndarray, "n nv nv"]]]:
+        """Posterior covariance of pi over sigma^2, some samples at a time."""
+        nv, k = self.samples.nv, self.regressors.values.shape[1]
+        (i, j), (v, w) = upper(k), upper(nv)
+        inverse = self._solver.inverse().reshape(k, nv, k, nv).transpose(0, 2, 1, 3)[i, j]  # (g, nv, nv)
+        # each pair of regressors twice but those with themselves: both ways round together they are symmetric
+        shares = (inverse[:, v, w] + inverse[:, w, v]) * np.where(i == j, 0.5, 1.0)[:, None]
+        for part, pairs in self.regressors.products():
+            entries = pairs.T @ shares
+            spread = np.empty((len(entries), nv, nv))
+            spread[:, v, w] = spread[:, w, v] = entries
+            yield part, spread

@@ -27,12 +27,11 @@ from manip_learn.learning.deciding import (
     STANDARD_ERRORS,
     WIDE_RADIUS,
 )
+from manip_learn.learning.explanation.evidence import stretches_of, ways_to_choose
 from manip_learn.learning.explanation.explain import Hypothesis, explain
 from manip_learn.learning.explanation.row_motion import View, kinds_tried, views_of
-from manip_learn.learning.explanation.stretch import stretches_of, ways_to_choose
 from manip_learn.learning.mechanisms.place_fit import PlaceErrors, PlaceFit, fit_place
-from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, angles_about, turn_about
-from manip_learn.learning.mechanisms.tip_paths import TipPaths, thinned
+from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths, angles_about, thinned, turn_about
 from manip_learn.learning.recombination import recombination_test
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -195,12 +194,7 @@ def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]
 
 
 def _read(
-    robot: Robot,
-    tip: Frame,
-    moved: Sequence[Trajectory],
-    paths: TipPaths,
-    rng: np.random.Generator,
-    least: float,
+    robot: Robot, tip: Frame, moved: Sequence[Trajectory], paths: TipPaths, rng: np.random.Generator, least: float
 ) -> tuple[Read | None, tuple[int, ...], tuple[Alternative, ...]]:
     """What the rows say that explain most, the trajectories that they explain, and all that was tested."""
     middle = paths.p.mean(axis=0)

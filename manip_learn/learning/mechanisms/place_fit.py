@@ -34,8 +34,7 @@ from jaxtyping import Float
 from manip_learn.constraint.mechanism import MechanismKind
 from manip_learn.learning.deciding import SCATTER_ERRORS, STANDARD_ERRORS, STATED_SHARE_OF_PLACES, VARIANCE_FLOOR
 from manip_learn.learning.descent import descend
-from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place
-from manip_learn.learning.mechanisms.tip_paths import TipPaths
+from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths
 from manip_learn.learning.uncertainty import JointOffsets, influences
 
 ITERATIONS, ROUNDS = 25, 2  # weights are those of the place where a round of steps begins
@@ -318,11 +317,7 @@ class PlaceErrors:
 
 
 def fit_place(
-    paths: TipPaths,
-    kind: MechanismKind,
-    start: Place,
-    shared: tuple[str, ...] = (),
-    weights: Weights | None = None,
+    paths: TipPaths, kind: MechanismKind, start: Place, shared: tuple[str, ...] = (), weights: Weights | None = None
 ) -> PlaceFit:
     """The mechanism at its most likely place: Levenberg-Marquardt, the point of an axis beside the hand.
 

@@ -8,8 +8,16 @@ from functools import partial
 from typing import Any, TypeVar, final
 
 from manip_learn.errors import ManipLearnError, MissingExtraError
-from manip_learn.learning.streaming.passes import Accumulator, Executor, accumulate, merge_parts, merge_tree
-from manip_learn.learning.streaming.sample_stream import Chunk, SampleStream, chunks
+from manip_learn.learning.streaming.sample_stream import (
+    Accumulator,
+    Chunk,
+    Executor,
+    SampleStream,
+    accumulate,
+    chunks,
+    merge_parts,
+    merge_tree,
+)
 from manip_learn.recordings.trajectory_source import Progress, TrajectorySource
 
 try:

@@ -18,15 +18,14 @@ from jaxtyping import Float, UInt
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import counted
-from manip_learn.learning.candidate import Candidate
+from manip_learn.learning.answer import Candidate
 from manip_learn.learning.estimators.estimate import JointFit
 from manip_learn.learning.estimators.null_space import Terms
 from manip_learn.learning.estimators.policy_equations import OrthonormalRegressors, Projections
 from manip_learn.learning.estimators.policy_model import PolicyModel
 from manip_learn.learning.estimators.variable_projection import MAX_BLOCKS
 from manip_learn.learning.samples import IN_MEMORY_SAMPLES, DataSummary, Samples, TrajectoryBlocks, rows_beside
-from manip_learn.learning.streaming.passes import Accumulator, Executor, LocalExecutor
-from manip_learn.learning.streaming.sample_stream import Chunk, SampleStream
+from manip_learn.learning.streaming.sample_stream import Accumulator, Chunk, Executor, LocalExecutor, SampleStream
 from manip_learn.linalg import complement_rows, turned, whitener
 from manip_learn.recordings.readers.read_request import refuse_unmatched
 from manip_learn.recordings.trajectory_source import Progress
