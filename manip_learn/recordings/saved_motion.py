@@ -11,6 +11,7 @@ from typing import Any, Literal, final
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.errors import counted
 from manip_learn.recordings.readers.recording import refusal
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import Robot
@@ -40,6 +41,7 @@ class FileHeader:
         constraint: What guided a rollout, as `Constraint.to_dict` writes it, or None.
         follows: Whether a rollout has the following error.
         phases: Name, start and end [s] of the parts of a rollout, or None.
+        samples: Number of samples that were written; None in a file of before 0.2.
         schema: Version of the file format; 1 has no robot.
     """
 
@@ -52,10 +54,11 @@ class FileHeader:
     constraint: Mapping[str, Any] | None = None
     follows: bool = False
     phases: list | None = None
+    samples: int | None = None
     schema: int = SCHEMA
 
-    def to_json(self) -> str:
-        """One line."""
+    def to_json(self, samples: int | None = None) -> str:
+        """One line, with the number of samples that follow."""
         content: dict[str, Any] = {
             "format": PREFIX + self.kind,
             "schema": self.schema,
@@ -65,7 +68,7 @@ class FileHeader:
             "robot": None if self.robot is None else self.robot.to_dict(),
         }
         later = {"target": self.target, "constraint": self.constraint, "following_error": self.follows or None}
-        later["phases"] = self.phases or None
+        later |= {"phases": self.phases or None, "samples": samples}
         return json.dumps(
             content | {name: value for name, value in later.items() if value is not None}, allow_nan=False
         )
@@ -86,8 +89,9 @@ class FileHeader:
         nq, frame, robot = content.get("nq"), content.get("frame", ""), content.get("robot")
         if not isinstance(frame, str):
             raise ValueError(f"the frame must be a name, it is {frame!r:.40}")
-        if nq is not None and (not isinstance(nq, int) or isinstance(nq, bool)):
-            raise ValueError(f"nq must be a number of columns, it is {nq!r:.40}")
+        for name, number in {"nq": nq, "samples": content.get("samples")}.items():
+            if number is not None and (not isinstance(number, int) or isinstance(number, bool)):
+                raise ValueError(f"{name} must be a whole number, it is {number!r:.40}")
         return FileHeader(
             "rollout" if named.endswith("rollout") else "recording",
             names_from(content.get("joint_names"), "joint_names"),
@@ -98,6 +102,7 @@ class FileHeader:
             _object("constraint", content.get("constraint")),
             bool(content.get("following_error")),
             _phases(content.get("phases")),
+            content.get("samples"),
         )
 
 
@@ -172,6 +177,13 @@ def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
         RecordingError: Says which array does not fit, its shape, and the shape that is needed.
     """
     header, rows, nv = motion.header, motion.time.shape[0], len(motion.header.joint_names)
+    if header.samples is not None and header.samples != rows:
+        raise refusal(
+            path,
+            "damaged",
+            f"the file was written with {counted(header.samples, 'sample')} and holds {rows}: it was cut or changed "
+            "afterwards; write it again",
+        )
     if not nv:
         raise refusal(path, "no-joint-names", "the file names no joint")
     if len(set(header.joint_names)) != nv:

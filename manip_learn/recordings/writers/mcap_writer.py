@@ -54,7 +54,7 @@ def mcap_bytes(motion: SavedMotion) -> bytes:
     if motion.header.kind == "rollout":
         topics.append((ROLLOUT_TOPIC, ROLLOUT_SAMPLE if motion.following_error is None else FOLLOWED_SAMPLE))
     file = _McapFile(topics)
-    file.metadata(METADATA_NAME, {HEADER_KEY: motion.header.to_json()})
+    file.metadata(METADATA_NAME, {HEADER_KEY: motion.header.to_json(len(motion.time))})
     for stamp, messages in zip(stamps.tolist(), _messages(motion, stamps), strict=True):
         for channel, message in enumerate(messages, 1):
             file.message(channel, stamp, message)

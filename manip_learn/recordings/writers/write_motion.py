@@ -49,7 +49,7 @@ def csv_bytes(motion: SavedMotion) -> bytes:
     table = np.hstack([c for c in columns if c is not None])
     words = [[word] for word in motion.status] or [[]] * len(table)
     named = column_line(motion.header, motion.u is not None, motion.effort is not None)
-    lines = [MARK + motion.header.to_json(), named]
+    lines = [MARK + motion.header.to_json(len(motion.time)), named]
     lines += [",".join([*map(repr, row), *word]) for row, word in zip(table.tolist(), words, strict=True)]
     return ("\n".join(lines) + "\n").encode()
 
@@ -63,7 +63,7 @@ def jsonl_bytes(motion: SavedMotion) -> bytes:
             columns[name] = array.tolist()
     if motion.header.kind == "rollout":
         columns["status"] = [str(word) for word in motion.status]
-    lines = [motion.header.to_json()]
+    lines = [motion.header.to_json(len(motion.time))]
     for values in zip(*columns.values(), strict=True):
         sample = {name: _json_value(value) for name, value in zip(columns, values, strict=True)}
         lines.append(json.dumps(sample, allow_nan=False))
@@ -84,7 +84,7 @@ def npz_bytes(motion: SavedMotion) -> bytes:
     header = motion.header
     arrays: dict[str, np.ndarray | None] = {
         "format": np.array(PREFIX + header.kind),
-        "header": np.array(header.to_json()),
+        "header": np.array(header.to_json(len(motion.time))),
         "time": motion.time,
         "q": motion.q,
         "u": motion.u,
@@ -114,7 +114,7 @@ def joint_trajectory_bytes(motion: SavedMotion) -> bytes:
         raise OutputError("a JointTrajectory needs one position per joint, the motion has configurations")
     times = nanoseconds(motion.time, from_first=True).tolist()
     lines = [
-        MARK + motion.header.to_json(),
+        MARK + motion.header.to_json(len(motion.time)),
         f'# ros2 topic pub --once <controller>/joint_trajectory {TYPE} "$(cat FILE)"',
         '{"header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},',
         f' "joint_names": {json.dumps(list(names))},',
