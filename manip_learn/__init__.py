@@ -7,7 +7,10 @@ Avoidance".
 from __future__ import annotations
 
 import importlib
+import sys
 from typing import TYPE_CHECKING, Any
+
+from manip_learn.moved import MovedModules
 
 if TYPE_CHECKING:
     from manip_learn.constraint.constraint import Constraint
@@ -69,6 +72,8 @@ if TYPE_CHECKING:
     from manip_learn.robot.tips import likely_tips
 
 __version__ = "0.1.0"
+
+sys.meta_path.append(MovedModules())
 
 # loaded at first use, so that `import manip_learn` and `manip-learn --help` are quick
 _HOMES = {

@@ -16,7 +16,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CentreOfMass, FrameJacobian, RelativeFrameJacobian, Stacked
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
-from manip_learn.control import compiled_limits
+from manip_learn.control import controller as controller_module
 from manip_learn.control.compiled_controller import compiled_if_possible
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.limits import Limits
@@ -30,7 +30,7 @@ from manip_learn.errors import ConstraintError, MissingExtraError
 def without_numba(numba: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the kernels are plain Python they are not looked for."""
     if not numba:
-        monkeypatch.setattr(compiled_limits, "find_spec", lambda name: "plain Python instead")
+        monkeypatch.setattr(controller_module, "find_spec", lambda name: "plain Python instead")
 
 
 @both_ways
@@ -135,6 +135,6 @@ def test_without_numba_it_is_refused(robot_of: RobotOf, monkeypatch: pytest.Monk
     constraint = Constraint(np.eye(3), CentreOfMass(robot_of("sawyer")))
     with pytest.raises(ConstraintError, match="'qp', 'active-set' or 'compiled'"):
         ml.ResolvedRateController(constraint, solver="simplex")  # type: ignore[arg-type]
-    monkeypatch.setattr(compiled_limits, "find_spec", lambda name: None)
+    monkeypatch.setattr(controller_module, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match="fast"):
         ml.ResolvedRateController(constraint, solver="compiled")

@@ -14,7 +14,7 @@ from test_batch_rollout import same
 from test_mimic import load
 
 import manip_learn as ml
-from manip_learn.control import compiled_limits
+from manip_learn.control import controller as controller_module
 from manip_learn.control.command import Method
 from manip_learn.control.compiled_controller import why_not
 
@@ -25,7 +25,7 @@ READY = np.array([0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0])
 def without_numba(numba: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the kernels are plain Python they are not looked for."""
     if not numba:
-        monkeypatch.setattr(compiled_limits, "find_spec", lambda name: "plain Python instead")
+        monkeypatch.setattr(controller_module, "find_spec", lambda name: "plain Python instead")
 
 
 def tight(robot: ml.Robot, frames: tuple[str, ...], q: np.ndarray, rng: np.random.Generator) -> ml.Limits:

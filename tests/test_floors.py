@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import ast
+import re
+import tomllib
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 
-from library_source import Source, library, listed
+from library_source import PACKAGE, Source, library, listed
 
 # Floors of the library; "4" and "4'" never import each other: they meet in constraint/.
 FLOORS = {
     "errors": "0",
     "linalg": "0",
     "atomic_write": "0",
+    "moved": "0",
     "robot": "1",
     "recordings": "2",
     "constraint": "3",
@@ -32,7 +35,6 @@ ROOMS = {
     "rerun": {"playback"},
     "trimesh": {"robot", "playback"},
     "yourdfpy": {"robot", "playback"},
-    "defusedxml": {"robot", "playback"},
     "xacrodoc": {"robot"},
     "numba": {"robot", "control"},
     "casadi": {"control"},
@@ -49,6 +51,7 @@ ROOMS = {
     "distributed": {"experiments", "learning"},
     "pickle": set(),
 }
+IMPORTED_AS = {"pin": "pinocchio"}
 # a sentence and exit code 1 for our own failures, never a traceback; an arm in motion brakes, whatever a task of the
 # user's own, or a driver, raises
 LAST_LINES_OF_DEFENCE = ("cli.py", "control/servo_loop.py", "control/driver.py")
@@ -135,6 +138,16 @@ def test_third_parties_stay_in_their_rooms():
             if allowed is not None and source.top not in allowed:
                 faults.append(f"{source.relative}:{line} imports {target}")
     assert not faults, listed(faults)
+
+
+def test_every_dependency_is_imported():
+    """What pyproject.toml asks of each user is imported somewhere in the library."""
+    project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    names = {re.split(r"[<>=!~; ]", line)[0] for line in project["dependencies"]}
+    imported = {target.split(".")[0] for s in SOURCES for target, _line in s.imports()} | {
+        "meshcat"
+    }  # its viewer's script
+    assert {IMPORTED_AS.get(name, name) for name in names} - imported == set()
 
 
 def test_names_say_what_is_inside():

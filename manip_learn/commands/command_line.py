@@ -36,7 +36,7 @@ def parsed_by(options: type, run: Callable[[Any], None]) -> Callable[..., None]:
         run: Takes an object of it.
     """
     own = _parameters(options)
-    sets = {name: p.annotation for name, p in own.items() if dataclasses.is_dataclass(p.annotation)}
+    sets: dict[str, Any] = {name: p.annotation for name, p in own.items() if dataclasses.is_dataclass(p.annotation)}
     flags = {name: _parameters(kind) for name, kind in sets.items()}
 
     def with_options(**given: Any) -> None:

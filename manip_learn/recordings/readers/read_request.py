@@ -389,10 +389,10 @@ class ReadRequest:
     @staticmethod
     def of_words(words: dict[str, Any]) -> ReadRequest:
         """From what `as_words` gave; the robot is an outline of itself."""
-        parts = {name: tuple(values) for name, values in words["robot"].items()}
-        outline = RobotOutline(**parts | {"blocks": tuple(Block(*b) for b in parts["blocks"])})
+        parts: dict[str, Any] = {name: tuple(values) for name, values in words["robot"].items()}
+        parts["blocks"] = tuple(Block(*b) for b in parts["blocks"])
         chosen = None if words["chosen"] is None else frozenset(words["chosen"])
-        return ReadRequest(**words | {"robot": cast("Robot", outline), "chosen": chosen})
+        return ReadRequest(**words | {"robot": cast("Robot", RobotOutline(**parts)), "chosen": chosen})
 
 
 def _check_choice(option: str, value: object, allowed: tuple[object, ...]) -> None:
