@@ -74,11 +74,7 @@ def test_one_motion_needs_no_list(demos: ml.Demonstrations, sawyer: ml.Robot):
     ],
 )
 def test_refusals(
-    demos: ml.Demonstrations,
-    features: ml.FrameJacobian,
-    spoil: Callable[[ml.Trajectory], Any],
-    code: str,
-    words: str,
+    demos: ml.Demonstrations, features: ml.FrameJacobian, spoil: Callable[[ml.Trajectory], Any], code: str, words: str
 ):
     """What is wrong with the arrays, and which motion it is."""
     with pytest.raises(RecordingError, match=words) as caught:

@@ -265,11 +265,7 @@ WINDOWS_AT_A_TIME = 2048  # relative rotations in memory
 
 
 def smooth_pose(
-    time: Float[np.ndarray, " T"],
-    position: Float[np.ndarray, "T 3"],
-    rotation: Any,
-    half_width: int,
-    degree: int,
+    time: Float[np.ndarray, " T"], position: Float[np.ndarray, "T 3"], rotation: Any, half_width: int, degree: int
 ) -> tuple[Float[np.ndarray, "N 6"], Float[np.ndarray, "N 6"]]:
     """Pose and LOCAL twist at the centre of each window of 2 half_width + 1 samples.
 

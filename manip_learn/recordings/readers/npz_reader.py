@@ -57,11 +57,7 @@ class NpzArchive:
     """
 
     def __init__(
-        self,
-        path: Path,
-        numbers: Collection[str],
-        texts: Collection[str],
-        renamed: Callable[[str], str] = str,
+        self, path: Path, numbers: Collection[str], texts: Collection[str], renamed: Callable[[str], str] = str
     ):
         self.path = path
         self._members: dict[str, zipfile.ZipInfo] = {}

@@ -351,10 +351,7 @@ def compare_velocities(
 
 
 def check_velocities(
-    recording: Recording,
-    names: tuple[str, ...],
-    angular: Bool[np.ndarray, " nv"],
-    match: VelocityMatch,
+    recording: Recording, names: tuple[str, ...], angular: Bool[np.ndarray, " nv"], match: VelocityMatch
 ) -> list[str]:
     """Notes on recorded velocities that do not follow the positions.
 

@@ -113,10 +113,7 @@ def _refuse_radians(recording: Recording, request: ReadRequest, angles: Float[np
 
 
 def _in_radians(
-    recording: Recording,
-    request: ReadRequest,
-    q: Float[np.ndarray, "T nv"],
-    u: Float[np.ndarray, "T nv"] | None,
+    recording: Recording, request: ReadRequest, q: Float[np.ndarray, "T nv"], u: Float[np.ndarray, "T nv"] | None
 ) -> tuple[Float[np.ndarray, "T nv"], Float[np.ndarray, "T nv"] | None, list[str]]:
     robot, angular = request.robot, angular_coordinates(request.robot)
     if recording.trusted and request.units not in (None, "radians"):
@@ -173,10 +170,7 @@ def _unwrapped(robot: Robot, q: Float[np.ndarray, "T nv"]) -> tuple[Float[np.nda
     q = q.copy()
     q[:, wrapped] = np.unwrap(q[:, wrapped], axis=0)
     names = [robot.joint_names[i] for i in wrapped]
-    return q, [
-        *poses,
-        f"full turns added where the angle wraps (the posture is the same): {named('joint', names)}",
-    ]
+    return q, [*poses, f"full turns added where the angle wraps (the posture is the same): {named('joint', names)}"]
 
 
 def _continuous_poses(robot: Robot, q: Float[np.ndarray, "T nv"]) -> tuple[Float[np.ndarray, "T nv"], list[str]]:
