@@ -360,7 +360,8 @@ def two_kinds(path: Path) -> None:
     npz(time=TIME, q=Q, joint_names=np.array(JOINTS))(path / "b.npz")
 
 
-CASES = [*text_cases(), *number_cases(), *other_kind_cases(), *archive_cases(), *stub_cases()]
+CHAPTERS = (text_cases, number_cases, other_kind_cases, archive_cases, stub_cases)
+CASES = [case for chapter in CHAPTERS for case in chapter()]
 
 
 def write_corpus(target: Path) -> None:

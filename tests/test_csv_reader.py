@@ -8,6 +8,7 @@ from types import CodeType
 
 import numpy as np
 import pytest
+from case import case
 from hypothesis import given
 from hypothesis import strategies as st
 from recording_corpus import FULL, HEADER, TABLE, VELOCITIES, csv
@@ -45,18 +46,18 @@ def test_round_trip_is_exact(planar3: Robot, tmp_path: Path) -> None:
     np.testing.assert_array_equal(demos[0].u, FULL[:, 4:])
 
 
-@pytest.mark.parametrize(
-    ("delimiter", "mark"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("  ", ",")]
-)
-def test_delimiters_and_decimal_marks(delimiter: str, mark: str, planar3: Robot, tmp_path: Path) -> None:
+def test_delimiters_and_decimal_marks(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
     """The same table in six dialects is the same recording."""
-    path = written(tmp_path / "demo", csv(TABLE, delimiter=delimiter, mark=mark))
-    np.testing.assert_allclose(load_demonstrations(path, planar3)[0].q, TABLE[:, 1:], rtol=1e-8)
+    for delimiter, mark in [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("  ", ",")]:
+        with case(delimiter, mark):
+            tmp_path = tmp_path_factory.mktemp("case")
+            path = written(tmp_path / "demo", csv(TABLE, delimiter=delimiter, mark=mark))
+            np.testing.assert_allclose(load_demonstrations(path, planar3)[0].q, TABLE[:, 1:], rtol=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("line", "code", "column", "said"),
-    [
+def test_the_refused_line_is_named(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """File, line as an editor counts it (comments and blank lines too), column and the value seen."""
+    for line, code, column, said in [
         ("0.14,x1,1.9,0.07", "not-a-number", "joint1", "'x1'"),
         ("0.14,,1.9,0.07", "not-a-number", "joint1", "an empty field"),
         ("0.14,nan,1.9,0.07", "not-finite", "joint1", "nan"),
@@ -64,18 +65,15 @@ def test_delimiters_and_decimal_marks(delimiter: str, mark: str, planar3: Robot,
         ("0.12,0.1,1.9,0.07", "duplicate-time", "time", "0.12"),
         ("0.14,0.1,1.9", "ragged", None, "3 fields, the header has 4"),
         ("0.14,900,1.9,0.07", "outside-limits", "joint1", "900"),
-    ],
-)
-def test_the_refused_line_is_named(
-    line: str, code: str, column: str | None, said: str, planar3: Robot, tmp_path: Path
-) -> None:
-    """File, line as an editor counts it (comments and blank lines too), column and the value seen."""
-    lines = csv(TABLE).split("\n")
-    lines[8] = line
-    path = written(tmp_path / "demo.csv", "\n".join(["# one", "", *lines[:5], "# two", *lines[5:]]))
-    error = refusal(path, planar3)
-    assert (error.code, error.line, error.column, error.path) == (code, 12, column, path), str(error)
-    assert "demo.csv:12" in str(error) and said in str(error)
+    ]:
+        with case(line, code, column, said):
+            tmp_path = tmp_path_factory.mktemp("case")
+            lines = csv(TABLE).split("\n")
+            lines[8] = line
+            path = written(tmp_path / "demo.csv", "\n".join(["# one", "", *lines[:5], "# two", *lines[5:]]))
+            error = refusal(path, planar3)
+            assert (error.code, error.line, error.column, error.path) == (code, 12, column, path), str(error)
+            assert "demo.csv:12" in str(error) and said in str(error)
 
 
 def test_several_bad_rows_are_counted(planar3: Robot, tmp_path: Path) -> None:
@@ -98,26 +96,30 @@ def test_ignored_columns_may_hold_anything(planar3: Robot, tmp_path: Path) -> No
     assert refusal(path, planar3, ignore_columns=("phase",)).code == "ragged"
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
-def test_a_table_that_was_cut_off_loses_its_last_line_only(encoding: str, planar3: Robot, tmp_path: Path) -> None:
+def test_a_table_that_was_cut_off_loses_its_last_line_only(
+    planar3: Robot, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     """Wherever a table is cut within its last two rows, every number that is read is one that was written, and a
     row that is lost is said, with the option that reads it; a whole table without a final line end can be kept.
     """
-    content = csv(TABLE)
-    start = content.rindex("\n", 0, content.rindex("\n", 0, -1))
-    path = tmp_path / "demo.csv"
-    for end in range(start, len(content) + 1):
-        path.write_text(content[:end], encoding=encoding, newline="")
-        demos = load_demonstrations(path, planar3)
-        n = content[:end].count("\n") - 1
-        np.testing.assert_allclose(demos[0].q, TABLE[:n, 1:], rtol=1e-8)
-        is_cut = not content[:end].endswith("\n")
-        assert ("last_line='keep'" in " ".join(demos.notes)) == is_cut
-    path.write_text(content[:-1], encoding=encoding, newline="")
-    demos = load_demonstrations(path, planar3, last_line="keep")
-    assert demos.notes == () and demos.n_samples == len(TABLE)
-    path.write_text(content[:-14], encoding=encoding, newline="")
-    assert refusal(path, planar3, last_line="keep").code == "ragged"
+    for encoding in ["utf-8", "utf-16"]:
+        with case(encoding):
+            tmp_path = tmp_path_factory.mktemp("case")
+            content = csv(TABLE)
+            start = content.rindex("\n", 0, content.rindex("\n", 0, -1))
+            path = tmp_path / "demo.csv"
+            for end in range(start, len(content) + 1):
+                path.write_text(content[:end], encoding=encoding, newline="")
+                demos = load_demonstrations(path, planar3)
+                n = content[:end].count("\n") - 1
+                np.testing.assert_allclose(demos[0].q, TABLE[:n, 1:], rtol=1e-8)
+                is_cut = not content[:end].endswith("\n")
+                assert ("last_line='keep'" in " ".join(demos.notes)) == is_cut
+            path.write_text(content[:-1], encoding=encoding, newline="")
+            demos = load_demonstrations(path, planar3, last_line="keep")
+            assert demos.notes == () and demos.n_samples == len(TABLE)
+            path.write_text(content[:-14], encoding=encoding, newline="")
+            assert refusal(path, planar3, last_line="keep").code == "ragged"
 
 
 def test_a_comment_without_a_line_end_is_no_cut_line(planar3: Robot, tmp_path: Path) -> None:
@@ -218,12 +220,16 @@ def test_a_header_in_a_comment_is_the_last_one_before_the_numbers(planar3: Robot
     assert demos.notes == ("a.csv: the header was read from the comment in line 2",)
 
 
-@pytest.mark.parametrize("comment", ["recorded by hand", "1, 2, 3, 4", "time, joint1, joint2"])
-def test_a_comment_that_is_no_header_is_not_taken_for_one(comment: str, planar3: Robot, tmp_path: Path) -> None:
+def test_a_comment_that_is_no_header_is_not_taken_for_one(
+    planar3: Robot, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     """A remark, numbers, or names for another number of columns above the first row: refused, a header is needed."""
-    rows = csv(TABLE).partition("\n")[2]
-    error = refusal(written(tmp_path / "a.csv", f"# {comment}\n{rows}"), planar3)
-    assert error.code == "no-header" and ":2:" in str(error)
+    for comment in ["recorded by hand", "1, 2, 3, 4", "time, joint1, joint2"]:
+        with case(comment):
+            tmp_path = tmp_path_factory.mktemp("case")
+            rows = csv(TABLE).partition("\n")[2]
+            error = refusal(written(tmp_path / "a.csv", f"# {comment}\n{rows}"), planar3)
+            assert error.code == "no-header" and ":2:" in str(error)
 
 
 def test_a_header_may_hold_a_number(planar3: Robot, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case import case
 
 from manip_learn.cli import main
 from manip_learn.constraint.constraint import Constraint
@@ -142,23 +143,27 @@ def test_damaged_constraints(robot: Robot, rollout: Rollout, tmp_path: Path, rng
     assert 2 in codes
 
 
-@pytest.mark.parametrize("kind", ["complex", "text", "width", "status", "names"])
-def test_wrong_arrays_are_refused_by_name(kind: str, robot: Robot, rollout: Rollout, tmp_path: Path) -> None:
+def test_wrong_arrays_are_refused_by_name(
+    robot: Robot, rollout: Rollout, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     """Complex or text postures, another width, an unknown status, other joint names: the message says which."""
-    path = rollout.save(tmp_path / "run.npz")
-    with np.load(path) as archive:
-        arrays = dict(archive)
-    changes = {
-        "complex": ("q", arrays["q"].astype(complex), "'q' holds complex128"),
-        "text": ("q", arrays["q"].astype(str), "'q' holds <U"),
-        "width": ("q", arrays["q"][:, :2], r"q has shape \(12, 2\), \(12, 3\)"),
-        "status": ("status", np.array(["fine"] * T), "sample 0: the status is 'fine'"),
-        "names": ("joint_names", np.array(["a", "b", "c"]), "joint_names"),
-    }
-    name, value, words = changes[kind]
-    np.savez(path, **{**arrays, name: value})
-    with pytest.raises(RecordingError, match=words):
-        Rollout.load(path, robot)
+    for kind in ["complex", "text", "width", "status", "names"]:
+        with case(kind):
+            tmp_path = tmp_path_factory.mktemp("case")
+            path = rollout.save(tmp_path / "run.npz")
+            with np.load(path) as archive:
+                arrays = dict(archive)
+            changes = {
+                "complex": ("q", arrays["q"].astype(complex), "'q' holds complex128"),
+                "text": ("q", arrays["q"].astype(str), "'q' holds <U"),
+                "width": ("q", arrays["q"][:, :2], r"q has shape \(12, 2\), \(12, 3\)"),
+                "status": ("status", np.array(["fine"] * T), "sample 0: the status is 'fine'"),
+                "names": ("joint_names", np.array(["a", "b", "c"]), "joint_names"),
+            }
+            name, value, words = changes[kind]
+            np.savez(path, **{**arrays, name: value})
+            with pytest.raises(RecordingError, match=words):
+                Rollout.load(path, robot)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")

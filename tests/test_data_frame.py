@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from case import case
 
 import manip_learn as ml
 from manip_learn.errors import RecordingError
@@ -55,23 +56,24 @@ def test_learner_takes_frames(demos: ml.Demonstrations, sawyer: ml.Robot):
         np.testing.assert_array_equal(ml.ConstraintLearner(features).fit(given).constraint_.selection, selection)
 
 
-@pytest.mark.parametrize("kind", ["column", "named index", "durations", "dates", "shuffled", "foreign columns"])
-def test_frames_of_others(demos: ml.Demonstrations, sawyer: ml.Robot, kind: str):
+def test_frames_of_others(demos: ml.Demonstrations, sawyer: ml.Robot):
     """Times as a column or an index, columns in any order, and columns that are not needed."""
-    t = demos[0]
-    frame = ml.Demonstrations([t]).to_frame().drop(columns="trajectory")
-    joints = frame.drop(columns="time")
-    made = {
-        "column": frame,
-        "named index": frame.set_index("time"),
-        "durations": joints.set_index(pd.to_timedelta(t.time, unit="s")),
-        "dates": joints.set_index(pd.Timestamp("2026-01-01") + pd.to_timedelta(t.time, unit="s")),
-        "shuffled": frame[list(reversed(frame.columns))],
-        "foreign columns": frame.assign(seq=range(len(frame)), frame_id="base"),
-    }[kind]
-    back = ml.load_demonstrations(made, sawyer)
-    np.testing.assert_array_equal(back[0].q, t.q)
-    np.testing.assert_allclose(back[0].time - back[0].time[0], t.time - t.time[0], rtol=0, atol=2e-9)
+    for kind in ["column", "named index", "durations", "dates", "shuffled", "foreign columns"]:
+        with case(kind):
+            t = demos[0]
+            frame = ml.Demonstrations([t]).to_frame().drop(columns="trajectory")
+            joints = frame.drop(columns="time")
+            made = {
+                "column": frame,
+                "named index": frame.set_index("time"),
+                "durations": joints.set_index(pd.to_timedelta(t.time, unit="s")),
+                "dates": joints.set_index(pd.Timestamp("2026-01-01") + pd.to_timedelta(t.time, unit="s")),
+                "shuffled": frame[list(reversed(frame.columns))],
+                "foreign columns": frame.assign(seq=range(len(frame)), frame_id="base"),
+            }[kind]
+            back = ml.load_demonstrations(made, sawyer)
+            np.testing.assert_array_equal(back[0].q, t.q)
+            np.testing.assert_allclose(back[0].time - back[0].time[0], t.time - t.time[0], rtol=0, atol=2e-9)
 
 
 def test_refusals(demos: ml.Demonstrations, sawyer: ml.Robot):

@@ -7,6 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
+from case import case
 
 import manip_learn as ml
 from manip_learn.errors import RecordingError
@@ -52,9 +53,9 @@ def test_any_numbers_become_float64_in_native_order():
         np.testing.assert_array_equal(t.q, q)
 
 
-@pytest.mark.parametrize(
-    ("changes", "code", "words"),
-    [
+def test_refuses():
+    """What cannot be used is refused by name: the trajectory, the sample, the joint and the value."""
+    for changes, code, words in [
         ({"time": []}, "empty", "no samples"),
         ({"time": [0, 1, 2]}, "shape", "got"),
         ({"time": [[0, 1, 2, 3, 4]]}, "shape", "1 dimension"),
@@ -71,18 +72,16 @@ def test_any_numbers_become_float64_in_native_order():
         ({"q": [[0, 0], [0, np.nan], [0, 0], [0, 0], [0, 0]]}, "not-finite", "sample 1, joint 'b' is nan"),
         ({"u": [[0, 0], [0, 0], [0, 0], [-np.inf, 0], [0, 0]]}, "not-finite", "sample 3, joint 'a' is -inf"),
         ({"joint_names": ("a", "a")}, "duplicate-joint", "must differ"),
-    ],
-)
-def test_refuses(changes, code, words):
-    """What cannot be used is refused by name: the trajectory, the sample, the joint and the value."""
-    if "time" in changes and len(changes["time"]) == 0:
-        changes = {"time": [], "q": np.zeros((0, 2)), "u": np.zeros((0, 2))}
-    with pytest.raises(RecordingError) as caught:
-        trajectory(**changes)
-    assert words in str(caught.value)
-    assert str(caught.value).startswith("demo: ")
-    if code is not None:
-        assert caught.value.code == code
+    ]:
+        with case(changes, code, words):
+            if "time" in changes and len(changes["time"]) == 0:
+                changes = {"time": [], "q": np.zeros((0, 2)), "u": np.zeros((0, 2))}
+            with pytest.raises(RecordingError) as caught:
+                trajectory(**changes)
+            assert words in str(caught.value)
+            assert str(caught.value).startswith("demo: ")
+            if code is not None:
+                assert caught.value.code == code
 
 
 def test_velocities_may_be_missing():
@@ -131,19 +130,17 @@ def test_demonstrations_are_a_sequence():
     assert two in demos
 
 
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
+def test_demonstrations_refuse():
+    """None at all, another type, or other joints (in another order too) are refused with the reason."""
+    for content, words in [
         ([], "at least one"),
         ([trajectory(), "text"], "got str"),
         ([trajectory(), trajectory(name="other", joint_names=("b", "a"))], "other has the joints"),
         ([trajectory(), trajectory(name="other", joint_names=("a", "c"))], "same joints in the same order"),
-    ],
-)
-def test_demonstrations_refuse(content, words):
-    """None at all, another type, or other joints (in another order too) are refused with the reason."""
-    with pytest.raises(RecordingError, match=words):
-        Demonstrations(content)
+    ]:
+        with case(content, words):
+            with pytest.raises(RecordingError, match=words):
+                Demonstrations(content)
 
 
 def test_demonstrations_travel():

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case import case
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
@@ -57,23 +58,25 @@ def test_cuts_keep_them():
     np.testing.assert_allclose(halfway.effort, 0.5 * (EFFORT[1:] + EFFORT[:-1]))
 
 
-@pytest.mark.parametrize("ending", [".npz", ".csv", ".jsonl", ".mcap", ""])
-@pytest.mark.parametrize("with_velocities", [True, False])
-def test_own_formats_keep_them_exactly(ending: str, with_velocities: bool, tmp_path: Path):
+def test_own_formats_keep_them_exactly(tmp_path_factory: pytest.TempPathFactory):
     """Written and read again, bit for bit, beside velocities and without."""
-    pytest.importorskip({".mcap": "rosbags", "": "pyarrow"}.get(ending, "numpy"))
-    u = np.column_stack([np.cos(TIME), -np.sin(TIME), 0.3 + 0.0 * TIME]) if with_velocities else None
-    motion, path = motion_of_trajectory(trajectory(u), ROBOT), tmp_path / f"out{ending}"
-    if ending == "":
-        from manip_learn.recordings.writers.lerobot_writer import write_lerobot
+    for ending in [".npz", ".csv", ".jsonl", ".mcap", ""]:
+        for with_velocities in [True, False]:
+            with case(ending, with_velocities):
+                tmp_path = tmp_path_factory.mktemp("case")
+                pytest.importorskip({".mcap": "rosbags", "": "pyarrow"}.get(ending, "numpy"))
+                u = np.column_stack([np.cos(TIME), -np.sin(TIME), 0.3 + 0.0 * TIME]) if with_velocities else None
+                motion, path = motion_of_trajectory(trajectory(u), ROBOT), tmp_path / f"out{ending}"
+                if ending == "":
+                    from manip_learn.recordings.writers.lerobot_writer import write_lerobot
 
-        write_lerobot(path, [motion])
-    else:
-        content = {".npz": npz_bytes, ".csv": csv_bytes, ".jsonl": jsonl_bytes, ".mcap": mcap_bytes}
-        path.write_bytes(content[ending](motion))
-    (again,) = load_demonstrations(path, ROBOT)
-    assert again.effort is not None and again.effort.tobytes() == EFFORT.tobytes()
-    assert (again.u is not None) == with_velocities
+                    write_lerobot(path, [motion])
+                else:
+                    content = {".npz": npz_bytes, ".csv": csv_bytes, ".jsonl": jsonl_bytes, ".mcap": mcap_bytes}
+                    path.write_bytes(content[ending](motion))
+                (again,) = load_demonstrations(path, ROBOT)
+                assert again.effort is not None and again.effort.tobytes() == EFFORT.tobytes()
+                assert (again.u is not None) == with_velocities
 
 
 def test_a_trajectory_for_a_controller_has_none(tmp_path: Path):
@@ -83,13 +86,15 @@ def test_a_trajectory_for_a_controller_has_none(tmp_path: Path):
     assert "effort" not in (tmp_path / "out.yaml").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("pattern", ["{}_effort", "effort_{}", "effort.{}", "tau_{}", "{}_torque", "tau/{}"])
-def test_tables_say_it_in_several_ways(pattern: str, tmp_path: Path):
+def test_tables_say_it_in_several_ways(tmp_path_factory: pytest.TempPathFactory):
     """By name, in whatever order the columns stand."""
-    names = [*NAMES, *(pattern.format(j) for j in NAMES[::-1])]
-    write_table(tmp_path / "demo.csv", names, np.hstack([Q, EFFORT[:, ::-1]]))
-    (t,) = load_demonstrations(tmp_path / "demo.csv", ROBOT)
-    np.testing.assert_array_equal(t.effort, EFFORT)
+    for pattern in ["{}_effort", "effort_{}", "effort.{}", "tau_{}", "{}_torque", "tau/{}"]:
+        with case(pattern):
+            tmp_path = tmp_path_factory.mktemp("case")
+            names = [*NAMES, *(pattern.format(j) for j in NAMES[::-1])]
+            write_table(tmp_path / "demo.csv", names, np.hstack([Q, EFFORT[:, ::-1]]))
+            (t,) = load_demonstrations(tmp_path / "demo.csv", ROBOT)
+            np.testing.assert_array_equal(t.effort, EFFORT)
 
 
 def test_tables_of_other_programs(tmp_path: Path):

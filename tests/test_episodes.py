@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case import case
 from recording_corpus import TABLE, csv
 
 from manip_learn.cli import main
@@ -84,27 +85,26 @@ def numbers(demonstrations: Demonstrations) -> list[int]:
     return [int(t.name.rpartition(" ")[2]) for t in demonstrations]
 
 
-@pytest.mark.parametrize(
-    ("text", "known", "chosen"),
-    [
+def test_text_selects_as_python_counts() -> None:
+    """Ranges are half-open, from 0, and may go beyond the last episode."""
+    for text, known, chosen in [
         ("0:3", 10, {0, 1, 2}),
         ("0:2,5, 7", 10, {0, 1, 5, 7}),
         ("8:", 10, {8, 9}),
         (":2", 10, {0, 1}),
         ("0:99", 3, {0, 1, 2}),
-    ],
-)
-def test_text_selects_as_python_counts(text: str, known: int, chosen: set[int]) -> None:
-    """Ranges are half-open, from 0, and may go beyond the last episode."""
-    assert EpisodeSelection.of(text).of_known(range(known), "here") == chosen
+    ]:
+        with case(text, known, chosen):
+            assert EpisodeSelection.of(text).of_known(range(known), "here") == chosen
 
 
-@pytest.mark.parametrize("text", ["", "a", "1-3", "3,", "-1", "1:2:3", "1.5", [], [-1], [1.5], ["1"], 2.5, True])
-def test_what_is_no_selection_is_refused(text) -> None:
+def test_what_is_no_selection_is_refused() -> None:
     """One sentence that shows how it is written."""
-    with pytest.raises(RecordingError, match="0:50,60,75") as caught:
-        EpisodeSelection.of(text)
-    assert caught.value.code == "option"
+    for text in ["", "a", "1-3", "3,", "-1", "1:2:3", "1.5", [], [-1], [1.5], ["1"], 2.5, True]:
+        with case(text):
+            with pytest.raises(RecordingError, match="0:50,60,75") as caught:
+                EpisodeSelection.of(text)
+            assert caught.value.code == "option"
 
 
 def test_files_are_selected_by_natural_order(planar3: Robot, folder: Path) -> None:
@@ -116,37 +116,43 @@ def test_files_are_selected_by_natural_order(planar3: Robot, folder: Path) -> No
     assert [t.name for t in load_demonstrations(folder, planar3, episodes=range(1, 3))] == ["demo_2.csv", "demo_3.csv"]
 
 
-@pytest.mark.parametrize("version", MADE)
-def test_lerobot_episodes_by_number(version: str, planar3: Robot, tmp_path: Path) -> None:
+def test_lerobot_episodes_by_number(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
     """The number is the episode's own, in both versions of the format, in memory and streamed."""
-    root = MADE[version](tmp_path / "set")
-    demos = load_demonstrations(root, planar3, units="radians", episodes="1:3")
-    assert numbers(demos) == [1, 2]
-    np.testing.assert_allclose([t.q[0, 0] for t in demos], [0.01, 0.02], atol=1e-6)
-    assert any("2 of 4 episodes selected" in note for note in demos.notes)
-    source = RecordingSource(root, planar3, units="radians", episodes="0,3")
-    assert numbers(Demonstrations(t for i in range(source.n_parts) for t in source.part(i))) == [0, 3]
+    for version in MADE:
+        with case(version):
+            tmp_path = tmp_path_factory.mktemp("case")
+            root = MADE[version](tmp_path / "set")
+            demos = load_demonstrations(root, planar3, units="radians", episodes="1:3")
+            assert numbers(demos) == [1, 2]
+            np.testing.assert_allclose([t.q[0, 0] for t in demos], [0.01, 0.02], atol=1e-6)
+            assert any("2 of 4 episodes selected" in note for note in demos.notes)
+            source = RecordingSource(root, planar3, units="radians", episodes="0,3")
+            assert numbers(Demonstrations(t for i in range(source.n_parts) for t in source.part(i))) == [0, 3]
 
 
-@pytest.mark.parametrize("version", MADE)
-def test_lerobot_episodes_by_task(version: str, planar3: Robot, tmp_path: Path) -> None:
+def test_lerobot_episodes_by_task(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
     """All episodes that show the task, alone or with others; together with numbers, those that satisfy both."""
-    root = MADE[version](tmp_path / "set")
-    demos = load_demonstrations(root, planar3, units="radians", task="open the  Drawer")
-    assert numbers(demos) == [0, 1, 2]
-    demos = load_demonstrations(root, planar3, units="radians", task="Open the drawer", episodes="2:")
-    assert numbers(demos) == [2]
-    with pytest.raises(RecordingError, match=r"none of the episodes 0:2 shows the task 'Close it'; it is shown by 3"):
-        load_demonstrations(root, planar3, units="radians", task="Close it", episodes="0:2")
+    for version in MADE:
+        with case(version):
+            tmp_path = tmp_path_factory.mktemp("case")
+            root = MADE[version](tmp_path / "set")
+            demos = load_demonstrations(root, planar3, units="radians", task="open the  Drawer")
+            assert numbers(demos) == [0, 1, 2]
+            demos = load_demonstrations(root, planar3, units="radians", task="Open the drawer", episodes="2:")
+            assert numbers(demos) == [2]
+            with pytest.raises(RecordingError, match="0:2 shows the task 'Close it'; it is shown by 3"):
+                load_demonstrations(root, planar3, units="radians", task="Close it", episodes="0:2")
 
 
-@pytest.mark.parametrize("version", MADE)
-def test_a_task_that_does_not_exist_names_near_ones(version: str, planar3: Robot, tmp_path: Path) -> None:
+def test_a_task_that_does_not_exist_names_near_ones(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
     """A misspelt task is answered with the tasks that it may mean."""
-    root = MADE[version](tmp_path / "set")
-    with pytest.raises(UnknownNameError, match="did you mean 'Open the drawer'") as caught:
-        load_demonstrations(root, planar3, units="radians", task="Open the drawr")
-    assert caught.value.kind == "task"
+    for version in MADE:
+        with case(version):
+            tmp_path = tmp_path_factory.mktemp("case")
+            root = MADE[version](tmp_path / "set")
+            with pytest.raises(UnknownNameError, match="did you mean 'Open the drawer'") as caught:
+                load_demonstrations(root, planar3, units="radians", task="Open the drawr")
+            assert caught.value.kind == "task"
 
 
 def test_episodes_that_do_not_exist_name_near_ones(planar3: Robot, folder: Path, tmp_path: Path) -> None:
@@ -172,14 +178,16 @@ def test_tasks_need_a_data_set_that_names_them(planar3: Robot, folder: Path, tmp
     assert numbers(load_demonstrations(root, planar3, units="radians", episodes="1")) == [1]
 
 
-@pytest.mark.parametrize("content", ["{", "[1]\n", '{"episode_index": "a", "tasks": []}\n', "\xff"])
-def test_damaged_lists_of_episodes_are_refused(content: str, planar3: Robot, tmp_path: Path) -> None:
+def test_damaged_lists_of_episodes_are_refused(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
     """What is not JSON lines, or describes no episode, is an error that names the file."""
-    root = version_2(tmp_path / "set")
-    (root / "meta" / "episodes.jsonl").write_bytes(content.encode("latin-1"))
-    with pytest.raises(RecordingError, match="meta") as caught:
-        load_demonstrations(root, planar3, units="radians", task="Open the drawer")
-    assert caught.value.code == "damaged"
+    for content in ["{", "[1]\n", '{"episode_index": "a", "tasks": []}\n', "\xff"]:
+        with case(content):
+            tmp_path = tmp_path_factory.mktemp("case")
+            root = version_2(tmp_path / "set")
+            (root / "meta" / "episodes.jsonl").write_bytes(content.encode("latin-1"))
+            with pytest.raises(RecordingError, match="meta") as caught:
+                load_demonstrations(root, planar3, units="radians", task="Open the drawer")
+            assert caught.value.code == "damaged"
 
 
 def test_two_data_sets_have_no_common_numbers(planar3: Robot, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case import case
 from test_saved_files import arm, rollout_of
 
 from manip_learn.cli import main
@@ -41,30 +42,35 @@ def robot(folder: Path) -> Robot:
     return load_robot(folder / "arm.urdf")
 
 
-@pytest.mark.parametrize("to", ["mcap", "csv", "lerobot", "trajectory"])
-def test_recordings_come_back(to: str, folder: Path, robot: Robot, tmp_path: Path, capsys) -> None:
+def test_recordings_come_back(folder: Path, robot: Robot, tmp_path_factory: pytest.TempPathFactory, capsys) -> None:
     """Positions and velocities bit for bit in each format; times too, or to the nanosecond where the format has those.
     Another robot is refused.
     """
-    pytest.importorskip({"mcap": "rosbags", "lerobot": "pyarrow"}.get(to, "numpy"))
-    out = tmp_path / "out"
-    assert (
-        main(["export", str(folder / "arm.urdf"), str(folder / "demos"), "--out", str(out), "--to", to, "--json"]) == 0
-    )
-    answer = json.loads(capsys.readouterr().out)
-    assert (answer["format"], answer["trajectories"], answer["samples"]) == (to, 2, 80)
-    assert len(answer["files"]) == (1 if to == "lerobot" else 2)
-    before, after = load_demonstrations(folder / "demos", robot), load_demonstrations(out, robot)
-    assert len(after) == 2
-    for a, b in zip(before, after, strict=True):
-        assert a.q.tobytes() == b.q.tobytes()
-        assert a.u is not None and b.u is not None and a.u.tobytes() == b.u.tobytes()
-        if to in ("csv", "lerobot"):
-            assert a.time.tobytes() == b.time.tobytes()
-        np.testing.assert_array_equal(np.rint(1e9 * a.time), np.rint(1e9 * b.time))
-    with pytest.raises(RecordingError, match="'arm'") as caught:
-        load_demonstrations(out, load_robot(folder / "longer.urdf"))
-    assert caught.value.code == "other-robot"
+    for to in ["mcap", "csv", "lerobot", "trajectory"]:
+        with case(to):
+            tmp_path = tmp_path_factory.mktemp("case")
+            pytest.importorskip({"mcap": "rosbags", "lerobot": "pyarrow"}.get(to, "numpy"))
+            out = tmp_path / "out"
+            assert (
+                main(
+                    ["export", str(folder / "arm.urdf"), str(folder / "demos"), "--out", str(out), "--to", to, "--json"]
+                )
+                == 0
+            )
+            answer = json.loads(capsys.readouterr().out)
+            assert (answer["format"], answer["trajectories"], answer["samples"]) == (to, 2, 80)
+            assert len(answer["files"]) == (1 if to == "lerobot" else 2)
+            before, after = load_demonstrations(folder / "demos", robot), load_demonstrations(out, robot)
+            assert len(after) == 2
+            for a, b in zip(before, after, strict=True):
+                assert a.q.tobytes() == b.q.tobytes()
+                assert a.u is not None and b.u is not None and a.u.tobytes() == b.u.tobytes()
+                if to in ("csv", "lerobot"):
+                    assert a.time.tobytes() == b.time.tobytes()
+                np.testing.assert_array_equal(np.rint(1e9 * a.time), np.rint(1e9 * b.time))
+            with pytest.raises(RecordingError, match="'arm'") as caught:
+                load_demonstrations(out, load_robot(folder / "longer.urdf"))
+            assert caught.value.code == "other-robot"
 
 
 def test_a_rollout_with_a_locked_joint(folder: Path, tmp_path: Path, capsys) -> None:
@@ -116,18 +122,17 @@ def test_lerobot_metadata(folder: Path, tmp_path: Path) -> None:
     assert pq.read_table(out / "meta/tasks.parquet").num_rows == info["total_tasks"] == 1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
+def test_wrong_outputs_are_refused(folder: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch, capsys):
+    """Unknown formats, contradictions, and several trajectories for one file: one sentence, exit code 2, no file."""
+    for arguments, words in [
         (["--out", "a.xyz"], "ending says the format"),
         (["--out", "a.mcap", "--to", "csv"], "ending says the format"),
         (["--out", "a", "--to", "hdf5"], "--to must be one of"),
         (["--out", "a.csv"], "name a folder"),
-    ],
-)
-def test_wrong_outputs_are_refused(arguments: list[str], words: str, folder: Path, tmp_path: Path, monkeypatch, capsys):
-    """Unknown formats, contradictions, and several trajectories for one file: one sentence, exit code 2, no file."""
-    monkeypatch.chdir(tmp_path)
-    assert main(["export", str(folder / "arm.urdf"), str(folder / "demos"), *arguments]) == 2
-    assert words in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
+    ]:
+        with case(arguments, words):
+            tmp_path = tmp_path_factory.mktemp("case")
+            monkeypatch.chdir(tmp_path)
+            assert main(["export", str(folder / "arm.urdf"), str(folder / "demos"), *arguments]) == 2
+            assert words in capsys.readouterr().err
+            assert not list(tmp_path.iterdir())

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case import case
 
 from manip_learn.cli import main
 from manip_learn.errors import RecordingError
@@ -119,36 +120,40 @@ def keywords(flags: list[str]) -> dict[str, object]:
     return {"columns": flags[1::2]} if flags else {}
 
 
-@pytest.mark.parametrize("name", FORMATS)
-def test_the_table_is_read(name: str, planar3: Robot, tmp_path: Path) -> None:
+def test_the_table_is_read(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Positions, velocities and stamps come back in the robot's order and in s; the note says what was read."""
-    write, flags, said = FORMATS[name]
-    assert sum(f.startswith("--") for f in flags) <= 2
-    path = tmp_path / "demo.csv"
-    path.write_text(write())
-    demos = load_demonstrations(path, planar3, **keywords(flags))
-    np.testing.assert_array_equal(demos[0].q, Q)
-    np.testing.assert_allclose(demos[0].time - demos[0].time[0], TIME, atol=1e-6)
-    if name in WITH_VELOCITY:
-        np.testing.assert_array_equal(demos[0].u, U)
-    else:
-        assert demos[0].u is None
-    assert any(said in note for note in demos.notes), demos.notes
+    for name in FORMATS:
+        with case(name):
+            tmp_path = tmp_path_factory.mktemp("case")
+            write, flags, said = FORMATS[name]
+            assert sum(f.startswith("--") for f in flags) <= 2
+            path = tmp_path / "demo.csv"
+            path.write_text(write())
+            demos = load_demonstrations(path, planar3, **keywords(flags))
+            np.testing.assert_array_equal(demos[0].q, Q)
+            np.testing.assert_allclose(demos[0].time - demos[0].time[0], TIME, atol=1e-6)
+            if name in WITH_VELOCITY:
+                np.testing.assert_array_equal(demos[0].u, U)
+            else:
+                assert demos[0].u is None
+            assert any(said in note for note in demos.notes), demos.notes
 
 
-@pytest.mark.parametrize("name", [n for n in FORMATS if FORMATS[n][1]])
-def test_the_error_prints_the_flags_to_type(name: str, tmp_path: Path, capsys) -> None:
+def test_the_error_prints_the_flags_to_type(tmp_path_factory: pytest.TempPathFactory, capsys) -> None:
     """Without flags the command refuses, and what it advises, typed as it stands, reads the table."""
-    path = tmp_path / "demo.csv"
-    path.write_text(FORMATS[name][0]())
-    words = ["export", "planar3", str(path), "--out", str(tmp_path / "out.csv")]
-    assert main(words) == 2
-    said = capsys.readouterr().err
-    flags = re.findall(r"--columns '[^']+'", said)
-    assert flags, said
-    assert main([*words, *shlex.split(" ".join(flags))]) == 0, capsys.readouterr().err
-    written = load_demonstrations(tmp_path / "out.csv", load_robot("planar3"))
-    np.testing.assert_array_equal(written[0].q, Q)
+    for name in [n for n in FORMATS if FORMATS[n][1]]:
+        with case(name):
+            tmp_path = tmp_path_factory.mktemp("case")
+            path = tmp_path / "demo.csv"
+            path.write_text(FORMATS[name][0]())
+            words = ["export", "planar3", str(path), "--out", str(tmp_path / "out.csv")]
+            assert main(words) == 2
+            said = capsys.readouterr().err
+            flags = re.findall(r"--columns '[^']+'", said)
+            assert flags, said
+            assert main([*words, *shlex.split(" ".join(flags))]) == 0, capsys.readouterr().err
+            written = load_demonstrations(tmp_path / "out.csv", load_robot("planar3"))
+            np.testing.assert_array_equal(written[0].q, Q)
 
 
 def refused(path: Path, robot: Robot, text: str, **options: object) -> RecordingError:

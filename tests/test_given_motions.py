@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from case import case
 
 import manip_learn as ml
 from manip_learn.errors import RecordingError
@@ -58,9 +58,9 @@ def test_one_motion_needs_no_list(demos: ml.Demonstrations, sawyer: ml.Robot):
         assert (held[0].u is not None) == (isinstance(given, tuple) and len(given) == 3)
 
 
-@pytest.mark.parametrize(
-    ("spoil", "code", "words"),
-    [
+def test_refusals(demos: ml.Demonstrations, features: ml.FrameJacobian):
+    """What is wrong with the arrays, and which motion it is."""
+    for spoil, code, words in [
         (lambda t: t.q, "type", "times are not known"),
         (lambda t: [t.q], "type", "motion 1 must be a Trajectory"),
         (lambda t: (t.time, t.q[:, :6]), "shape", "q has 6 columns, robot 'sawyer' has 7 joints"),
@@ -71,15 +71,11 @@ def test_one_motion_needs_no_list(demos: ml.Demonstrations, sawyer: ml.Robot):
         (lambda t: "demo.csv", "type", "load_demonstrations"),
         (lambda t: [5], "type", "got int"),
         (lambda t: 5, "type", "got int"),
-    ],
-)
-def test_refusals(
-    demos: ml.Demonstrations, features: ml.FrameJacobian, spoil: Callable[[ml.Trajectory], Any], code: str, words: str
-):
-    """What is wrong with the arrays, and which motion it is."""
-    with pytest.raises(RecordingError, match=words) as caught:
-        ml.ConstraintLearner(features).fit(spoil(demos[0]))
-    assert caught.value.code == code
+    ]:
+        with case(spoil, code, words):
+            with pytest.raises(RecordingError, match=words) as caught:
+                ml.ConstraintLearner(features).fit(spoil(demos[0]))
+            assert caught.value.code == code
 
 
 def test_system_without_robot():

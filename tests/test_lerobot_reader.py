@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from case import case
 
 from manip_learn.cli import main
 from manip_learn.errors import RecordingError
@@ -81,15 +82,17 @@ def planar3() -> Robot:
     return load_robot("planar3")
 
 
-@pytest.mark.parametrize("kind", ["fixed", "list", "large"])
-def test_version_2_round_trip(kind: str, planar3: Robot, tmp_path: Path) -> None:
+def test_version_2_round_trip(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
     """One trajectory per file, in natural order, float32 as stored."""
-    demos = load_demonstrations(version_2(tmp_path / "set", kind=kind), planar3, units="radians")
-    assert [t.name for t in demos] == [f"set episode {i}" for i in (0, 1, 2, 10)]
-    for t, i in zip(demos, (0, 1, 2, 10), strict=True):
-        np.testing.assert_array_equal(t.q, motion(i).astype(np.float32))
-        np.testing.assert_allclose(t.time, np.arange(80) / FPS, rtol=0, atol=1e-6)
-        assert t.u is None
+    for kind in ["fixed", "list", "large"]:
+        with case(kind):
+            tmp_path = tmp_path_factory.mktemp("case")
+            demos = load_demonstrations(version_2(tmp_path / "set", kind=kind), planar3, units="radians")
+            assert [t.name for t in demos] == [f"set episode {i}" for i in (0, 1, 2, 10)]
+            for t, i in zip(demos, (0, 1, 2, 10), strict=True):
+                np.testing.assert_array_equal(t.q, motion(i).astype(np.float32))
+                np.testing.assert_allclose(t.time, np.arange(80) / FPS, rtol=0, atol=1e-6)
+                assert t.u is None
 
 
 def test_version_3_round_trip(planar3: Robot, tmp_path: Path) -> None:
@@ -127,41 +130,46 @@ def test_a_single_file_finds_its_data_set(planar3: Robot, tmp_path: Path) -> Non
     np.testing.assert_array_equal(demos[0].q, motion(1).astype(np.float32)[:, ::-1])
 
 
-@pytest.mark.parametrize(
-    ("scale", "units", "guess"),
-    [(1.0, "radians", "'radians'"), (57.29578, "degrees", "'degrees'"), (30.0, "normalised", "'normalised'")],
-)
-def test_units_are_never_guessed(scale: float, units, guess: str, planar3: Robot, tmp_path: Path) -> None:
+def test_units_are_never_guessed(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Not stated: refused, with what the values look like. Stated: converted, with a note unless they are radians."""
-    root = version_2(tmp_path / "set", scale=scale)
-    with pytest.raises(RecordingError, match=guess) as caught:
-        load_demonstrations(root, planar3)
-    assert caught.value.code == "units"
-    demos = load_demonstrations(root, planar3, units=units)
-    factor = {"radians": 1.0, "degrees": np.pi / 180, "normalised": 12.5 / 100}[units]
-    np.testing.assert_allclose(demos[2].q, motion(2) * scale * factor, rtol=1e-6, atol=1e-6)
-    assert bool(demos.notes) == (units != "radians")
+    for scale, units, guess in [
+        (1.0, "radians", "'radians'"),
+        (57.29578, "degrees", "'degrees'"),
+        (30.0, "normalised", "'normalised'"),
+    ]:
+        with case(scale, units, guess):
+            tmp_path = tmp_path_factory.mktemp("case")
+            root = version_2(tmp_path / "set", scale=scale)
+            with pytest.raises(RecordingError, match=guess) as caught:
+                load_demonstrations(root, planar3)
+            assert caught.value.code == "units"
+            demos = load_demonstrations(root, planar3, units=units)
+            factor = {"radians": 1.0, "degrees": np.pi / 180, "normalised": 12.5 / 100}[units]
+            np.testing.assert_allclose(demos[2].q, motion(2) * scale * factor, rtol=1e-6, atol=1e-6)
+            assert bool(demos.notes) == (units != "radians")
 
 
-@pytest.mark.parametrize("units", ["degrees", "normalised"])
-def test_grippers_are_in_percent(units, robot_of, tmp_path: Path) -> None:
+def test_grippers_are_in_percent(robot_of, tmp_path_factory: pytest.TempPathFactory) -> None:
     """LeRobot keeps the gripper in 0 .. 100 whatever the unit of the arm; '.pos' is taken off the names; both said."""
-    robot = load_robot("so101")
-    n = 40
-    names = [f"{j}.pos" for j in robot.joint_names]
-    state = np.tile(np.linspace(-20.0, 20.0, n)[:, None], (1, robot.nv))
-    g = robot.joint_names.index("gripper")
-    state[:, g] = np.linspace(0.0, 100.0, n)
-    description = info(names)
-    root = dataset(tmp_path / "set", description, {"data/chunk-000/episode_000000.parquet": table({0: state})})
-    demos = load_demonstrations(root, robot, units=units)
-    np.testing.assert_allclose(
-        demos[0].q[[0, -1], g], [robot.position_lower[g], robot.position_upper[g]], rtol=0, atol=1e-6
-    )
-    if units == "degrees":
-        np.testing.assert_allclose(demos[0].q[:, g - 1], np.radians(state[:, g - 1]), rtol=0, atol=1e-6)
-    said = " ".join(demos.notes)
-    assert "gripper" in said and ".pos" in said
+    for units in ["degrees", "normalised"]:
+        with case(units):
+            tmp_path = tmp_path_factory.mktemp("case")
+            robot = load_robot("so101")
+            n = 40
+            names = [f"{j}.pos" for j in robot.joint_names]
+            state = np.tile(np.linspace(-20.0, 20.0, n)[:, None], (1, robot.nv))
+            g = robot.joint_names.index("gripper")
+            state[:, g] = np.linspace(0.0, 100.0, n)
+            description = info(names)
+            root = dataset(tmp_path / "set", description, {"data/chunk-000/episode_000000.parquet": table({0: state})})
+            demos = load_demonstrations(root, robot, units=units)
+            np.testing.assert_allclose(
+                demos[0].q[[0, -1], g], [robot.position_lower[g], robot.position_upper[g]], rtol=0, atol=1e-6
+            )
+            if units == "degrees":
+                np.testing.assert_allclose(demos[0].q[:, g - 1], np.radians(state[:, g - 1]), rtol=0, atol=1e-6)
+            said = " ".join(demos.notes)
+            assert "gripper" in said and ".pos" in said
 
 
 def test_velocities_in_the_state_or_beside_it(planar3: Robot, tmp_path: Path) -> None:
@@ -178,9 +186,9 @@ def test_velocities_in_the_state_or_beside_it(planar3: Robot, tmp_path: Path) ->
     np.testing.assert_array_equal(demos[0].u, u)
 
 
-@pytest.mark.parametrize(
-    ("names", "read"),
-    [
+def test_names_come_in_many_forms() -> None:
+    """Lists, groups and index tables are understood, everything else is no name."""
+    for names, read in [
         (["a", "b"], ("a", "b")),
         ({"motors": ["a", "b"]}, ("a", "b")),
         ({"arm": ["a"], "hand": ["b"]}, ("a", "b")),
@@ -192,11 +200,9 @@ def test_velocities_in_the_state_or_beside_it(planar3: Robot, tmp_path: Path) ->
         ([1, 2], None),
         ("ab", None),
         ({"motors": "ab"}, None),
-    ],
-)
-def test_names_come_in_many_forms(names: Any, read: tuple[str, ...] | None) -> None:
-    """Lists, groups and index tables are understood, everything else is no name."""
-    assert entry_names(names) == read
+    ]:
+        with case(names, read):
+            assert entry_names(names) == read
 
 
 def test_missing_values_and_ragged_samples_are_refused(planar3: Robot, tmp_path: Path) -> None:
@@ -216,9 +222,9 @@ def test_missing_values_and_ragged_samples_are_refused(planar3: Robot, tmp_path:
         assert caught.value.code == code
 
 
-@pytest.mark.parametrize(
-    ("description", "code"),
-    [
+def test_metadata_that_does_not_fit_is_refused(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Another version, no state, names that do not fit: refused by name."""
+    for description, code in [
         ({"codebase_version": "v1.6"}, "version"),
         ({"codebase_version": "v2.1", "features": {}}, "no-state"),
         ({"codebase_version": "v2.1"}, "no-state"),
@@ -226,14 +232,13 @@ def test_missing_values_and_ragged_samples_are_refused(planar3: Robot, tmp_path:
         (info(["a"]), "shape"),
         (info(None), "no-joint-names"),
         (info(["a", "b", "c"]), "missing-joint"),
-    ],
-)
-def test_metadata_that_does_not_fit_is_refused(description: Any, code: str, planar3: Robot, tmp_path: Path) -> None:
-    """Another version, no state, names that do not fit: refused by name."""
-    root = dataset(tmp_path / "set", description, {"data/a.parquet": table({0: motion(0)})})
-    with pytest.raises(RecordingError) as caught:
-        load_demonstrations(root, planar3, units="radians")
-    assert caught.value.code == code
+    ]:
+        with case(description, code):
+            tmp_path = tmp_path_factory.mktemp("case")
+            root = dataset(tmp_path / "set", description, {"data/a.parquet": table({0: motion(0)})})
+            with pytest.raises(RecordingError) as caught:
+                load_demonstrations(root, planar3, units="radians")
+            assert caught.value.code == code
 
 
 def test_paths_in_the_metadata_are_not_followed(planar3: Robot, tmp_path: Path) -> None:
@@ -304,14 +309,16 @@ KEY = "observation.state.joint_position"
 NAMED = {"joint_names": JOINTS, "units": "radians", "feature": KEY}
 
 
-@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
-def test_joints_under_another_key_are_read(version: str, planar3: Robot, tmp_path: Path) -> None:
+def test_joints_under_another_key_are_read(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
     """`feature` names the key, its velocities come along, and episodes are selected as ever."""
-    demos = load_demonstrations(droid(tmp_path / "set", version), planar3, **NAMED, episodes="1:3")
-    assert [t.name for t in demos] == ["set episode 1", "set episode 2"]
-    for t, i in zip(demos, (1, 2), strict=True):
-        np.testing.assert_array_equal(t.q, motion(i).astype(np.float32))
-        np.testing.assert_array_equal(t.u, np.gradient(motion(i), 1 / FPS, axis=0).astype(np.float32))
+    for version in ["v2.1", "v3.0"]:
+        with case(version):
+            tmp_path = tmp_path_factory.mktemp("case")
+            demos = load_demonstrations(droid(tmp_path / "set", version), planar3, **NAMED, episodes="1:3")
+            assert [t.name for t in demos] == ["set episode 1", "set episode 2"]
+            for t, i in zip(demos, (1, 2), strict=True):
+                np.testing.assert_array_equal(t.q, motion(i).astype(np.float32))
+                np.testing.assert_array_equal(t.u, np.gradient(motion(i), 1 / FPS, axis=0).astype(np.float32))
 
 
 def test_the_usual_state_is_read_with_a_note_on_the_other_key(planar3: Robot, tmp_path: Path) -> None:
@@ -322,21 +329,20 @@ def test_the_usual_state_is_read_with_a_note_on_the_other_key(planar3: Robot, tm
     assert f"feature='{KEY}' reads it" in " ".join(demos.notes)
 
 
-@pytest.mark.parametrize(
-    ("feature", "said"),
-    [
+def test_a_wrong_key_is_an_error_with_near_matches(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Left out where there is no usual state, misspelt, or no vector of numbers: what to pass is said."""
+    for feature, said in [
         (None, f"there is no feature 'observation.state', joint positions seem to be in '{KEY}'.*feature='{KEY}'"),
         ("observation.state.joint_positon", f"did you mean '{KEY}'"),
         ("observation.images.wrist", "holds video, joint positions are a vector of numbers"),
         ("language_instruction", "holds string"),
-    ],
-)
-def test_a_wrong_key_is_an_error_with_near_matches(feature, said: str, planar3: Robot, tmp_path: Path) -> None:
-    """Left out where there is no usual state, misspelt, or no vector of numbers: what to pass is said."""
-    path = droid(tmp_path / "set", "v3.0", with_state=False)
-    with pytest.raises(RecordingError, match=said) as caught:
-        load_demonstrations(path, planar3, **{**NAMED, "feature": feature})
-    assert caught.value.code == "no-state"
+    ]:
+        with case(feature, said):
+            tmp_path = tmp_path_factory.mktemp("case")
+            path = droid(tmp_path / "set", "v3.0", with_state=False)
+            with pytest.raises(RecordingError, match=said) as caught:
+                load_demonstrations(path, planar3, **{**NAMED, "feature": feature})
+            assert caught.value.code == "no-state"
 
 
 def test_a_feature_of_a_table_has_no_use(planar3: Robot, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case import case
 from recording_corpus import GOOD, HEADER, JOINTS, TABLE, TIME, Q, csv
 
 from manip_learn.errors import MissingExtraError, RecordingError
@@ -65,11 +66,12 @@ def test_broken_files_in_a_folder_are_not_passed_over(planar3: Robot, folder: Pa
         load_demonstrations(folder, planar3)
 
 
-@pytest.mark.parametrize("paths", [[], "", [""], [None], 7, None])
-def test_no_path_at_all(paths, planar3: Robot) -> None:
+def test_no_path_at_all(planar3: Robot) -> None:
     """Nothing, or something that is no path, is refused in a sentence."""
-    with pytest.raises(RecordingError):
-        load_demonstrations(paths, planar3)
+    for paths in [[], "", [""], [None], 7, None]:
+        with case(paths):
+            with pytest.raises(RecordingError):
+                load_demonstrations(paths, planar3)
 
 
 def test_pipes_and_devices_do_not_hang(planar3: Robot, tmp_path: Path) -> None:
@@ -81,9 +83,9 @@ def test_pipes_and_devices_do_not_hang(planar3: Robot, tmp_path: Path) -> None:
         assert caught.value.code == "not-a-file"
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
+def test_options_are_checked(planar3: Robot, folder: Path) -> None:
+    """A misspelt option or value is refused with what is allowed, before any file is opened."""
+    for options, said in [
         ({"unit": "degrees"}, "there is no option 'unit'"),
         ({"units": "deg"}, "'degrees'"),
         ({"time_unit": "min"}, "'ms'"),
@@ -94,13 +96,11 @@ def test_pipes_and_devices_do_not_hang(planar3: Robot, tmp_path: Path) -> None:
         ({"ignore_columns": (1,)}, "names"),
         ({"joint_names": 3}, "names"),
         ({"rename": ["a"]}, "rename"),
-    ],
-)
-def test_options_are_checked(options: dict, said: str, planar3: Robot, folder: Path) -> None:
-    """A misspelt option or value is refused with what is allowed, before any file is opened."""
-    with pytest.raises(RecordingError, match=said) as caught:
-        load_demonstrations(folder / "not_there.csv", planar3, **options)
-    assert caught.value.code == "option"
+    ]:
+        with case(options, said):
+            with pytest.raises(RecordingError, match=said) as caught:
+                load_demonstrations(folder / "not_there.csv", planar3, **options)
+            assert caught.value.code == "option"
 
 
 def test_notes_say_the_same_thing_once(planar3: Robot, folder: Path) -> None:
@@ -129,33 +129,26 @@ def test_the_answer_is_not_shared(planar3: Robot, folder: Path) -> None:
         assert s.q.dtype == np.float64 and s.q.flags.c_contiguous and not s.q.flags.writeable
 
 
-@pytest.mark.parametrize(
-    ("module", "reader", "extra"),
-    [
-        ("rosbags", "bag_file", "ros"),
-        ("lz4", "bag_file", "ros"),
-        ("pyarrow", "lerobot_reader", "lerobot"),
-        ("h5py", "robomimic_reader", "robomimic"),
-    ],
-)
-def test_missing_libraries_name_the_extra(
-    module: str, reader: str, extra: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_libraries_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the library: one sentence with the pip command, not an ImportError."""
-    real = builtins.__import__
+    readers = "manip_learn.recordings.readers."
+    real, missing = builtins.__import__, ""
 
     def absent(name, *arguments, **keywords):
-        if name.split(".")[0] == module:
+        if name.split(".")[0] == missing:
             raise ImportError(f"No module named {name!r}")
         return real(name, *arguments, **keywords)
 
-    monkeypatch.setattr(builtins, "__import__", absent)
-    for name in [n for n in sys.modules if n.startswith("manip_learn.recordings.readers.")]:
-        monkeypatch.delitem(sys.modules, name)
-    with pytest.raises(Exception) as caught:  # noqa: PT011 - the class is a new one after the new import
-        __import__(f"manip_learn.recordings.readers.{reader}")
-    assert type(caught.value).__name__ == MissingExtraError.__name__
-    assert caught.value.extra == extra and f"manip_learn[{extra}]" in str(caught.value)
+    extras = {"rosbags": ("bag_file", "ros"), "lz4": ("bag_file", "ros"), "pyarrow": ("lerobot_reader", "lerobot")}
+    for missing, (reader, extra) in (extras | {"h5py": ("robomimic_reader", "robomimic")}).items():
+        with case(missing), monkeypatch.context() as patch:
+            patch.setattr(builtins, "__import__", absent)
+            for name in [n for n in sys.modules if n.startswith(readers)]:
+                patch.delitem(sys.modules, name)
+            with pytest.raises(Exception) as caught:  # noqa: PT011 - the class is a new one after the new import
+                __import__(readers + reader)
+            assert type(caught.value).__name__ == MissingExtraError.__name__
+            assert caught.value.extra == extra and f"manip_learn[{extra}]" in str(caught.value)
 
 
 def test_tables_need_no_heavy_library(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from case import case
 
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings.readers import parser_process
@@ -76,24 +78,24 @@ def refusal(parser: str, folder: Path, content: str) -> RecordingError:
     return caught.value
 
 
-@pytest.mark.parametrize("n", [0, 1, 50_000])
-def test_recordings_come_through_bit_for_bit(n: int, parser: str, tmp_path: Path) -> None:
+def test_recordings_come_through_bit_for_bit(parser: str, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Names, notes and numbers, of nothing and of much."""
-    path = file(tmp_path, str(n))
-    recordings = list(parsed_recordings(parser, path, REQUEST))
-    assert [r.name for r in recordings] == ["part 0", "part 1", "part 2"]
-    for i, recording in enumerate(recordings):
-        assert recording.path == path and recording.notes == ("noted",) and recording.velocities is None
-        assert recording.position_names == ("a", "b")
-        np.testing.assert_array_equal(recording.positions, np.arange(2.0 * n).reshape(n, 2) + i)
-        np.testing.assert_array_equal(recording.time, np.arange(n) * 0.1)
+    for n in [0, 1, 50_000]:
+        with case(n):
+            tmp_path = tmp_path_factory.mktemp("case")
+            path = file(tmp_path, str(n))
+            recordings = list(parsed_recordings(parser, path, REQUEST))
+            assert [r.name for r in recordings] == ["part 0", "part 1", "part 2"]
+            for i, recording in enumerate(recordings):
+                assert recording.path == path and recording.notes == ("noted",) and recording.velocities is None
+                assert recording.position_names == ("a", "b")
+                np.testing.assert_array_equal(recording.positions, np.arange(2.0 * n).reshape(n, 2) + i)
+                np.testing.assert_array_equal(recording.time, np.arange(n) * 0.1)
 
 
 def test_a_request_comes_through_as_it_was() -> None:
     """Also infinite limits and sets."""
-    import json
-
-    assert ReadRequest.of_words(json.loads(json.dumps(REQUEST.as_words()))) == REQUEST
+    assert pickle.loads(pickle.dumps(REQUEST.for_parser())) == REQUEST
 
 
 def test_one_process_serves_many_files(parser: str, tmp_path: Path) -> None:
@@ -119,11 +121,13 @@ def test_refusals_keep_their_place(parser: str, tmp_path: Path) -> None:
     assert caught.value.extra == "ros"
 
 
-@pytest.mark.parametrize(("content", "code"), [("abort", "parser-crashed"), ("bug", "parser-crashed")])
-def test_a_crash_is_one_sentence(content: str, code: str, parser: str, tmp_path: Path) -> None:
+def test_a_crash_is_one_sentence(parser: str, tmp_path_factory: pytest.TempPathFactory) -> None:
     """And the next file is read by another process."""
-    assert refusal(parser, tmp_path, content).code == code
-    assert len(list(parsed_recordings(parser, file(tmp_path, "2"), REQUEST))) == 3
+    for content, code in [("abort", "parser-crashed"), ("bug", "parser-crashed")]:
+        with case(content, code):
+            tmp_path = tmp_path_factory.mktemp("case")
+            assert refusal(parser, tmp_path, content).code == code
+            assert len(list(parsed_recordings(parser, file(tmp_path, "2"), REQUEST))) == 3
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of memory and processor time")

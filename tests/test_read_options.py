@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case import case
 from recording_corpus import CASES, HEADER, TABLE, csv, write_corpus
 from test_cli import DRAWER, FRAME
 from typer.main import get_command
@@ -48,13 +49,13 @@ def table(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("case", UNMATCHED)
-def test_an_option_that_matches_nothing_is_an_error(case: str, planar3: Robot, table: Path) -> None:
+def test_an_option_that_matches_nothing_is_an_error(planar3: Robot, table: Path) -> None:
     """A misspelt name must not pass as if it had been obeyed."""
-    options, wanted = UNMATCHED[case]
-    with pytest.raises(RecordingError, match=wanted) as caught:
-        load_demonstrations(table, planar3, **options)
-    assert caught.value.code == "option"
+    for name, (options, wanted) in UNMATCHED.items():
+        with case(name):
+            with pytest.raises(RecordingError, match=wanted) as caught:
+                load_demonstrations(table, planar3, **options)
+            assert caught.value.code == "option"
 
 
 def test_an_option_may_match_in_one_file_only(planar3: Robot, tmp_path: Path) -> None:
@@ -73,32 +74,32 @@ def in_parts(source: RecordingSource) -> RecordingSource:
     return source
 
 
-@pytest.mark.parametrize("option", [{"rename": {"nope": "right_j0"}}, {"ignore_columns": ["nope"]}, {"rate": 50.0}])
-def test_recordings_read_in_parts_are_judged_together(option: dict) -> None:
+def test_recordings_read_in_parts_are_judged_together() -> None:
     """Recordings larger than memory: refused if no part had a use for the option, learning and auditing alike."""
-    sawyer = load_robot("sawyer")
-    features = FrameJacobian(sawyer, FRAME[1], "xyz", "world")
-    with pytest.raises(RecordingError, match="nope|rate") as caught:
-        ConstraintLearner(features, n_constraints=2).fit(in_parts(RecordingSource(DRAWER, sawyer, **option)))
-    assert caught.value.code == "option"
-    with pytest.raises(RecordingError, match="nope|rate"):
-        audit_episodes(Constraint([[1.0, 0, 0]], features), in_parts(RecordingSource(DRAWER, sawyer, **option)))
+    for option in [{"rename": {"nope": "right_j0"}}, {"ignore_columns": ["nope"]}, {"rate": 50.0}]:
+        with case(option):
+            sawyer = load_robot("sawyer")
+            features = FrameJacobian(sawyer, FRAME[1], "xyz", "world")
+            with pytest.raises(RecordingError, match="nope|rate") as caught:
+                ConstraintLearner(features, n_constraints=2).fit(in_parts(RecordingSource(DRAWER, sawyer, **option)))
+            assert caught.value.code == "option"
+            with pytest.raises(RecordingError, match="nope|rate"):
+                audit_episodes(Constraint([[1.0, 0, 0]], features), in_parts(RecordingSource(DRAWER, sawyer, **option)))
 
 
-@pytest.mark.parametrize(
-    ("robot", "header", "said"),
-    [
+def test_another_robot_is_suspected(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Columns that are no joints of the robot: first the robot is doubted, and the shipped one named that they fit."""
+    for robot, header, said in [
         ("sawyer", HEADER, "it was recorded with 'planar3', not 'sawyer': name that robot"),
         ("sawyer", "time,left_a,left_b,left_c", "was it recorded with another robot than 'sawyer'?"),
         ("planar3", "time,q1,q2,q3", "another robot than 'planar3'? Then name that one; if it is this one, columns="),
-    ],
-)
-def test_another_robot_is_suspected(robot: str, header: str, said: str, tmp_path: Path) -> None:
-    """Columns that are no joints of the robot: first the robot is doubted, and the shipped one named that they fit."""
-    (tmp_path / "demo.csv").write_text(csv(TABLE, header))
-    with pytest.raises(RecordingError) as caught:
-        load_demonstrations(tmp_path, load_robot(robot))
-    assert said in str(caught.value) and "lock" not in str(caught.value)
+    ]:
+        with case(robot, header, said):
+            tmp_path = tmp_path_factory.mktemp("case")
+            (tmp_path / "demo.csv").write_text(csv(TABLE, header))
+            with pytest.raises(RecordingError) as caught:
+                load_demonstrations(tmp_path, load_robot(robot))
+            assert said in str(caught.value) and "lock" not in str(caught.value)
 
 
 def test_a_header_may_be_missing_if_names_are_given(planar3: Robot, tmp_path: Path) -> None:
@@ -166,27 +167,31 @@ COMMANDS = {
 }
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_errors_name_only_flags_of_the_command(command: str, planar3: Robot, tmp_path: Path, capsys) -> None:
+def test_errors_name_only_flags_of_the_command(
+    planar3: Robot, tmp_path_factory: pytest.TempPathFactory, capsys
+) -> None:
     """Every flag in the text of an error exists for the command that printed it, and Python's words are not used."""
-    corpus = tmp_path / "corpus"
-    write_corpus(corpus)
-    constraint = tmp_path / "line.json"
-    Constraint([[0.0, 1.0]], FrameJacobian(planar3, "tip", "x y", "world")).save(constraint)
-    flags = flags_of(get_command(app), [command])
-    named = set()
-    for path in (corpus / case.name for case in CASES if case.verdict not in ("accept", "note")):
-        if not path.is_file():
-            continue
-        words = [w.format(path, out=tmp_path / "page.html", constraint=constraint) for w in COMMANDS[command]]
-        if main(words) == 0:
-            continue
-        said = capsys.readouterr().err
-        found = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", said))
-        assert found <= flags, f"{path.name}: {sorted(found - flags)} in {said!r}"
-        assert not re.search(r"\w=\[|\w=\{|\w='|=True", said), said
-        named |= found
-    assert {"--rename", "--time-unit", "--outside-limits", "--degrees"} <= named
+    for command in COMMANDS:
+        with case(command):
+            tmp_path = tmp_path_factory.mktemp("case")
+            corpus = tmp_path / "corpus"
+            write_corpus(corpus)
+            constraint = tmp_path / "line.json"
+            Constraint([[0.0, 1.0]], FrameJacobian(planar3, "tip", "x y", "world")).save(constraint)
+            flags = flags_of(get_command(app), [command])
+            named = set()
+            for path in (corpus / case.name for case in CASES if case.verdict not in ("accept", "note")):
+                if not path.is_file():
+                    continue
+                words = [w.format(path, out=tmp_path / "page.html", constraint=constraint) for w in COMMANDS[command]]
+                if main(words) == 0:
+                    continue
+                said = capsys.readouterr().err
+                found = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", said))
+                assert found <= flags, f"{path.name}: {sorted(found - flags)} in {said!r}"
+                assert not re.search(r"\w=\[|\w=\{|\w='|=True", said), said
+                named |= found
+            assert {"--rename", "--time-unit", "--outside-limits", "--degrees"} <= named
 
 
 DEGREES = np.column_stack([TABLE[:, 0], np.degrees(TABLE[:, 1:])])
@@ -202,19 +207,26 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize("command", ["replay", "export"])
-def test_what_an_error_advises_works(command: str, fault: str, tmp_path: Path, capsys) -> None:
+def test_what_an_error_advises_works(tmp_path_factory: pytest.TempPathFactory, capsys) -> None:
     """The flags in the text of an error, typed as they stand there, make the command succeed."""
-    path = tmp_path / "demo.csv"
-    path.write_text(FAULTS[fault])
-    words = [w.format(path, out=tmp_path / "page.html", constraint="") for w in COMMANDS[command]]
-    assert main(words) == 2
-    said = capsys.readouterr().err
-    advised = re.findall(r"(?<![\w-])(--[a-z-]+)(?: ([\w./=:-]*\w))?", said.replace("--degrees, or", "--degrees;"))
-    assert advised, said
-    flag, value = advised[0]
-    assert main([*words, flag, *([value] if value and flag != "--degrees" else [])]) == 0, (said, capsys.readouterr())
+    for fault in FAULTS:
+        for command in ["replay", "export"]:
+            with case(fault, command):
+                tmp_path = tmp_path_factory.mktemp("case")
+                path = tmp_path / "demo.csv"
+                path.write_text(FAULTS[fault])
+                words = [w.format(path, out=tmp_path / "page.html", constraint="") for w in COMMANDS[command]]
+                assert main(words) == 2
+                said = capsys.readouterr().err
+                advised = re.findall(
+                    r"(?<![\w-])(--[a-z-]+)(?: ([\w./=:-]*\w))?", said.replace("--degrees, or", "--degrees;")
+                )
+                assert advised, said
+                flag, value = advised[0]
+                assert main([*words, flag, *([value] if value and flag != "--degrees" else [])]) == 0, (
+                    said,
+                    capsys.readouterr(),
+                )
 
 
 def test_flags_that_match_nothing_leave_the_command_line_with_one_sentence(table: Path, capsys) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case import case
 from recording_corpus import JOINTS, TIME, Q, U
 from test_recording_fuzz import OPTIONS, bag_file, damaged
 
@@ -92,16 +93,18 @@ def refusal(path: Path, robot: Robot) -> RecordingError:
     return caught.value
 
 
-@pytest.mark.parametrize("kind", ["sqlite", "mcap"])
-def test_the_metadata_of_a_bag_is_believed(kind: str, planar3: Robot, tmp_path: Path) -> None:
+def test_the_metadata_of_a_bag_is_believed(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
     """A folder with fewer messages than its metadata.yaml states is refused, with both numbers and the way out."""
-    pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
-    bag, _ = ros2_bag(tmp_path, kind)
-    metadata = bag / "metadata.yaml"
-    metadata.write_text(metadata.read_text().replace("message_count: 200", "message_count: 225"))
-    error = refusal(bag, planar3)
-    assert error.code == "lost-messages"
-    assert all(word in str(error) for word in ("200 messages", "states 225", "ros2 bag reindex"))
+    for kind in ["sqlite", "mcap"]:
+        with case(kind):
+            tmp_path = tmp_path_factory.mktemp("case")
+            pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
+            bag, _ = ros2_bag(tmp_path, kind)
+            metadata = bag / "metadata.yaml"
+            metadata.write_text(metadata.read_text().replace("message_count: 200", "message_count: 225"))
+            error = refusal(bag, planar3)
+            assert error.code == "lost-messages"
+            assert all(word in str(error) for word in ("200 messages", "states 225", "ros2 bag reindex"))
 
 
 def test_rows_that_are_gone_are_missed(planar3: Robot, tmp_path: Path) -> None:
@@ -116,18 +119,20 @@ def test_rows_that_are_gone_are_missed(planar3: Robot, tmp_path: Path) -> None:
     assert "belong to no topic" in str(refusal(file, planar3))
 
 
-@pytest.mark.parametrize("end", ["-wal", "-journal"])
-def test_a_killed_recorder_is_noticed(end: str, planar3: Robot, tmp_path: Path) -> None:
+def test_a_killed_recorder_is_noticed(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
     """A log beside the database holds messages that are not in it: refused with the command; empty, it is fine."""
-    pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
-    bag, file = ros2_bag(tmp_path, "sqlite")
-    side = file.with_name(file.name + end)
-    for path in (bag, file):
-        side.write_bytes(b"")
-        assert load_demonstrations(path, planar3).n_samples == 200
-        side.write_bytes(b"x" * 32)
-        error = refusal(path, planar3)
-        assert error.code == "unfinished" and "PRAGMA wal_checkpoint(TRUNCATE)" in str(error)
+    for end in ["-wal", "-journal"]:
+        with case(end):
+            tmp_path = tmp_path_factory.mktemp("case")
+            pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
+            bag, file = ros2_bag(tmp_path, "sqlite")
+            side = file.with_name(file.name + end)
+            for path in (bag, file):
+                side.write_bytes(b"")
+                assert load_demonstrations(path, planar3).n_samples == 200
+                side.write_bytes(b"x" * 32)
+                error = refusal(path, planar3)
+                assert error.code == "unfinished" and "PRAGMA wal_checkpoint(TRUNCATE)" in str(error)
 
 
 KILLED = """
@@ -172,21 +177,27 @@ def test_the_statistics_of_an_mcap_file_are_believed(planar3: Robot, tmp_path: P
         assert "200 messages" in str(error) and "state 225" in str(error)
 
 
-@pytest.mark.parametrize("kind", ["mcap", "sqlite", "ros1"])
-def test_a_bag_of_many_chunks_and_topics_is_whole(kind: str, planar3: Robot, tmp_path: Path) -> None:
+def test_a_bag_of_many_chunks_and_topics_is_whole(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Long messages fill several chunks, and another topic lies in between: nothing is missed, nothing suspected."""
-    pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
-    import test_rosbag_reader as bags
+    for kind in ["mcap", "sqlite", "ros1"]:
+        with case(kind):
+            tmp_path = tmp_path_factory.mktemp("case")
+            pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
+            import test_rosbag_reader as bags
 
-    others = tuple(f"finger_{i}" for i in range(300))
-    messages = [(t, r, (s, (*n, *others), (*q, *np.zeros(300)))) for t, r, (s, n, q, _) in bags.all_in_one(u=None)]
-    messages += [("/other", r + 1, (s, ("x",), (0.5,))) for _, r, (s, *_) in bags.all_in_one(u=None)]
-    bag = bags.write_bag(tmp_path / "bag", kind, sorted(messages, key=lambda m: m[1]))
-    file = bag if bag.is_file() else next(p for p in bag.iterdir() if p.suffix in (".db3", ".mcap"))
-    for path in (bag, file):
-        assert load_demonstrations(path, planar3).n_samples == 200
-    if kind == "mcap":
-        assert file.stat().st_size > 2**20 and "of 1 chunks" not in " ".join(load_demonstrations(file, planar3).notes)
+            others = tuple(f"finger_{i}" for i in range(300))
+            messages = [
+                (t, r, (s, (*n, *others), (*q, *np.zeros(300)))) for t, r, (s, n, q, _) in bags.all_in_one(u=None)
+            ]
+            messages += [("/other", r + 1, (s, ("x",), (0.5,))) for _, r, (s, *_) in bags.all_in_one(u=None)]
+            bag = bags.write_bag(tmp_path / "bag", kind, sorted(messages, key=lambda m: m[1]))
+            file = bag if bag.is_file() else next(p for p in bag.iterdir() if p.suffix in (".db3", ".mcap"))
+            for path in (bag, file):
+                assert load_demonstrations(path, planar3).n_samples == 200
+            if kind == "mcap":
+                assert file.stat().st_size > 2**20 and "of 1 chunks" not in " ".join(
+                    load_demonstrations(file, planar3).notes
+                )
 
 
 def test_chunks_without_a_checksum_are_said_once(planar3: Robot, tmp_path: Path) -> None:
@@ -216,17 +227,17 @@ def is_chunk(content: bytearray, at: int) -> bool:
     return compression == 0 and size == packed and length == size + 40
 
 
-@pytest.mark.parametrize(
-    ("where", "attribute"), [("data", "total"), ("data/demo_1", "num_samples"), ("data", "num_demos")]
-)
-def test_the_attributes_of_robomimic_are_believed(where: str, attribute: str, planar3: Robot, tmp_path: Path) -> None:
+def test_the_attributes_of_robomimic_are_believed(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
     """A file with fewer samples or demonstrations than its attributes state is refused."""
-    h5py = pytest.importorskip("h5py", reason="the extra 'robomimic' is not installed")
-    path = tmp_path / "demo.hdf5"
-    hdf5_file(path)
-    assert load_demonstrations(path, planar3, joint_names=JOINTS, rate=50.0).n_samples == 180
-    with h5py.File(path, "r+") as file:
-        file[where].attrs[attribute] = 999
-    with pytest.raises(RecordingError, match=f"{attribute!r}.*999") as caught:
-        load_demonstrations(path, planar3, joint_names=JOINTS, rate=50.0)
-    assert caught.value.code == "lost-samples"
+    for where, attribute in [("data", "total"), ("data/demo_1", "num_samples"), ("data", "num_demos")]:
+        with case(where, attribute):
+            tmp_path = tmp_path_factory.mktemp("case")
+            h5py = pytest.importorskip("h5py", reason="the extra 'robomimic' is not installed")
+            path = tmp_path / "demo.hdf5"
+            hdf5_file(path)
+            assert load_demonstrations(path, planar3, joint_names=JOINTS, rate=50.0).n_samples == 180
+            with h5py.File(path, "r+") as file:
+                file[where].attrs[attribute] = 999
+            with pytest.raises(RecordingError, match=f"{attribute!r}.*999") as caught:
+                load_demonstrations(path, planar3, joint_names=JOINTS, rate=50.0)
+            assert caught.value.code == "lost-samples"

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from case import case
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
@@ -56,22 +57,26 @@ def test_guided_motions_pass_without_a_word(sawyer: Robot, rng: np.random.Genera
         assert load(sawyer, tmp_path, time, q).notes == ()
 
 
-@pytest.mark.parametrize("name", ["panda", "ur5", "sawyer"])
-def test_degrees_are_always_caught(name: str, robot_of, rng: np.random.Generator, tmp_path: Path) -> None:
+def test_degrees_are_always_caught(
+    robot_of, rng: np.random.Generator, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     """By the limits, without velocities, 20 of 20; with the way out, which gives the radians back."""
-    robot = robot_of(name)
-    for _ in range(20):
-        time, q, u = guided(robot, rng)
-        assert refused(robot, tmp_path, time, np.degrees(q)).code == "degrees"
-    demos = load(robot, tmp_path, time, np.degrees(q), np.degrees(u), degrees=True)
-    np.testing.assert_allclose(demos[0].q, q, rtol=1e-12)
-    np.testing.assert_allclose(demos[0].u, u, rtol=1e-12)
-    assert demos.notes == ("demo.npz: degrees converted to radians, as asked",)
+    for name in ["panda", "ur5", "sawyer"]:
+        with case(name):
+            tmp_path = tmp_path_factory.mktemp("case")
+            robot = robot_of(name)
+            for _ in range(20):
+                time, q, u = guided(robot, rng)
+                assert refused(robot, tmp_path, time, np.degrees(q)).code == "degrees"
+            demos = load(robot, tmp_path, time, np.degrees(q), np.degrees(u), degrees=True)
+            np.testing.assert_allclose(demos[0].q, q, rtol=1e-12)
+            np.testing.assert_allclose(demos[0].u, u, rtol=1e-12)
+            assert demos.notes == ("demo.npz: degrees converted to radians, as asked",)
 
 
-@pytest.mark.parametrize(
-    ("scale_t", "scale_q", "scale_u", "code", "slope"),
-    [
+def test_faults_are_named_by_the_slope(sawyer: Robot, rng, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """slope(dq/dt against the recorded velocity) tells degrees, milliseconds and signs apart; the number is said."""
+    for scale_t, scale_q, scale_u, code, slope in [
         (1.0, 57.29578, 1.0, "degrees", 57.3),
         (1.0, 1.0, 57.29578, "degrees", 0.0175),
         (1e3, 1.0, 1.0, "time-unit", 1e-3),
@@ -79,18 +84,15 @@ def test_degrees_are_always_caught(name: str, robot_of, rng: np.random.Generator
         (1e9, 1.0, 1.0, "time-unit", 1e-9),
         (1.0, 1.0, 0.1, "velocity-scale", 10.0),
         (1.0, 1.0, -1.0, "sign", -1.0),
-    ],
-)
-def test_faults_are_named_by_the_slope(
-    scale_t: float, scale_q: float, scale_u: float, code: str, slope: float, sawyer: Robot, rng, tmp_path: Path
-) -> None:
-    """slope(dq/dt against the recorded velocity) tells degrees, milliseconds and signs apart; the number is said."""
-    time, q, u = guided(sawyer, rng)
-    small = 0.02 * q if scale_q > 1 else q  # inside the limits even in degrees: the limits cannot tell
-    error = refused(sawyer, tmp_path, scale_t * time, scale_q * small, scale_u * (u * small.std() / q.std()))
-    assert error.code == code
-    said = float(str(error).split("slope ")[1].split()[0])
-    assert said == pytest.approx(slope, rel=0.05)
+    ]:
+        with case(scale_t, scale_q, scale_u, code, slope):
+            tmp_path = tmp_path_factory.mktemp("case")
+            time, q, u = guided(sawyer, rng)
+            small = 0.02 * q if scale_q > 1 else q  # inside the limits even in degrees: the limits cannot tell
+            error = refused(sawyer, tmp_path, scale_t * time, scale_q * small, scale_u * (u * small.std() / q.std()))
+            assert error.code == code
+            said = float(str(error).split("slope ")[1].split()[0])
+            assert said == pytest.approx(slope, rel=0.05)
 
 
 def test_one_joint_with_a_wrong_sign_is_named(sawyer: Robot, rng, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from case import case
 from jaxtyping import Float
 from scipy.signal import savgol_filter
 
@@ -67,19 +68,20 @@ def example(monkeypatch: pytest.MonkeyPatch):
     return load
 
 
-@pytest.mark.parametrize("folder", FOLDERS)
-def test_files_are_complete_and_name_the_robots_joints(folder: str) -> None:
+def test_files_are_complete_and_name_the_robots_joints() -> None:
     """The promised number of files; columns named like the robot's joints; finite; even time from 0; inside limits."""
-    name, count = FOLDERS[folder]
-    robot, paths = load_robot(name), files_of(folder)
-    assert [p.name for p in paths] == [f"demo_{i:02d}.csv" for i in range(1, count + 1)]
-    for path in paths:
-        header, rows = read(path)
-        assert header[: robot.nv + 1] == ["time", *robot.joint_names]
-        assert np.all(np.isfinite(rows)) and rows[0, 0] == 0.0
-        np.testing.assert_allclose(np.diff(rows[:, 0]), rows[1, 0], atol=1e-12)
-        q = rows[:, 1 : robot.nv + 1]
-        assert np.all(q > robot.position_lower) and np.all(q < robot.position_upper)
+    for folder in FOLDERS:
+        with case(folder):
+            name, count = FOLDERS[folder]
+            robot, paths = load_robot(name), files_of(folder)
+            assert [p.name for p in paths] == [f"demo_{i:02d}.csv" for i in range(1, count + 1)]
+            for path in paths:
+                header, rows = read(path)
+                assert header[: robot.nv + 1] == ["time", *robot.joint_names]
+                assert np.all(np.isfinite(rows)) and rows[0, 0] == 0.0
+                np.testing.assert_allclose(np.diff(rows[:, 0]), rows[1, 0], atol=1e-12)
+                q = rows[:, 1 : robot.nv + 1]
+                assert np.all(q > robot.position_lower) and np.all(q < robot.position_upper)
 
 
 def test_the_recordings_stay_small() -> None:
@@ -87,15 +89,16 @@ def test_the_recordings_stay_small() -> None:
     assert sum(p.stat().st_size for p in DATA.rglob("*.csv")) < 2.7e6
 
 
-@pytest.mark.parametrize("folder", ["sawyer_drawer", "sawyer_door"])
-def test_physics_recordings_last_three_to_four_seconds_at_100_hz_without_velocities(folder: str) -> None:
+def test_physics_recordings_last_three_to_four_seconds_at_100_hz_without_velocities() -> None:
     """Positions only, 100 Hz, 3 to 4 s, and noise of an encoder's size in every joint."""
-    for path in files_of(folder):
-        header, rows = read(path)
-        assert len(header) == 8
-        assert rows[1, 0] == 0.01 and 3.0 <= rows[-1, 0] <= 4.0
-        noise = np.std(rows[:, 1:] - savgol_filter(rows[:, 1:], 11, 3, axis=0), axis=0)
-        assert np.all((noise > 6e-5) & (noise < 1.6e-4))
+    for folder in ["sawyer_drawer", "sawyer_door"]:
+        with case(folder):
+            for path in files_of(folder):
+                header, rows = read(path)
+                assert len(header) == 8
+                assert rows[1, 0] == 0.01 and 3.0 <= rows[-1, 0] <= 4.0
+                noise = np.std(rows[:, 1:] - savgol_filter(rows[:, 1:], 11, 3, axis=0), axis=0)
+                assert np.all((noise > 6e-5) & (noise < 1.6e-4))
 
 
 def test_starts_differ_from_demonstration_to_demonstration() -> None:
@@ -128,15 +131,16 @@ def test_the_drawer_is_no_constraint_of_the_tool_or_of_another_frame(sawyer: Rob
         assert np.all(values[:-1] / values[1:] < 10.0), (frame, reference, values)
 
 
-@pytest.mark.parametrize(("rows", "truth"), [(3, DOOR_TWIST[:3]), (6, DOOR_TWIST)])
-def test_the_door_is_constant_in_the_tools_frame_only(sawyer: Robot, rows: int, truth: np.ndarray) -> None:
+def test_the_door_is_constant_in_the_tools_frame_only(sawyer: Robot) -> None:
     """One free direction in the local reference, with and without rotations; no clear gap in the world reference."""
-    paths = files_of("sawyer_door")
-    local, directions = spread_of_motion(sawyer, "right_gripper_tip", paths, "local", rows)
-    world, _ = spread_of_motion(sawyer, "right_gripper_tip", paths, "world", rows)
-    assert local[0] / local[1] > 100.0
-    assert angle_between(directions[:, 0], truth) < 0.1
-    assert np.all(world[:-1] / world[1:] < 10.0)
+    for rows, truth in [(3, DOOR_TWIST[:3]), (6, DOOR_TWIST)]:
+        with case(rows, truth):
+            paths = files_of("sawyer_door")
+            local, directions = spread_of_motion(sawyer, "right_gripper_tip", paths, "local", rows)
+            world, _ = spread_of_motion(sawyer, "right_gripper_tip", paths, "world", rows)
+            assert local[0] / local[1] > 100.0
+            assert angle_between(directions[:, 0], truth) < 0.1
+            assert np.all(world[:-1] / world[1:] < 10.0)
 
 
 def test_planar_reaching_obeys_its_law() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from case import case
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
@@ -75,15 +76,15 @@ def test_the_order_of_the_given_names_counts(planar3: Robot, tmp_path: Path) -> 
     np.testing.assert_array_equal(demos[0].q, Q[:, ::-1])
 
 
-@pytest.mark.parametrize(
-    "env_args", [None, "{}", "not json", json.dumps({"env_kwargs": {"control_freq": 0}}), "[" * 5000]
-)
-def test_the_rate_must_be_known(env_args: Any, planar3: Robot, tmp_path: Path) -> None:
+def test_the_rate_must_be_known(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Without a usable control_freq the rate must be given."""
-    path = write(tmp_path / "a.hdf5", env_args=env_args)
-    assert refusal(path, planar3).code == "no-time"
-    demos = load_demonstrations(path, planar3, joint_names=JOINTS, rate=RATE)
-    np.testing.assert_allclose(demos[0].time, T)
+    for env_args in [None, "{}", "not json", json.dumps({"env_kwargs": {"control_freq": 0}}), "[" * 5000]:
+        with case(env_args):
+            tmp_path = tmp_path_factory.mktemp("case")
+            path = write(tmp_path / "a.hdf5", env_args=env_args)
+            assert refusal(path, planar3).code == "no-time"
+            demos = load_demonstrations(path, planar3, joint_names=JOINTS, rate=RATE)
+            np.testing.assert_allclose(demos[0].time, T)
 
 
 def test_velocities_may_be_missing(planar3: Robot, tmp_path: Path) -> None:
@@ -120,14 +121,16 @@ def virtual(file: Any, folder: Path) -> None:
     file["data/demo_0/obs"].create_virtual_dataset("robot0_joint_pos", layout)
 
 
-@pytest.mark.parametrize("make", [outside_link, outside_group, soft_link, outside_storage, virtual])
-def test_nothing_outside_is_opened(make: Callable[[Any, Path], None], planar3: Robot, tmp_path: Path) -> None:
+def test_nothing_outside_is_opened(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Links, external storage and virtual data sets are refused, though they would deliver good numbers."""
-    path = write(tmp_path / "a.hdf5")
-    with h5py.File(path, "a") as file:
-        del file["data/demo_0/obs/robot0_joint_pos"]
-        make(file, tmp_path)
-    assert refusal(path, planar3).code == "link"
+    for make in [outside_link, outside_group, soft_link, outside_storage, virtual]:
+        with case(make):
+            tmp_path = tmp_path_factory.mktemp("case")
+            path = write(tmp_path / "a.hdf5")
+            with h5py.File(path, "a") as file:
+                del file["data/demo_0/obs/robot0_joint_pos"]
+                make(file, tmp_path)
+            assert refusal(path, planar3).code == "link"
 
 
 def replaced(value: Any, **options: Any) -> Callable[[Any], None]:
@@ -137,9 +140,9 @@ def replaced(value: Any, **options: Any) -> Callable[[Any], None]:
     return change
 
 
-@pytest.mark.parametrize(
-    ("change", "code"),
-    [
+def test_data_that_do_not_fit_are_refused(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Missing, ragged, not numbers, absurd sizes: refused before the numbers are read, where that is possible."""
+    for change, code in [
         (lambda obs: None, "not-robomimic"),
         (lambda obs: obs.create_group("robot0_joint_pos"), "not-robomimic"),
         (replaced(Q[:, 0]), "shape"),
@@ -152,20 +155,17 @@ def replaced(value: Any, **options: Any) -> Callable[[Any], None]:
         (lambda obs: obs.create_dataset("robot0_joint_pos", (10**12, 3), "f8", chunks=(1000, 3)), "damaged"),
         (replaced(np.degrees(Q)), "degrees"),
         (replaced(np.stack([Q, Q])), "shape"),
-    ],
-)
-def test_data_that_do_not_fit_are_refused(
-    change: Callable[[Any], None], code: str, planar3: Robot, tmp_path: Path
-) -> None:
-    """Missing, ragged, not numbers, absurd sizes: refused before the numbers are read, where that is possible."""
-    path = write(tmp_path / "a.hdf5")
-    with h5py.File(path, "a") as file:
-        obs = file["data/demo_0/obs"]
-        del obs["robot0_joint_pos"]
-        if code == "degrees":
-            del obs["robot0_joint_vel"]
-        change(obs)
-    assert refusal(path, planar3).code == code
+    ]:
+        with case(change, code):
+            tmp_path = tmp_path_factory.mktemp("case")
+            path = write(tmp_path / "a.hdf5")
+            with h5py.File(path, "a") as file:
+                obs = file["data/demo_0/obs"]
+                del obs["robot0_joint_pos"]
+                if code == "degrees":
+                    del obs["robot0_joint_vel"]
+                change(obs)
+            assert refusal(path, planar3).code == code
 
 
 def test_other_hdf5_files_are_named_as_such(planar3: Robot, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case import case
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -42,23 +43,25 @@ def test_unwritable(tmp_path):
         ROLLOUT.save(tmp_path / "file" / "r.npz")
 
 
-@pytest.mark.parametrize("kind", ["missing", "folder", "empty", "text", "npy", "other npz", "pickle"])
-def test_other_files_are_refused(tmp_path, kind):
+def test_other_files_are_refused(tmp_path_factory: pytest.TempPathFactory):
     """No file, a folder, or a file of another kind is a RecordingError that names it."""
-    path = tmp_path / "r.npz"
-    if kind == "folder":
-        path.mkdir()
-    elif kind == "npy":
-        with path.open("wb") as stream:
-            np.save(stream, np.zeros(3))
-    elif kind == "other npz":
-        np.savez(path, q=np.zeros(3))
-    elif kind == "pickle":
-        np.savez(path, format=np.array([{}], dtype=object))
-    elif kind != "missing":
-        path.write_text("" if kind == "empty" else "time,q\n0,1\n", encoding="utf-8")
-    with pytest.raises(RecordingError, match=r"r\.npz"):
-        Rollout.load(path)
+    for kind in ["missing", "folder", "empty", "text", "npy", "other npz", "pickle"]:
+        with case(kind):
+            tmp_path = tmp_path_factory.mktemp("case")
+            path = tmp_path / "r.npz"
+            if kind == "folder":
+                path.mkdir()
+            elif kind == "npy":
+                with path.open("wb") as stream:
+                    np.save(stream, np.zeros(3))
+            elif kind == "other npz":
+                np.savez(path, q=np.zeros(3))
+            elif kind == "pickle":
+                np.savez(path, format=np.array([{}], dtype=object))
+            elif kind != "missing":
+                path.write_text("" if kind == "empty" else "time,q\n0,1\n", encoding="utf-8")
+            with pytest.raises(RecordingError, match=r"r\.npz"):
+                Rollout.load(path)
 
 
 def whole_file() -> bytes:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case import case
 
 from manip_learn.cli import main
 from manip_learn.constraint.constraint import Constraint
@@ -67,45 +68,51 @@ def arms(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_a_rollout_comes_back_bit_for_bit(suffix: str, arms: Path, tmp_path: Path) -> None:
+def test_a_rollout_comes_back_bit_for_bit(arms: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Every array, NaN and infinity, word, name, frame and the robot, in each format; as a demonstration too."""
-    if suffix == "mcap":
-        pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
-    robot = load_robot(arms / "arm.urdf", locked={"j2": 1.2})
-    rollout = rollout_of(robot)
-    path = rollout.save(tmp_path / f"run.{suffix}")
-    for loaded in (Rollout.load(path), Rollout.load(path, robot)):
-        for name in ARRAYS:
-            assert getattr(loaded, name).tobytes() == getattr(rollout, name).tobytes()
-        assert (loaded.status, loaded.joint_names, loaded.frame) == (rollout.status, rollout.joint_names, "tip")
-        assert loaded.robot == RobotIdentity.of(robot) and loaded.robot.locked == {"j2": 1.2}
-    demonstration = load_demonstrations(path, robot)[0]
-    for name in ("time", "q", "u"):
-        assert getattr(demonstration, name).tobytes() == getattr(rollout, name).tobytes()
-    assert load_demonstrations(path, robot).notes == ()
+    for suffix in FORMATS:
+        with case(suffix):
+            tmp_path = tmp_path_factory.mktemp("case")
+            if suffix == "mcap":
+                pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
+            robot = load_robot(arms / "arm.urdf", locked={"j2": 1.2})
+            rollout = rollout_of(robot)
+            path = rollout.save(tmp_path / f"run.{suffix}")
+            for loaded in (Rollout.load(path), Rollout.load(path, robot)):
+                for name in ARRAYS:
+                    assert getattr(loaded, name).tobytes() == getattr(rollout, name).tobytes()
+                assert (loaded.status, loaded.joint_names, loaded.frame) == (rollout.status, rollout.joint_names, "tip")
+                assert loaded.robot == RobotIdentity.of(robot) and loaded.robot.locked == {"j2": 1.2}
+            demonstration = load_demonstrations(path, robot)[0]
+            for name in ("time", "q", "u"):
+                assert getattr(demonstration, name).tobytes() == getattr(rollout, name).tobytes()
+            assert load_demonstrations(path, robot).notes == ()
 
 
-@pytest.mark.parametrize("suffix", ["csv", "jsonl"])
-def test_a_rollout_that_lost_samples_is_refused(suffix: str, arms: Path, tmp_path: Path) -> None:
+def test_a_rollout_that_lost_samples_is_refused(arms: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     """A text cut at a line's end is whole but for its number of samples, which the file states."""
-    rollout = rollout_of(load_robot(arms / "arm.urdf"))
-    path = rollout.save(tmp_path / f"run.{suffix}")
-    path.write_text("".join(path.read_text(encoding="utf-8").splitlines(keepends=True)[:-1]), encoding="utf-8")
-    n = len(rollout.time)
-    with pytest.raises(RecordingError, match=f"written with {n} samples and holds {n - 1}"):
-        Rollout.load(path)
+    for suffix in ["csv", "jsonl"]:
+        with case(suffix):
+            tmp_path = tmp_path_factory.mktemp("case")
+            rollout = rollout_of(load_robot(arms / "arm.urdf"))
+            path = rollout.save(tmp_path / f"run.{suffix}")
+            path.write_text("".join(path.read_text(encoding="utf-8").splitlines(keepends=True)[:-1]), encoding="utf-8")
+            n = len(rollout.time)
+            with pytest.raises(RecordingError, match=f"written with {n} samples and holds {n - 1}"):
+                Rollout.load(path)
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_configurations_come_back_bit_for_bit(suffix: str, robot_of, rng, tmp_path: Path) -> None:
+def test_configurations_come_back_bit_for_bit(robot_of, rng, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Postures with more columns than velocities (continuous joints as cosine and sine) are kept as they are."""
-    robot = robot_of("wrist")
-    q = np.array([robot.random_configuration(rng) for _ in range(5)])
-    time, u = 0.1 * np.arange(5), rng.standard_normal((5, robot.nv))
-    rollout = Rollout(time, q, u, time, ("ok",) * 5, robot.joint_names, time, robot=RobotIdentity.of(robot))
-    loaded = Rollout.load(rollout.save(tmp_path / f"run.{suffix}"), robot)
-    assert loaded.q.tobytes() == q.tobytes() and loaded.u.tobytes() == u.tobytes()
+    for suffix in FORMATS:
+        with case(suffix):
+            tmp_path = tmp_path_factory.mktemp("case")
+            robot = robot_of("wrist")
+            q = np.array([robot.random_configuration(rng) for _ in range(5)])
+            time, u = 0.1 * np.arange(5), rng.standard_normal((5, robot.nv))
+            rollout = Rollout(time, q, u, time, ("ok",) * 5, robot.joint_names, time, robot=RobotIdentity.of(robot))
+            loaded = Rollout.load(rollout.save(tmp_path / f"run.{suffix}"), robot)
+            assert loaded.q.tobytes() == q.tobytes() and loaded.u.tobytes() == u.tobytes()
 
 
 def wrong_robots(arms: Path) -> list[tuple[str, dict, str, dict]]:
@@ -200,39 +207,43 @@ def test_another_ending_is_refused(arms: Path, tmp_path: Path) -> None:
         rollout_of(load_robot(arms / "arm.urdf")).save(tmp_path / "run.xyz")
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_the_content_says_the_format(suffix: str, arms: Path, tmp_path: Path) -> None:
+def test_the_content_says_the_format(arms: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     """A file under a misleading name is read for what it is, and its robot is still compared."""
-    robot = load_robot(arms / "arm.urdf")
-    path = rollout_of(robot).save(tmp_path / f"run.{suffix}")
-    odd = shutil.copy(path, tmp_path / "a b.txt")
-    assert Rollout.load(odd, robot).q.tobytes() == Rollout.load(path).q.tobytes()
-    with pytest.raises(RecordingError, match="'arm'"):
-        load_demonstrations(odd, load_robot(arms / "longer.urdf"))
+    for suffix in FORMATS:
+        with case(suffix):
+            tmp_path = tmp_path_factory.mktemp("case")
+            robot = load_robot(arms / "arm.urdf")
+            path = rollout_of(robot).save(tmp_path / f"run.{suffix}")
+            odd = shutil.copy(path, tmp_path / "a b.txt")
+            assert Rollout.load(odd, robot).q.tobytes() == Rollout.load(path).q.tobytes()
+            with pytest.raises(RecordingError, match="'arm'"):
+                load_demonstrations(odd, load_robot(arms / "longer.urdf"))
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_a_rollout_keeps_what_guided_it(suffix: str, robot_of, tmp_path: Path) -> None:
+def test_a_rollout_keeps_what_guided_it(robot_of, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Target, constraint and following error come back from every format; the constraint can be built again."""
-    robot = robot_of("sawyer")
-    features = FrameJacobian(robot, "right_hand", "xyz")
-    constraint = Constraint(
-        [[0, 1, 0], [0, 0, 1]], features, {"kind": "motion-constrained", "phases": [["a", 0, 1, 0]]}
-    )
-    controller = ResolvedRateController(constraint, PointAttractor([0.6, 0.2, 0.4]))
-    rollout = simulate(robot, ServoLoop(controller, 0.01), robot.neutral(), 0.05, 0.01)
-    assert rollout.following_error is not None and rollout.following_error.shape == rollout.time.shape
-    slipping = replace(rollout, following_error=np.linspace(0.0, 0.1, len(rollout)))
-    loaded = Rollout.load(slipping.save(tmp_path / f"run.{suffix}"), robot)
-    assert loaded.target is not None and loaded.target.tolist() == [0.6, 0.2, 0.4]
-    assert loaded.following_error is not None
-    assert loaded.following_error.tobytes() == slipping.following_error.tobytes()  # type: ignore[union-attr]
-    assert loaded.constraint is not None
-    again = Constraint.from_dict(loaded.constraint, robot)
-    np.testing.assert_array_equal(again.selection, constraint.selection)
-    assert again.provenance == {"kind": "motion-constrained"}  # the phases are of other recordings
-    with pytest.raises(ConstraintMismatchError, match="the constraint was made for"):
-        Constraint.from_dict(loaded.constraint, robot_of("planar3"))
+    for suffix in FORMATS:
+        with case(suffix):
+            tmp_path = tmp_path_factory.mktemp("case")
+            robot = robot_of("sawyer")
+            features = FrameJacobian(robot, "right_hand", "xyz")
+            constraint = Constraint(
+                [[0, 1, 0], [0, 0, 1]], features, {"kind": "motion-constrained", "phases": [["a", 0, 1, 0]]}
+            )
+            controller = ResolvedRateController(constraint, PointAttractor([0.6, 0.2, 0.4]))
+            rollout = simulate(robot, ServoLoop(controller, 0.01), robot.neutral(), 0.05, 0.01)
+            assert rollout.following_error is not None and rollout.following_error.shape == rollout.time.shape
+            slipping = replace(rollout, following_error=np.linspace(0.0, 0.1, len(rollout)))
+            loaded = Rollout.load(slipping.save(tmp_path / f"run.{suffix}"), robot)
+            assert loaded.target is not None and loaded.target.tolist() == [0.6, 0.2, 0.4]
+            assert loaded.following_error is not None
+            assert loaded.following_error.tobytes() == slipping.following_error.tobytes()  # type: ignore[union-attr]
+            assert loaded.constraint is not None
+            again = Constraint.from_dict(loaded.constraint, robot)
+            np.testing.assert_array_equal(again.selection, constraint.selection)
+            assert again.provenance == {"kind": "motion-constrained"}  # the phases are of other recordings
+            with pytest.raises(ConstraintMismatchError, match="the constraint was made for"):
+                Constraint.from_dict(loaded.constraint, robot_of("planar3"))
 
 
 def test_a_task_says_where_it_ends(robot_of) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from case import case
 
 from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import Robot, load_robot
@@ -69,20 +70,21 @@ def test_the_tip_obeys_the_truth(part, kind: str) -> None:
     assert all(sum(end - start for start, end, _ in windows) > 1.0 for windows in truth["windows"])
 
 
-@pytest.mark.parametrize("kind", ["drawer", "door", "screw", "table_flat", "tether"])
-def test_the_rows_of_the_truth_stop_the_tip_in_contact_only(part, kind: str) -> None:
+def test_the_rows_of_the_truth_stop_the_tip_in_contact_only(part) -> None:
     """What `rows` takes of the tip's velocity is zero in the windows; on the way there and back nothing is."""
-    trajectories, truth = part("make_recordings.kinematic_sets").make_set(kind, "panda", 6, 2, noise=0.0)
-    robot, mechanism = arm("panda"), truth["mechanisms"][0]
-    rows, tip = np.array(mechanism["rows"]).reshape(-1, 6), robot.frame(truth["tip"])
-    for (time, q), windows in zip(trajectories, truth["windows"], strict=True):
-        u = 0.5 * (q[2:] - q[:-2]) * truth["rate"]
-        motion = np.array([robot.jacobian(a, tip) @ b for a, b in zip(q[1:-1], u, strict=True)])
-        inside = (time[1:-1] > windows[0][0] + 0.02) & (time[1:-1] < windows[0][1] - 0.02)
-        speed = np.sqrt(np.mean(np.sum(motion[inside] ** 2, axis=1)))
-        assert np.max(np.abs(motion[inside] @ rows.T), initial=0.0) < 2e-3 * speed
-        spread = np.linalg.svd(motion[~inside] / np.sqrt(np.sum(~inside)), compute_uv=False)
-        assert spread[-1] > 0.01
+    for kind in ["drawer", "door", "screw", "table_flat", "tether"]:
+        with case(kind):
+            trajectories, truth = part("make_recordings.kinematic_sets").make_set(kind, "panda", 6, 2, noise=0.0)
+            robot, mechanism = arm("panda"), truth["mechanisms"][0]
+            rows, tip = np.array(mechanism["rows"]).reshape(-1, 6), robot.frame(truth["tip"])
+            for (time, q), windows in zip(trajectories, truth["windows"], strict=True):
+                u = 0.5 * (q[2:] - q[:-2]) * truth["rate"]
+                motion = np.array([robot.jacobian(a, tip) @ b for a, b in zip(q[1:-1], u, strict=True)])
+                inside = (time[1:-1] > windows[0][0] + 0.02) & (time[1:-1] < windows[0][1] - 0.02)
+                speed = np.sqrt(np.mean(np.sum(motion[inside] ** 2, axis=1)))
+                assert np.max(np.abs(motion[inside] @ rows.T), initial=0.0) < 2e-3 * speed
+                spread = np.linalg.svd(motion[~inside] / np.sqrt(np.sum(~inside)), compute_uv=False)
+                assert spread[-1] > 0.01
 
 
 def test_a_wrong_truth_is_told(part) -> None:
@@ -128,14 +130,15 @@ def test_a_grip_that_slips_holds_twice(part) -> None:
     assert truth["contaminated"]
 
 
-@pytest.mark.parametrize("kind", FREE)
-def test_free_motion_names_no_mechanism_and_stays_inside_the_limits(part, kind: str) -> None:
+def test_free_motion_names_no_mechanism_and_stays_inside_the_limits(part) -> None:
     """No window, no mechanism; the arm keeps its limits."""
-    trajectories, truth = part("make_recordings.kinematic_sets").make_set(kind, "sawyer", 5, 3)
-    robot = arm("sawyer")
-    assert truth["mechanisms"] == [] and truth["windows"] == [[], [], []]
-    for _, q in trajectories:
-        assert np.all(q > robot.position_lower) and np.all(q < robot.position_upper) and np.ptp(q) > 0.2
+    for kind in FREE:
+        with case(kind):
+            trajectories, truth = part("make_recordings.kinematic_sets").make_set(kind, "sawyer", 5, 3)
+            robot = arm("sawyer")
+            assert truth["mechanisms"] == [] and truth["windows"] == [[], [], []]
+            for _, q in trajectories:
+                assert np.all(q > robot.position_lower) and np.all(q < robot.position_upper) and np.ptp(q) > 0.2
 
 
 def test_a_recording_may_be_cut_to_the_contact(part) -> None:
@@ -145,11 +148,12 @@ def test_a_recording_may_be_cut_to_the_contact(part) -> None:
         assert windows == [[0.0, pytest.approx(time[-1], abs=0.011), 0]]
 
 
-@pytest.mark.parametrize(("kind", "robot", "count"), [("soup", "panda", 2), ("door", "r2d2", 2), ("door", "panda", 0)])
-def test_what_does_not_exist_is_refused(part, kind: str, robot: str, count: int) -> None:
+def test_what_does_not_exist_is_refused(part) -> None:
     """An unknown kind or robot, or no demonstration at all, is an error that lists what there is."""
-    with pytest.raises(ValueError, match="there are|at least 1"):
-        part("make_recordings.kinematic_sets").make_set(kind, robot, 1, count)
+    for kind, robot, count in [("soup", "panda", 2), ("door", "r2d2", 2), ("door", "panda", 0)]:
+        with case(kind, robot, count):
+            with pytest.raises(ValueError, match="there are|at least 1"):
+                part("make_recordings.kinematic_sets").make_set(kind, robot, 1, count)
 
 
 SIMULATIONS = [("drawer_slip", "panda"), ("screw", "ur5"), ("door", "xarm7")]
@@ -177,13 +181,14 @@ def test_the_command_writes_recordings_that_can_be_loaded(part, tmp_path: Path) 
     assert len(demos.trajectories) == 2 == len(truth["windows"]) and truth["rate"] == 50.0
 
 
-@pytest.mark.parametrize("folder", SHIPPED)
-def test_shipped_recordings_obey_their_truth(part, folder: str) -> None:
+def test_shipped_recordings_obey_their_truth(part) -> None:
     """Each shipped window obeys the shipped truth to the noise of the encoders; the reader accepts the files."""
-    truth = json.loads((DATA / folder / "truth.json").read_text(encoding="utf-8"))
-    rows = [np.loadtxt(path, delimiter=",", skiprows=1) for path in sorted((DATA / folder).glob("demo_*.csv"))]
-    assert len(rows) == len(truth["windows"])
-    robot = arm(truth["robot"])
-    assert len(load_demonstrations(DATA / folder, robot).trajectories) == len(rows)
-    linear, _ = worst(part, robot, [(r[:, 0], r[:, 1:]) for r in rows], truth)
-    assert 1e-5 < linear < NOISY
+    for folder in SHIPPED:
+        with case(folder):
+            truth = json.loads((DATA / folder / "truth.json").read_text(encoding="utf-8"))
+            rows = [np.loadtxt(path, delimiter=",", skiprows=1) for path in sorted((DATA / folder).glob("demo_*.csv"))]
+            assert len(rows) == len(truth["windows"])
+            robot = arm(truth["robot"])
+            assert len(load_demonstrations(DATA / folder, robot).trajectories) == len(rows)
+            linear, _ = worst(part, robot, [(r[:, 0], r[:, 1:]) for r in rows], truth)
+            assert 1e-5 < linear < NOISY

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from case import case
 from generated_motions import angle_deg, arm_features, guided_motions, oblique
 
 from manip_learn.errors import RecordingError
@@ -36,21 +37,23 @@ def error_of(true: Trajectory, derived: Trajectory) -> float:
     return float(np.sqrt(np.mean((derived.u - u) ** 2) / np.mean(u**2)))
 
 
-@pytest.mark.parametrize(("noise", "allowed"), [(0.0, 1e-5), (1e-7, 1e-5), (1e-5, 5e-4), (1e-4, 2e-3), (1e-3, 1e-2)])
-def test_smooth_velocities_are_close_to_the_truth(noise: float, allowed: float):
+def test_smooth_velocities_are_close_to_the_truth():
     """From clean positions and from noisy ones: degree and width of the window are chosen well for each."""
-    true, noisy, _ = recorded(1, noise)
-    errors = [error_of(a, derive_velocities(b, ROBOT)) for a, b in zip(true, noisy, strict=True)]
-    assert max(errors) < allowed
+    for noise, allowed in [(0.0, 1e-5), (1e-7, 1e-5), (1e-5, 5e-4), (1e-4, 2e-3), (1e-3, 1e-2)]:
+        with case(noise, allowed):
+            true, noisy, _ = recorded(1, noise)
+            errors = [error_of(a, derive_velocities(b, ROBOT)) for a, b in zip(true, noisy, strict=True)]
+            assert max(errors) < allowed
 
 
-@pytest.mark.parametrize(("noise", "allowed_deg"), [(0.0, 2e-4), (1e-4, 0.02), (1e-3, 0.2)])
-def test_a_constraint_learnt_from_positions(noise: float, allowed_deg: float):
+def test_a_constraint_learnt_from_positions():
     """Positions alone are enough for the constraint."""
-    for seed in range(3):
-        _, noisy, truth = recorded(seed, noise)
-        learner = ConstraintLearner(FEATURES, n_constraints=2).fit(noisy)
-        assert angle_deg(learner.constraint_, truth) < allowed_deg
+    for noise, allowed_deg in [(0.0, 2e-4), (1e-4, 0.02), (1e-3, 0.2)]:
+        with case(noise, allowed_deg):
+            for seed in range(3):
+                _, noisy, truth = recorded(seed, noise)
+                learner = ConstraintLearner(FEATURES, n_constraints=2).fit(noisy)
+                assert angle_deg(learner.constraint_, truth) < allowed_deg
 
 
 def test_the_choice_beats_fixed_windows():
@@ -93,24 +96,25 @@ def test_polynomials_on_uneven_stamps_are_exact():
         np.testing.assert_allclose(found, slope[6:-6], rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("jitter", [0.0, 2e-4])
-def test_fast_sampling_has_windows_as_long_as_slow_sampling(jitter: float):
+def test_fast_sampling_has_windows_as_long_as_slow_sampling():
     """At 500 Hz and 1e-3 rad the window is longer than 61 samples, with a degree that follows the motion.
 
     The error is less than half that of the best window of 61 samples. Up to 100 Hz no longer ones are among the choice.
     """
-    rng = np.random.default_rng(11)
-    time = 0.002 * np.arange(2500) + rng.uniform(-jitter, jitter, 2500)
-    phase, rate = rng.uniform(0.0, 6.0, 7), rng.uniform(2.0, 5.0, 7)
-    q = 0.3 * np.sin(np.outer(time, rate) + phase) + 1e-3 * rng.standard_normal((2500, 7))
-    true = Trajectory(time, q, 0.3 * rate * np.cos(np.outer(time, rate) + phase), ROBOT.joint_names)
-    noisy = Trajectory(time, q, None, ROBOT.joint_names)
-    m, degree = best_window(time, q)
-    assert 75 <= m <= 150 and degree >= 3
-    best = min(error_of(true, derive_velocities(noisy, ROBOT, "smooth", 30, d)) for d in (2, 3, 5))
-    assert error_of(true, derive_velocities(noisy, ROBOT)) < 0.5 * best
-    for step in (0.01, 0.1):
-        assert half_widths_of(step * np.arange(2500)) == HALF_WIDTHS
+    for jitter in [0.0, 2e-4]:
+        with case(jitter):
+            rng = np.random.default_rng(11)
+            time = 0.002 * np.arange(2500) + rng.uniform(-jitter, jitter, 2500)
+            phase, rate = rng.uniform(0.0, 6.0, 7), rng.uniform(2.0, 5.0, 7)
+            q = 0.3 * np.sin(np.outer(time, rate) + phase) + 1e-3 * rng.standard_normal((2500, 7))
+            true = Trajectory(time, q, 0.3 * rate * np.cos(np.outer(time, rate) + phase), ROBOT.joint_names)
+            noisy = Trajectory(time, q, None, ROBOT.joint_names)
+            m, degree = best_window(time, q)
+            assert 75 <= m <= 150 and degree >= 3
+            best = min(error_of(true, derive_velocities(noisy, ROBOT, "smooth", 30, d)) for d in (2, 3, 5))
+            assert error_of(true, derive_velocities(noisy, ROBOT)) < 0.5 * best
+            for step in (0.01, 0.1):
+                assert half_widths_of(step * np.arange(2500)) == HALF_WIDTHS
 
 
 def test_many_uneven_windows_are_exact():
@@ -210,23 +214,24 @@ def test_every_length_from_three_up():
         assert len(derived) >= 2 and np.all(np.isfinite(derived.u)), n
 
 
-@pytest.mark.parametrize("stamps", ["even", "jittered"])
-def test_weights_of_a_grid_are_found_once(monkeypatch, stamps):
+def test_weights_of_a_grid_are_found_once(monkeypatch):
     """Recordings that are sampled alike share their weights, whenever they begin if the steps are even."""
-    rng, robot = np.random.default_rng(5), load_robot("planar3")
-    steps = np.full(80, 0.01) if stamps == "even" else rng.uniform(0.005, 0.015, 80)
-    later = 12.5 if stamps == "even" else 0.0
-    solved = []
-    for kept in (local_fit_module._trial, local_fit_module._weights, local_fit_module._even_weights):
-        kept.cache_clear()
-    monkeypatch.setattr(local_fit_module, "_solved_weights", _counted(local_fit_module._solved_weights, solved))
-    q = np.cumsum(rng.standard_normal((80, 3)) * 1e-3, axis=0) + np.linspace(0.0, 0.5, 80)[:, None]
-    first = derive_velocities(Trajectory(np.cumsum(steps), q), robot)
-    assert len(solved) >= 10
-    solved.clear()
-    second = derive_velocities(Trajectory(later + np.cumsum(steps), q), robot)
-    assert len(solved) <= 1
-    np.testing.assert_allclose(second.u, first.u, rtol=1e-9, atol=1e-12)
+    for stamps in ["even", "jittered"]:
+        with case(stamps):
+            rng, robot = np.random.default_rng(5), load_robot("planar3")
+            steps = np.full(80, 0.01) if stamps == "even" else rng.uniform(0.005, 0.015, 80)
+            later = 12.5 if stamps == "even" else 0.0
+            solved = []
+            for kept in (local_fit_module._trial, local_fit_module._weights, local_fit_module._even_weights):
+                kept.cache_clear()
+            monkeypatch.setattr(local_fit_module, "_solved_weights", _counted(local_fit_module._solved_weights, solved))
+            q = np.cumsum(rng.standard_normal((80, 3)) * 1e-3, axis=0) + np.linspace(0.0, 0.5, 80)[:, None]
+            first = derive_velocities(Trajectory(np.cumsum(steps), q), robot)
+            assert len(solved) >= 10
+            solved.clear()
+            second = derive_velocities(Trajectory(later + np.cumsum(steps), q), robot)
+            assert len(solved) <= 1
+            np.testing.assert_allclose(second.u, first.u, rtol=1e-9, atol=1e-12)
 
 
 def _counted(function, calls):
@@ -237,17 +242,18 @@ def _counted(function, calls):
     return call
 
 
-@pytest.mark.parametrize("method", ["auto", "midpoint"])
-def test_together_as_one_by_one(method: str) -> None:
+def test_together_as_one_by_one() -> None:
     """Recordings with the same times get the velocities that each gets by itself, in their order."""
-    _, many, _ = recorded(3, 1e-4, n_points=90, n_trajectories=6)
-    _, long, _ = recorded(4, 1e-3, n_points=120, n_trajectories=2)
-    _, short, _ = recorded(5, 1e-4, n_points=9, n_trajectories=2)
-    mixed = [many[0], long[0], many[1], short[0], *many.trajectories[2:], long[1], short[1]]
-    for t, got in zip(mixed, derive_together(mixed, ROBOT, method), strict=True):  # type: ignore[arg-type]
-        one = derive_velocities(t, ROBOT, method)  # type: ignore[arg-type]
-        assert got.name == t.name
-        np.testing.assert_array_equal(got.time, one.time)
-        np.testing.assert_allclose(got.q, one.q, rtol=0, atol=1e-13)
-        assert got.u is not None and one.u is not None
-        np.testing.assert_allclose(got.u, one.u, rtol=0, atol=1e-11)
+    for method in ["auto", "midpoint"]:
+        with case(method):
+            _, many, _ = recorded(3, 1e-4, n_points=90, n_trajectories=6)
+            _, long, _ = recorded(4, 1e-3, n_points=120, n_trajectories=2)
+            _, short, _ = recorded(5, 1e-4, n_points=9, n_trajectories=2)
+            mixed = [many[0], long[0], many[1], short[0], *many.trajectories[2:], long[1], short[1]]
+            for t, got in zip(mixed, derive_together(mixed, ROBOT, method), strict=True):  # type: ignore[arg-type]
+                one = derive_velocities(t, ROBOT, method)  # type: ignore[arg-type]
+                assert got.name == t.name
+                np.testing.assert_array_equal(got.time, one.time)
+                np.testing.assert_allclose(got.q, one.q, rtol=0, atol=1e-13)
+                assert got.u is not None and one.u is not None
+                np.testing.assert_allclose(got.u, one.u, rtol=0, atol=1e-11)

@@ -69,14 +69,11 @@ def frame_of(trajectories: Sequence[Trajectory]) -> PandasFrame:
         TRAJECTORY: np.repeat([t.name for t in trajectories], [len(t) for t in trajectories]),
         TIME: np.concatenate([t.time for t in trajectories]),
     }
-    q = np.concatenate([t.q for t in trajectories])
-    table |= {name: q[:, j] for j, name in enumerate(joints)}
-    if any(t.u is not None for t in trajectories):
-        u = np.concatenate([np.full_like(t.q, np.nan) if t.u is None else t.u for t in trajectories])
-        table |= {name + VELOCITY_SUFFIX: u[:, j] for j, name in enumerate(joints)}
-    if any(t.effort is not None for t in trajectories):
-        effort = np.concatenate([np.full_like(t.q, np.nan) if t.effort is None else t.effort for t in trajectories])
-        table |= {name + EFFORT_SUFFIX: effort[:, j] for j, name in enumerate(joints)}
+    for attribute, suffix in (("q", ""), ("u", VELOCITY_SUFFIX), ("effort", EFFORT_SUFFIX)):
+        arrays = [getattr(t, attribute) for t in trajectories]
+        if any(a is not None for a in arrays):
+            filled = [np.full_like(t.q, np.nan) if a is None else a for t, a in zip(trajectories, arrays, strict=True)]
+            table |= {name + suffix: column for name, column in zip(joints, np.concatenate(filled).T, strict=True)}
     return pd.DataFrame(table)
 
 
@@ -131,8 +128,7 @@ def _with_time(frame: Any) -> Any:
     index = frame.index
     if TIME in frame.columns:
         return frame
-    if index.dtype.kind == "M":  # dates
-        return frame.assign(**{TIME: (index - index[0]).total_seconds()})
-    if index.dtype.kind == "m":  # durations
-        return frame.assign(**{TIME: index.total_seconds()})
+    if index.dtype.kind in "mM":  # durations, or dates
+        durations = index - index[0] if index.dtype.kind == "M" else index
+        return frame.assign(**{TIME: durations.total_seconds()})
     return frame.assign(**{TIME: index}) if index.name == TIME else frame

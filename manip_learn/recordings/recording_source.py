@@ -10,7 +10,7 @@ from typing import Unpack, final
 
 from manip_learn.recordings.load_demonstrations import Paths, ReadOptions, open_recordings, read_recordings
 from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER, episode_number, open_dataset, separate_files
-from manip_learn.recordings.readers.recording import read_json, size_on_disk
+from manip_learn.recordings.readers.recording import size_on_disk
 from manip_learn.recordings.readers.recording_files import LEROBOT, FileFormat, RecordingFile
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource
@@ -70,13 +70,15 @@ def _pieces(file: RecordingFile, chosen: frozenset[int] | None) -> list[Recordin
     """
     if file.format is not LEROBOT or not file.path.is_dir():
         return [_named_alike_everywhere(file.path, file.format)]
-    described = read_json(file.path / "meta" / "info.json")
-    version = described.get("codebase_version") if isinstance(described, dict) else None
-    if isinstance(version, str) and version.startswith("v2."):
+    dataset = open_dataset(file.path)
+    numbers = [episode_number(path) for path in dataset.files]
+    if None not in numbers:
+        if chosen is None:
+            dataset.refuse_lost("episodes", len(numbers))
         return [
             _named_alike_everywhere(path, LEROBOT)
-            for path in open_dataset(file.path).files
-            if chosen is None or (number := episode_number(path)) is None or number in chosen
+            for path, number in zip(dataset.files, numbers, strict=True)
+            if chosen is None or number in chosen
         ]
     is_ours = (file.path / DATASET_HEADER).is_file()  # its header speaks for the folder, not for a file in it
     runs = [] if chosen is not None or is_ours else separate_files(file.path)

@@ -19,6 +19,7 @@ from manip_learn.robot.identity import RobotIdentity, names_from
 
 Kind = Literal["rollout", "recording"]
 PREFIX = "manip_learn."
+CURVES = ("u", "effort", "manipulability", "task_error", "following_error")  # what a motion may have beside q
 SCHEMA = 2
 UNKNOWN_ROBOT = (
     "the file does not say which robot and which locked joints it was made with (rollouts saved by earlier versions do "

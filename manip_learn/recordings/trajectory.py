@@ -48,12 +48,10 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
-        object.__setattr__(self, "time", self._array("time", self.time, 1))
-        object.__setattr__(self, "q", self._array("q", self.q, 2))
-        if self.u is not None:
-            object.__setattr__(self, "u", self._array("u", self.u, 2))
-        if self.effort is not None:
-            object.__setattr__(self, "effort", self._array("effort", self.effort, 2))
+        for what in ("time", "q", "u", "effort"):
+            given = getattr(self, what)
+            if what in ("time", "q") or given is not None:
+                object.__setattr__(self, what, self._array(what, given, 1 if what == "time" else 2))
         self._check_shapes()
         steps = np.diff(self.time)
         if steps.size and np.min(steps) <= 0.0:

@@ -1,201 +1,52 @@
-"""A ROS 1 or ROS 2 bag, opened for its joint states, and the byte layout of these messages."""
+"""A ROS 1 or ROS 2 bag, opened for its joint states, and its messages counted apart from the library.
+
+`rosbags.highlevel.AnyReader` reads the same files, and with damage it gives what is left without a word: packed blocks
+are therefore unpacked only as far as is plausible, and what was read is held against every count that the bag states.
+"""
 
 from __future__ import annotations
 
+import bz2
 import contextlib
 import functools
+import os
 import sqlite3
 import struct
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
-
-import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from urllib.parse import quote
 
 from manip_learn.errors import MissingExtraError, RecordingError
-from manip_learn.recordings.readers.recording import reason, refusal
-from manip_learn.recordings.writers.joint_state_messages import JOINT_STATE
-
-MOST_JOINTS = 10_000
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class JointStateLayout:
-    """Where the numbers are in messages that have the same joints.
-
-    Attributes:
-        size: Bytes of the message.
-        order: `"<"` or `">"`, byte order.
-        names: Joint names in the message.
-        stamp_at: Offset of the seconds; the nanoseconds follow.
-        position_at: Offset of the positions, or None if the message has none.
-        velocity_at: Offset of the velocities, or None.
-        effort_at: Offset of the efforts, or None.
-        fixed: Offsets of the bytes that every message of this layout shares.
-        template: The shared bytes.
-    """
-
-    size: int
-    order: str
-    names: tuple[str, ...]
-    stamp_at: int
-    position_at: int | None
-    velocity_at: int | None
-    effort_at: int | None
-    fixed: Int[np.ndarray, " k"]
-    template: UInt8[np.ndarray, " k"]
-
-    def matches(self, messages: UInt8[np.ndarray, "N size"]) -> Bool[np.ndarray, " N"]:
-        """Messages (one per row) that have this layout."""
-        return np.all(messages[:, self.fixed] == self.template, axis=1)
-
-    def stamps(self, messages: UInt8[np.ndarray, "N size"]) -> Int[np.ndarray, " N"]:
-        """Header stamps [ns]."""
-        parts = np.ascontiguousarray(messages[:, self.stamp_at : self.stamp_at + 8]).view(self.order + "u4")
-        return parts[:, 0].astype(np.int64) * 1_000_000_000 + parts[:, 1].astype(np.int64)
-
-    def numbers(self, messages: UInt8[np.ndarray, "N size"], at: int | None) -> Float[np.ndarray, "N n"] | None:
-        """One number per joint from an offset on; None if the messages have none."""
-        if at is None:
-            return None
-        block = np.ascontiguousarray(messages[:, at : at + 8 * len(self.names)])
-        return block.view(self.order + "f8").astype(np.float64)
-
-
-@final
-class _Cursor:
-    """Reads one message field by field and remembers which bytes are shared by messages of the same layout."""
-
-    def __init__(self, raw: bytes, order: str, at: int, *, cdr: bool):
-        self.raw, self.order, self.at, self.cdr = raw, order, at, cdr
-        self.fixed: list[int] = []
-
-    def count(self) -> int:
-        """An unsigned 32-bit number that belongs to the layout."""
-        if self.cdr:  # CDR aligns numbers to their size, counted after the 4 bytes in front
-            self.at += -(self.at - 4) % 4
-        (value,) = struct.unpack_from(self.order + "I", self.raw, self.at)
-        self.fixed += range(self.at, self.at + 4)
-        self.at += 4
-        return value
-
-    def text(self, *, shared: bool) -> str:
-        """A string."""
-        length = self.count()
-        content = self.raw[self.at : self.at + length]
-        if len(content) != length:
-            raise ValueError("a string ends after the message")
-        if shared:
-            self.fixed += range(self.at, self.at + length)
-        self.at += length
-        return content.rstrip(b"\x00").decode("utf-8")
-
-    def doubles(self) -> tuple[int, int]:
-        """Offset and number of the entries of an array of numbers."""
-        length = self.count()
-        if self.cdr and length:
-            self.at += -(self.at - 4) % 8
-        start = self.at
-        self.at += 8 * length
-        if self.at > len(self.raw):
-            raise ValueError(f"an array of {length} numbers ends after the message")
-        return start, length
-
-
-def ros1_layout(raw: bytes) -> JointStateLayout:
-    """Layout of a ROS 1 message.
-
-    Raises:
-        ValueError: Not a JointState.
-        struct.error: Too short.
-    """
-    return _layout(_Cursor(raw, "<", 12, cdr=False), stamp_at=4)
-
-
-def cdr_layout(raw: bytes) -> JointStateLayout:
-    """Layout of a ROS 2 message.
-
-    Raises:
-        ValueError: Not a JointState, or an encoding other than plain CDR.
-        struct.error: Too short.
-    """
-    if raw[:2] not in (b"\x00\x00", b"\x00\x01"):
-        raise ValueError(f"the message is not plain CDR, it starts with {raw[:4]!r}")
-    return _layout(_Cursor(raw, "<" if raw[1] else ">", 12, cdr=True), stamp_at=4)
-
-
-def _layout(cursor: _Cursor, stamp_at: int) -> JointStateLayout:
-    if cursor.cdr:
-        cursor.fixed += (0, 1)
-    cursor.text(shared=False)  # the header's frame
-    n = cursor.count()
-    if n > MOST_JOINTS:
-        raise ValueError(f"the message names {n} joints")
-    names = tuple(cursor.text(shared=True) for _ in range(n))
-    position_at, n_positions = cursor.doubles()
-    velocity_at, n_velocities = cursor.doubles()
-    effort_at, n_efforts = cursor.doubles()
-    fixed = np.array(cursor.fixed, dtype=np.int64)
-    return JointStateLayout(
-        size=len(cursor.raw),
-        order=cursor.order,
-        names=names,
-        stamp_at=stamp_at,
-        position_at=position_at if n_positions == n and n else None,
-        velocity_at=velocity_at if n_velocities == n and n else None,
-        effort_at=effort_at if n_efforts == n and n else None,
-        fixed=fixed,
-        template=np.frombuffer(cursor.raw, dtype=np.uint8)[fixed],
-    )
-
+from manip_learn.recordings.readers.mcap_records import McapContents, mcap_contents
+from manip_learn.recordings.readers.recording import bomb, most_bytes, reason, refusal
+from manip_learn.recordings.writers.mcap_writer import JOINT_STATE
 
 try:
     import apsw
+    import lz4.frame
     from rosbags import rosbag1, rosbag2
+    from rosbags.rosbag1.reader import Header, RecordType, read_uint32
+    from rosbags.rosbag2.reader import zstd  # the standard library's from Python 3.14 on, a package before
     from rosbags.rosbag2.storage_mcap import McapReader
     from rosbags.serde import SerdeError
     from rosbags.typesys import Stores, get_typestore
+    from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
-
-    from manip_learn.recordings.readers.bag_contents import (
-        BoundedDecompressor,
-        McapContents,
-        check_zstd,
-        mcap_contents,
-        refuse_other_counts,
-        refuse_side_files,
-        ros1_counts,
-        sqlite_counts,
-        unpacked_message,
-    )
 except ImportError as error:
     raise MissingExtraError("reading ROS bags", "ros") from error
+
+BLOCK = 1 << 20
 
 LARGEST_METADATA = 10_000_000
 # what the library was seen to raise on damaged bags, next to its own errors
 DAMAGE = (
-    rosbag1.ReaderError,
-    rosbag2.ReaderError,
-    SerdeError,
-    YAMLError,
-    apsw.Error,
-    sqlite3.Error,
-    struct.error,
-    ArithmeticError,
-    AssertionError,
-    AttributeError,
-    EOFError,
-    LookupError,
-    MemoryError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
+    *(rosbag1.ReaderError, rosbag2.ReaderError, SerdeError, YAMLError, apsw.Error, sqlite3.Error, zstd.ZstdError),
+    *(struct.error, ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError, OSError),
+    *(RuntimeError, TypeError, ValueError),
 )
 
 
@@ -240,7 +91,6 @@ class BagFile:
         connections = [c for p in parts for c in p.reader.connections]
         self.topics: dict[str, str] = {c.topic: c.msgtype for c in connections}
         self.joint_topics = tuple(dict.fromkeys(c.topic for c in connections if c.msgtype == JOINT_STATE))
-        self._types = _typestore(is_ros1=self.is_ros1)
 
     def messages(self, topics: tuple[str, ...]) -> Iterator[tuple[str, str, int, bytes]]:
         """Topic, publisher, stamp of the recorder [ns] and bytes of every message, file by file in order of the stamps.
@@ -258,42 +108,19 @@ class BagFile:
             publishers = {c.id: _publisher(c, part.reader) for c in wanted}
             for connection, stamp, raw in part.reader.messages(wanted) if wanted else ():
                 found[connection.topic] += 1
-                content = unpacked_message(part.path, raw) if part.packed else raw
+                content = _bounded(part.path, zstd.ZstdDecompressor, raw) if part.packed else raw
                 yield connection.topic, publishers[connection.id], stamp, content
             asked = {c.topic: part.counts[c.topic] for c in wanted}
-            refuse_other_counts(part.path, found, asked, "its content")
+            _refuse_other_counts(part.path, found, asked, "its content")
             total += found
         if self._stated is not None:
             asked = {t: n for t, n in self._stated.items() if t in topics}
-            refuse_other_counts(self.path, total, asked, "metadata.yaml")
+            _refuse_other_counts(self.path, total, asked, "metadata.yaml")
 
-    def layout(self, raw: bytes) -> JointStateLayout:
-        """Where the numbers are in a message; checked against the library's own reading of it.
-
-        Raises:
-            ValueError: Not a JointState.
-        """
-        layout = ros1_layout(raw) if self.is_ros1 else cdr_layout(raw)
-        message: Any = (
-            self._types.deserialize_ros1(raw, JOINT_STATE)
-            if self.is_ros1
-            else self._types.deserialize_cdr(raw, JOINT_STATE)
-        )
-        if tuple(message.name) != layout.names:
-            raise ValueError(f"the joint names are read as {tuple(message.name)} and as {layout.names}")
-        self._compare(raw, layout, message)
-        return layout
-
-    @staticmethod
-    def _compare(raw: bytes, layout: JointStateLayout, message: Any) -> None:
-        for values, at in ((message.position, layout.position_at), (message.velocity, layout.velocity_at)):
-            n = len(layout.names)
-            expected = values.astype(layout.order + "f8").tobytes()
-            if at is not None and raw[at : at + 8 * n] != expected:
-                raise ValueError("the numbers of a message are read differently by the library")
-        seconds, nanoseconds = struct.unpack_from(layout.order + "II", raw, layout.stamp_at)
-        if (seconds, nanoseconds) != (message.header.stamp.sec % 2**32, message.header.stamp.nanosec):
-            raise ValueError("the stamp of a message is read differently by the library")
+    def deserialised(self, raw: bytes) -> Any:
+        """A message as the library reads it."""
+        types = _typestore(is_ros1=self.is_ros1)
+        return (types.deserialize_ros1 if self.is_ros1 else types.deserialize_cdr)(raw, JOINT_STATE)
 
 
 @functools.cache  # it takes longer to build than a small bag to read
@@ -323,19 +150,13 @@ def open_bag(path: Path) -> Iterator[BagFile]:
             yield _opened(path, stack)
     except RecordingError:
         raise
-    except (*DAMAGE, _zstd_error()) as error:
+    except DAMAGE as error:
         raise refusal(
             path,
             "damaged",
             f"the bag cannot be read ({reason(error)}): repair it (`rosbag reindex`, `ros2 bag reindex`, "
             "`mcap recover`) or record it again",
         ) from error
-
-
-def _zstd_error() -> type[Exception]:
-    from rosbags.rosbag2.reader import zstd
-
-    return zstd.ZstdError
 
 
 def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
@@ -348,7 +169,7 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
     is_mcap = head.startswith(b"\x89MCAP")
     contents = mcap_contents(path) if is_mcap else None
     if not is_mcap:
-        refuse_side_files(path)
+        _refuse_side_files(path)
     # the library goes by the extension, and its SQLite address cannot hold every character of a path
     folder = stack.enter_context(tempfile.TemporaryDirectory())
     link = Path(folder) / ("bag.mcap" if is_mcap else "bag.db3")
@@ -356,7 +177,7 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
     reader: Any = rosbag2.Reader(link)
     reader.open()
     stack.callback(reader.close)
-    counts = sqlite_counts(link, path, alone=True) if contents is None else contents.by_topic()
+    counts = _sqlite_counts(link, path, alone=True) if contents is None else contents.by_topic()
     return BagFile(path, [BagPart(path, reader.storage, counts)], notes=_checksum_notes([contents]))
 
 
@@ -365,11 +186,11 @@ def _ros1(path: Path, stack: contextlib.ExitStack) -> BagFile:
     stack.callback(lambda: reader.close() if reader.bio is not None else None)
     reader.open()
     for position, chunk in reader.chunks.items():
-        name = getattr(chunk.decompressor, "__module__", "") or ""
-        if "bz2" in name or "lz4" in name:
-            bounded = BoundedDecompressor(path, "bz2" if "bz2" in name else "lz4")
-            reader.chunks[position] = chunk._replace(decompressor=bounded)
-    counts = ros1_counts(path, {c.id: c.topic for c in reader.connections})
+        module = str(getattr(chunk.decompressor, "__module__", ""))
+        for name, tool in (("bz2", bz2.BZ2Decompressor), ("lz4", lz4.frame.LZ4FrameDecompressor)):
+            if name in module:
+                reader.chunks[position] = chunk._replace(decompressor=functools.partial(_bounded, path, tool))
+    counts = _ros1_counts(path, {c.id: c.topic for c in reader.connections})
     return BagFile(path, [BagPart(path, reader, counts)])
 
 
@@ -380,11 +201,11 @@ def _folder(path: Path, stack: contextlib.ExitStack) -> BagFile:
     contents: dict[Path, McapContents] = {}
     for file in path.iterdir():
         if file.suffix == ".zstd":
-            check_zstd(file)
+            _check_zstd(file)
         elif file.suffix == ".mcap":
             contents[file] = mcap_contents(file)
         elif file.suffix == ".db3":
-            refuse_side_files(file)
+            _refuse_side_files(file)
     reader: Any = rosbag2.Reader(path)
     reader.open()
     stack.callback(reader.close)
@@ -397,7 +218,7 @@ def _folder(path: Path, stack: contextlib.ExitStack) -> BagFile:
                 contents[shown] = mcap_contents(Path(str(storage.path)))
             counts = contents[shown].by_topic()
         else:
-            counts = sqlite_counts(Path(str(storage.path)), shown, alone=False)
+            counts = _sqlite_counts(Path(str(storage.path)), shown, alone=False)
         parts.append(BagPart(shown, storage, counts, packed=whole.metadata.compression_mode == "message"))
     stated: Counter[str] = Counter()
     for connection in whole.connections:
@@ -414,3 +235,146 @@ def _checksum_notes(contents: Iterable[McapContents | None]) -> tuple[str, ...]:
     if any(c.stated is None for c in found):
         notes.append("the file states no number of messages: lost ones are not noticed")
     return tuple(notes)
+
+
+def _bounded(path: Path, tool: Callable[[], Any], packed: bytes) -> bytes:
+    """What a block or a message unpacks to, but never more than is plausible."""
+    most = most_bytes(len(packed))
+    content = tool().decompress(packed, max_length=most + 1)
+    if len(content) > most:
+        raise bomb(path, f"a block of {len(packed):,} bytes unpacks to more than {most:,}")
+    return content
+
+
+def _check_zstd(path: Path) -> None:
+    """Refuse a zstd file that unpacks to far more than its size."""
+    most, total = most_bytes(path.stat().st_size), 0
+    with zstd.open(path, "rb") as file:
+        while block := file.read(BLOCK):
+            total += len(block)
+            if total > most:
+                raise bomb(path, f"its {path.stat().st_size:,} bytes unpack to more than {most:,}")
+
+
+def _ros1_counts(path: Path, topics: dict[int, str]) -> Counter[str]:
+    """Messages per topic of a ROS 1 bag, by its chunk information, which must agree with the index of every chunk."""
+    seen: Counter[int] = Counter()
+    indexed: Counter[int] = Counter()
+    stated: Counter[int] = Counter()
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        file.readline()
+        first = Header.read(file, RecordType.BAGHEADER)
+        file.seek(read_uint32(file), os.SEEK_CUR)
+        while (at := file.tell()) < size:
+            header = Header.read(file)
+            kind, length = header.get_uint8("op"), read_uint32(file)
+            start = file.tell()
+            if start + length > size:
+                raise _damaged_bag(path, f"the record at byte {at} ends after the file")
+            seen[kind] += 1
+            if kind == RecordType.IDXDATA:
+                indexed[header.get_uint32("conn")] += header.get_uint32("count")
+            elif kind == RecordType.CHUNK_INFO:
+                for _ in range(header.get_uint32("count")):
+                    connection, count = read_uint32(file), read_uint32(file)
+                    stated[connection] += count
+            file.seek(start + length)
+    for what, kind, field in (
+        ("chunks", RecordType.CHUNK, "chunk_count"),
+        ("chunks in the index", RecordType.CHUNK_INFO, "chunk_count"),
+        ("connections", RecordType.CONNECTION, "conn_count"),
+    ):
+        if seen[kind] != (n := first.get_uint32(field)):
+            raise _damaged_bag(path, f"it has {seen[kind]} {what}, its header states {n}")
+    for connection in sorted(set(indexed) | set(stated)):
+        if indexed[connection] != stated[connection]:
+            name = topics.get(connection, f"connection {connection}")
+            raise _damaged_bag(
+                path, f"its chunks index {indexed[connection]} messages of {name}, it states {stated[connection]}"
+            )
+    return _by_topic(stated, topics)
+
+
+def _damaged_bag(path: Path, text: str) -> RecordingError:
+    return refusal(path, "damaged", f"the bag is damaged: {text}; `rosbag reindex` keeps what is left")
+
+
+def _sqlite_counts(path: Path, shown: Path, *, alone: bool) -> Counter[str]:
+    """Messages per topic in a rosbag2 database that SQLite finds sound; `shown` is what an error calls it.
+
+    A database that stands alone, without metadata.yaml, must agree with the copy of that file in itself.
+    """
+    database = sqlite3.connect(f"file:{quote(str(path))}?mode=ro&immutable=1", uri=True)
+    try:
+        (verdict,) = database.execute("PRAGMA integrity_check(1)").fetchone()
+        topics = dict(database.execute("SELECT id, name FROM topics"))
+        counted = Counter(
+            dict(database.execute("SELECT topic_id, count(*) FROM messages NOT INDEXED GROUP BY topic_id"))
+        )
+        tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        row = None
+        if alone and "metadata" in tables:
+            row = database.execute("SELECT metadata FROM metadata ORDER BY id DESC LIMIT 1").fetchone()
+    finally:
+        database.close()
+    if verdict != "ok":
+        raise _damaged_database(shown, f"SQLite finds {' '.join(str(verdict).split())[:80]}")
+    lost = set(counted) - set(topics)
+    if lost:
+        raise _damaged_database(shown, f"{sum(counted[i] for i in lost)} messages belong to no topic")
+    by_topic = _by_topic(counted, topics)
+    stated = _stated(row[0]) if row is not None else None
+    if stated is not None:
+        _refuse_other_counts(shown, by_topic, stated, "its own metadata")
+    return by_topic
+
+
+def _damaged_database(path: Path, text: str) -> RecordingError:
+    return refusal(
+        path,
+        "damaged",
+        f"the database is damaged: {text}; `sqlite3 {path.name} .recover` and `ros2 bag reindex` keep what is left",
+    )
+
+
+def _stated(text: str) -> dict[str, int] | None:
+    """Messages per topic in the metadata of a bag of one file, which a recorder that was killed has not filled in."""
+    content: Any = YAML(typ="safe").load(text)
+    content = content.get("rosbag2_bagfile_information", content) if isinstance(content, dict) else {}
+    if not content.get("message_count") or len(content.get("relative_file_paths", ())) != 1:
+        return None
+    return {t["topic_metadata"]["name"]: int(t["message_count"]) for t in content["topics_with_message_count"]}
+
+
+def _refuse_other_counts(path: Path, found: Counter[str], stated: dict[str, int], source: str) -> None:
+    """Refuse a bag with more or fewer messages of a topic than it states."""
+    for topic, n in stated.items():
+        if found[topic] != n:
+            raise refusal(
+                path,
+                "lost-messages",
+                f"{found[topic]} messages of {topic} are there, {source} states {n}: the bag is damaged "
+                "or a part of it is missing; copy it again, or run `ros2 bag reindex` to use what is left",
+            )
+
+
+def _refuse_side_files(path: Path) -> None:
+    """Refuse a database with a write-ahead log or journal: its newest messages are not in the database yet."""
+    for end in ("-wal", "-journal"):
+        side = path.with_name(path.name + end)
+        if side.is_file() and side.stat().st_size:
+            raise refusal(
+                path,
+                "unfinished",
+                f"in a copy of the folder, put the last messages into the database: sqlite3 {path.name} "
+                "'PRAGMA wal_checkpoint(TRUNCATE); SELECT count(*) FROM messages;', then run `ros2 bag reindex` on the "
+                f"folder. The recorder was killed, and they are in {side.name} only ({side.stat().st_size:,} bytes)",
+            )
+
+
+def _by_topic(counts: Counter[int], topics: dict[int, str]) -> Counter[str]:
+    found: Counter[str] = Counter()
+    for i, n in counts.items():
+        found[topics.get(i, f"connection {i}")] += n
+    return found

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import IO, NoReturn, final
+from typing import NoReturn, final
 
 import numpy as np
 from jaxtyping import Float
@@ -72,16 +72,25 @@ def is_skipped(line: str) -> bool:
     return not start or start.startswith(COMMENT_MARKS)
 
 
-def encoding_of(path: Path) -> str:
-    """Encoding by the byte order mark; UTF-8 without one."""
-    with path.open("rb") as file:
-        head = file.read(4)
-    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    return "utf-8-sig"
+def text_lines(path: Path, encoding: str = "utf-8-sig") -> Iterator[tuple[int, str]]:
+    """The lines of a text file with their numbers, counted from 1.
+
+    Raises:
+        RecordingError: Bytes that are no text, or a line beyond a million characters.
+    """
+    try:
+        with path.open(encoding=encoding) as file:
+            for number, line in enumerate(iter(partial(file.readline, LONGEST_LINE), ""), 1):
+                if len(line) >= LONGEST_LINE:
+                    said = f"this line has more than {LONGEST_LINE:,} characters; a table with one sample per line is"
+                    raise refusal(path, "line-too-long", f"{said} needed", line=number)
+                yield number, line
+    except UnicodeError as error:
+        said = f"this is not UTF-8 text ({reason(error)}): save the table as plain UTF-8 text"
+        raise refusal(path, "encoding", said) from error
 
 
-def is_cut_off(path: Path, dialect: CsvDialect) -> bool:
+def _is_cut_off(path: Path, dialect: CsvDialect) -> bool:
     """True if the file ends within a line of numbers, as one that was cut off."""
     with path.open("rb") as file:
         file.seek(-min(path.stat().st_size, LONGEST_LINE), os.SEEK_END)
@@ -98,12 +107,21 @@ def sniff_dialect(path: Path, names: tuple[str, ...] | None = None) -> CsvDialec
     Raises:
         RecordingError: No header, no text, or a header of numbers: joint names are mandatory.
     """
-    encoding = encoding_of(path)
-    try:
-        with path.open(encoding=encoding) as file:
-            number, line, comment = _first_line(file, path)
-    except UnicodeError as error:
-        raise not_text(path, error) from error
+    with path.open("rb") as file:
+        is_utf16 = file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    encoding, comment = "utf-16" if is_utf16 else "utf-8-sig", ""
+    for number, line in text_lines(path, encoding):
+        if not is_skipped(line):
+            return _dialect(path, encoding, number, line, comment, names)
+        comment = line if line.strip() else comment
+    needed = "a header with 'time' and the joint names, and rows of numbers are needed"
+    raise refusal(path, "empty", f"the file is empty: {needed}")
+
+
+def _dialect(
+    path: Path, encoding: str, number: int, line: str, comment: str, names: tuple[str, ...] | None
+) -> CsvDialect:
+    """The dialect by the first line that is no comment, and the comment above it."""
     dialect = CsvDialect(encoding, _delimiter(line), (), number)
     fields = dialect.split(line)
     if comment.startswith(STAMPED) and len(echoed := CsvDialect("", ",", (), 0).split(comment)) == len(fields):
@@ -133,47 +151,13 @@ def sniff_dialect(path: Path, names: tuple[str, ...] | None = None) -> CsvDialec
     return CsvDialect(encoding, dialect.delimiter, tuple(fields), number)
 
 
-def _first_line(file: IO[str], path: Path) -> tuple[int, str, str]:
-    """Number and text of the first line that is no comment, and the last comment before it."""
-    comment = ""
-    number = 0
-    while line := file.readline(LONGEST_LINE):
-        number += 1
-        if len(line) >= LONGEST_LINE:
-            raise line_too_long(path, number)
-        if not is_skipped(line):
-            return number, line, comment
-        comment = line if line.strip() else comment
-    raise refusal(
-        path, "empty", "the file is empty: a header with 'time' and the joint names, and rows of numbers are needed"
-    )
-
-
 def _delimiter(line: str) -> str | None:
-    for mark in ("\t", ";", ","):
-        if mark in line.strip():
-            return mark
-    return None
+    return next((mark for mark in ("\t", ";", ",") if mark in line.strip()), None)
 
 
 def _split_comment(comment: str) -> list[str]:
     text = comment.strip().lstrip("".join(COMMENT_MARKS)).strip()
     return CsvDialect("", _delimiter(text), (), 0).split(text) if text else []
-
-
-def line_too_long(path: Path, line: int) -> RecordingError:
-    """The refusal of a line beyond a million characters."""
-    return refusal(
-        path,
-        "line-too-long",
-        f"this line has more than {LONGEST_LINE:,} characters; a table with one sample per line is needed",
-        line=line,
-    )
-
-
-def not_text(path: Path, error: UnicodeError) -> RecordingError:
-    """The refusal of bytes that are no text."""
-    return refusal(path, "encoding", f"this is not UTF-8 text ({reason(error)}): save the table as plain UTF-8 text")
 
 
 # what belongs to a message or a data frame, not to the motion
@@ -219,10 +203,10 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
         RecordingError: No stamps, columns without a name or with the same one, or a choice that the caller must make.
     """
     notes: list[str] = []
-    names: list[str | None] = [request.renamed(n) for n in dialect.columns]
-    for i, raw in enumerate(dialect.columns):
-        if request.ignores(raw, *([names[i] or ""] if names[i] else [])):
-            names[i] = None
+    names: list[str | None] = []
+    for raw in dialect.columns:
+        name = request.renamed(raw)
+        names.append(None if request.ignores(raw, *([name] if name else [])) else name)
     time = find_time(names)
     if not time.columns:
         raise _no_time(path, dialect, names, time.choices)
@@ -234,13 +218,10 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
     left_out += _row_numbers(path, dialect, names)
     found = _joint_columns(path, dialect, names, request)
     if found is not None:
-        for i, joint in found.positions.items():
-            names[i] = joint
-        for i, joint in found.velocities.items():
-            names[i] = joint + VELOCITY_SUFFIX
-        for i, joint in found.efforts.items():
-            names[i] = joint + EFFORT_SUFFIX
-        kept = {*found.positions, *found.velocities, *found.efforts, *time.columns}
+        kinds = (found.positions, ""), (found.velocities, VELOCITY_SUFFIX), (found.efforts, EFFORT_SUFFIX)
+        meant = {i: joint + suffix for columns, suffix in kinds for i, joint in columns.items()}
+        names = [meant.get(i, name) for i, name in enumerate(names)]
+        kept = {*meant, *time.columns}
         left_out = [i for i, n in enumerate(names) if n is not None and i not in kept]
         notes += [found.note] if found.note else []
     for i in set(left_out):
@@ -309,14 +290,9 @@ def _row(path: Path, dialect: CsvDialect, k: int) -> list[str]:
 
 
 def _rows(path: Path, dialect: CsvDialect) -> Iterator[list[str]]:
-    try:
-        with path.open(encoding=dialect.encoding) as file:
-            for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), ""), start=1):
-                if number > dialect.header_line and not is_skipped(line):
-                    fields = dialect.split(line)
-                    yield [*fields, *[""] * (len(dialect.columns) - len(fields))]
-    except UnicodeError as error:
-        raise not_text(path, error) from error
+    for _, line in _numbered_lines(path, dialect):
+        fields = dialect.split(line)
+        yield [*fields, *[""] * (len(dialect.columns) - len(fields))]
 
 
 def _refuse_changing_names(path: Path, dialect: CsvDialect, columns: list[int]) -> None:
@@ -360,15 +336,24 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     Raises:
         RecordingError: Names file, line and column, the value seen and the value expected.
     """
+    before = path.stat()
     dialect = sniff_dialect(path, request.joint_names)
     if dialect.named_by_caller:
         request.uses.use("joint_names")
     columns = columns_of(path, dialect, request)
     names = columns.names
     used = [i for i, name in enumerate(names) if name is not None]
-    cut = is_cut_off(path, dialect) and request.last_line == "drop"
+    cut = _is_cut_off(path, dialect) and request.last_line == "drop"
     dialect = replace(dialect, without_cut_line=cut)
     table = _table(path, dialect, used, request)
+    after = path.stat()
+    if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
+        raise refusal(
+            path,
+            "changed",
+            f"the file changed while it was read ({before.st_size:,} bytes, then {after.st_size:,}), so its end may be "
+            "missing: read it when the recorder or the copy has ended",
+        )
     kept = [str(names[i]) for i in used]
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
     notes += columns.notes
@@ -419,58 +404,35 @@ def _base_name(name: str, suffixes: tuple[str, ...], own_names: tuple[str, ...])
 
 
 def _table(path: Path, dialect: CsvDialect, used: list[int], request: ReadRequest) -> Float[np.ndarray, "T n"]:
-    """The used columns of all rows.
-
-    Raises:
-        RecordingError: Text in a number, ragged rows, mixed decimal marks, no rows.
-    """
+    """The used columns of all rows."""
     usecols = None if len(used) == len(dialect.columns) else used
+    lines = _checked_lines(path, dialect)
     try:
-        with path.open(encoding=dialect.encoding) as file:
-            lines = _checked_lines(file, path, dialect)
-            first = next(lines, None)
-            if first is None:
-                cut = " with a line end" if dialect.without_cut_line else ""
-                cut += advice(" ({} reads one without)", "last_line='keep'", "--last-line keep") if cut else ""
-                raise refusal(path, "too-short", f"there is a header but no row of numbers{cut}")
-            return np.loadtxt(
-                _chained(first, lines),
-                delimiter=dialect.delimiter,
-                comments=None,
-                quotechar='"',
-                usecols=usecols,
-                ndmin=2,
-            )
-    except UnicodeError as error:
-        raise not_text(path, error) from error
+        first = next(lines, None)
+        if first is None:
+            cut = " with a line end" if dialect.without_cut_line else ""
+            cut += advice(" ({} reads one without)", "last_line='keep'", "--last-line keep") if cut else ""
+            raise refusal(path, "too-short", f"there is a header but no row of numbers{cut}")
+        form = {"delimiter": dialect.delimiter, "comments": None, "quotechar": '"'}
+        return np.loadtxt(itertools.chain([first], lines), usecols=usecols, ndmin=2, **form)
     except ValueError as error:
         _explain(path, dialect, used, request, error)
 
 
-def _chained(first: str, rest: Iterator[str]) -> Iterator[str]:
-    yield first
-    yield from rest
-
-
-def _numbered_lines(file: IO[str], path: Path, dialect: CsvDialect) -> Iterator[tuple[int, str]]:
+def _numbered_lines(path: Path, dialect: CsvDialect) -> Iterator[tuple[int, str]]:
     """Data lines with their numbers; blank and comment lines are left out."""
-    number = 0
-    while line := file.readline(LONGEST_LINE):
-        number += 1
-        if len(line) >= LONGEST_LINE:
-            raise line_too_long(path, number)
+    for number, line in text_lines(path, dialect.encoding):
         if dialect.without_cut_line and not line.endswith("\n"):
             return
         if number > dialect.header_line and not is_skipped(line):
             yield number, line
 
 
-def _checked_lines(file: IO[str], path: Path, dialect: CsvDialect) -> Iterator[str]:
+def _checked_lines(path: Path, dialect: CsvDialect) -> Iterator[str]:
     """Data lines for NumPy's parser, each with the right number of fields and decimal points."""
     delimiter, width = dialect.delimiter, len(dialect.columns)
-    comma_possible = delimiter != ","
-    mark_line: dict[str, int] = {}
-    for number, line in _numbered_lines(file, path, dialect):
+    marks: set[str] = set()  # decimal marks up to here
+    for number, line in _numbered_lines(path, dialect):
         fields = len(line.split()) if delimiter is None else line.count(delimiter) + 1
         if fields != width:
             raise refusal(
@@ -480,53 +442,41 @@ def _checked_lines(file: IO[str], path: Path, dialect: CsvDialect) -> Iterator[s
                 f"({DELIMITER_WORDS[delimiter]}-separated): {line.strip()[:60]!r}",
                 line=number,
             )
-        if comma_possible and "," in line:
-            mark_line.setdefault(",", number)
-            if "." in line or "." in mark_line:
-                raise _mixed_marks(path, number, line)
-            line = line.replace(",", ".")
-        elif comma_possible and "." in line:
-            mark_line.setdefault(".", number)
-            if "," in mark_line:
-                raise _mixed_marks(path, number, line)
+        if delimiter != ",":
+            marks.update(mark for mark in ",." if mark in line)
+            if len(marks) > 1:
+                raise refusal(
+                    path,
+                    "decimal-mark",
+                    "both ',' and '.' are used in numbers up to here, so it is not known which one is the decimal "
+                    f"mark: {line.strip()[:60]!r}; write all numbers with one mark and no thousands separator",
+                    line=number,
+                )
+            line = line.replace(",", ".") if "," in marks else line
         yield line
-
-
-def _mixed_marks(path: Path, number: int, line: str) -> RecordingError:
-    return refusal(
-        path,
-        "decimal-mark",
-        f"both ',' and '.' are used in numbers up to here, so it is not known which one is the "
-        f"decimal mark: {line.strip()[:60]!r}; write all numbers with one mark and no thousands separator",
-        line=number,
-    )
 
 
 def _explain(path: Path, dialect: CsvDialect, used: list[int], request: ReadRequest, cause: ValueError) -> NoReturn:
     """Raise the error that names the field which NumPy's parser refused."""
-    wanted = set(used)
-    with path.open(encoding=dialect.encoding) as file:
-        for number, line in _numbered_lines(file, path, dialect):
-            for i, field in enumerate(dialect.split(line)):
-                if i in wanted and not NUMBER.fullmatch(field):
-                    what = "an empty field" if not field else repr(field[:40])
-                    name = dialect.columns[i]
-                    other = name not in ("time", *request.robot.joint_names) and not request.columns
-                    leave = advice("; if it is no joint's: {}", "columns='{joint}'", "--columns '{joint}'")
-                    raise RecordingError(
-                        f"{path.name}:{number}, column {name!r}: {what} where a number is needed: "
-                        f"correct the row or remove it{leave if other else ''}",
-                        code="not-a-number",
-                        path=path,
-                        line=number,
-                        column=name,
-                    ) from cause
+    for number, line in _numbered_lines(path, dialect):
+        fields = dialect.split(line)
+        for i in sorted(used):
+            if not NUMBER.fullmatch(fields[i]):
+                what = repr(fields[i][:40]) if fields[i] else "an empty field"
+                name = dialect.columns[i]
+                other = name not in ("time", *request.robot.joint_names) and not request.columns
+                leave = advice("; if it is no joint's: {}", "columns='{joint}'", "--columns '{joint}'")
+                raise RecordingError(
+                    f"{path.name}:{number}, column {name!r}: {what} where a number is needed: "
+                    f"correct the row or remove it{leave if other else ''}",
+                    code="not-a-number",
+                    path=path,
+                    line=number,
+                    column=name,
+                ) from cause
     raise refusal(path, "not-a-number", f"the numbers cannot be read: {reason(cause)}") from cause
 
 
 def _line_of(path: Path, dialect: CsvDialect, sample: int) -> int:
-    with path.open(encoding=dialect.encoding) as file:
-        for i, (number, _) in enumerate(_numbered_lines(file, path, dialect)):
-            if i == sample:
-                return number
-    return dialect.header_line
+    numbers = (number for number, _ in _numbered_lines(path, dialect))
+    return next(itertools.islice(numbers, sample, None), dialect.header_line)

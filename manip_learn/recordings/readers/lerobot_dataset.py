@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Literal, final
 
 from manip_learn.errors import UnknownNameError, advice, closest_names
 from manip_learn.recordings.readers.parser_process import parsed_rows
@@ -29,12 +29,33 @@ class LeRobotDataset:
         files: Parquet files with the samples, in order.
         features: What the data set says of each feature; None of a file that belongs to none.
         fps: Samples per second, or None.
+        total_frames: Number of samples that a whole data set states, or None.
+        total_episodes: Number of its episodes, likewise.
     """
 
     root: Path
     files: tuple[Path, ...]
-    features: dict[str, Any] | None
-    fps: float | None
+    features: dict[str, Any] | None = None
+    fps: float | None = None
+    total_frames: int | None = None
+    total_episodes: int | None = None
+
+    def refuse_lost(self, what: Literal["frames", "episodes"], found: int) -> None:
+        """Refuse a data set that states another number of samples or episodes than were found in it.
+
+        Raises:
+            RecordingError: Code `lost-samples`.
+        """
+        stated = self.total_frames if what == "frames" else self.total_episodes
+        if stated is None or stated == found:
+            return
+        raise refusal(
+            self.root,
+            "lost-samples",
+            f"{found} {what} are there, meta/info.json states total_{what} = {stated}: a file of data/ is missing or "
+            "was changed; download the data set again"
+            + advice(", or select episodes that are there with {}", "episodes='0:50,60'", "--episodes 0:50,60"),
+        )
 
 
 def open_dataset(path: Path) -> LeRobotDataset:
@@ -50,14 +71,13 @@ def open_dataset(path: Path) -> LeRobotDataset:
                 path, "empty", "the data set has no data/**/*.parquet: download its data, not only meta/", in_full=True
             )
         return LeRobotDataset(path, files, *_described(path / "meta" / "info.json"))
-    for folder in list(path.resolve().parents)[:SEARCHED_LEVELS]:
-        info = folder / "meta" / "info.json"
-        if info.is_file():
-            return LeRobotDataset(path, (path,), *_described(info))
-    return LeRobotDataset(path, (path,), None, None)
+    info = _meta(path) / "info.json"
+    features, fps, *_ = _described(info) if info.is_file() else (None, None)
+    return LeRobotDataset(path, (path,), features, fps)
 
 
-def _described(info_path: Path) -> tuple[dict[str, Any], float | None]:
+def _described(info_path: Path) -> tuple[dict[str, Any], float | None, int | None, int | None]:
+    """Features, samples per second, and numbers of samples and episodes."""
     info = read_json(info_path)
     if not isinstance(info, dict):
         raise refusal(info_path, "damaged", f"an object is needed, this is {type(info).__name__}", in_full=True)
@@ -71,14 +91,12 @@ def _described(info_path: Path) -> tuple[dict[str, Any], float | None]:
         )
     features = info.get("features")
     if not isinstance(features, dict):
-        text = "it has no features, so nothing says where the joint positions are"
-        raise refusal(info_path, "no-state", text, in_full=True)
-    return features, _rate(info.get("fps"))
-
-
-def _rate(fps: object) -> float | None:
+        said = "it has no features, so nothing says where the joint positions are"
+        raise refusal(info_path, "no-state", said, in_full=True)
+    fps, *totals = (info.get(name) for name in ("fps", "total_frames", "total_episodes"))
     usable = isinstance(fps, int | float) and not isinstance(fps, bool) and 0 < fps < 1e6
-    return float(fps) if isinstance(fps, int | float) and usable else None
+    frames, episodes = (n if isinstance(n, int) and not isinstance(n, bool) else None for n in totals)
+    return features, float(fps) if usable else None, frames, episodes  # type: ignore[arg-type]
 
 
 STATE, VELOCITY, EFFORT = "observation.state", "observation.velocity", "observation.effort"
@@ -99,16 +117,16 @@ class StateFeature:
     Attributes:
         position: Its name, which is that of a column too.
         velocity: Name that the velocities of the same joints would have.
+        effort: Name that their efforts would have.
         names: Names of its entries, or None.
-        effort: Name that the efforts of the same joints would have.
         others: Other features that look like joint positions.
     """
 
     position: str
     velocity: str
-    names: tuple[str, ...] | None
+    effort: str
+    names: tuple[str, ...] | None = None
     others: tuple[str, ...] = ()
-    effort: str = EFFORT
 
 
 def state_feature(path: Path, features: Mapping[str, Any] | None, asked: str | None) -> StateFeature:
@@ -124,7 +142,7 @@ def state_feature(path: Path, features: Mapping[str, Any] | None, asked: str | N
     """
     wanted = STATE if asked is None else asked
     if features is None:
-        return StateFeature(wanted, _velocity_of(wanted, ()), None, effort=_effort_of(wanted, ()))
+        return StateFeature(wanted, *_beside(wanted, ()))
     vectors = [name for name, feature in features.items() if _is_vector(feature)]
     likely = tuple(name for name in vectors if POSITIONS.search(name) and not name.startswith("action"))
     if wanted not in features:
@@ -139,24 +157,21 @@ def state_feature(path: Path, features: Mapping[str, Any] | None, asked: str | N
             in_full=True,
         )
     others = tuple(name for name in likely if name != wanted)
-    names, effort = entry_names(features[wanted].get("names")), _effort_of(wanted, vectors)
-    return StateFeature(wanted, _velocity_of(wanted, vectors), names, others, effort)
+    return StateFeature(wanted, *_beside(wanted, vectors), entry_names(features[wanted].get("names")), others)
 
 
 def _missing(wanted: str, asked: str | None, vectors: Sequence[str], likely: Sequence[str]) -> str:
     text = f"there is no feature {wanted!r}"
     if asked is not None:
-        return f"{text}; {_near(asked, vectors)}"
+        near = closest_names(asked, vectors)
+        return f"{text}; " + (
+            f"did you mean {first_names(near)}?" if near else f"vectors of numbers are {first_names(vectors)}"
+        )
     if likely:
         flag = advice(": read it with {}", f"feature={likely[0]!r}", f"--feature {likely[0]}")
         return f"{text}, joint positions seem to be in {first_names(likely)}{flag}"
     hint = advice("; if one of them holds joint positions, pass {}", "feature=NAME", "--feature NAME")
     return f"{text} (joint positions), there is {first_names(vectors)}{hint}"
-
-
-def _near(asked: str, vectors: Sequence[str]) -> str:
-    near = closest_names(asked, vectors)
-    return f"did you mean {first_names(near)}?" if near else f"vectors of numbers are {first_names(vectors)}"
 
 
 def _is_vector(feature: Any) -> bool:
@@ -167,20 +182,15 @@ def _is_vector(feature: Any) -> bool:
     return isinstance(shape, list) and len(shape) == 1 and (dtype is None or str(dtype).startswith(NUMBERS))
 
 
-def _velocity_of(position: str, vectors: Sequence[str]) -> str:
-    """`observation.velocity` of the usual state; of another feature the one with the word exchanged."""
-    return VELOCITY if position == STATE else _exchanged(position, VELOCITY_WORDS, vectors, VELOCITY)
+def _beside(position: str, vectors: Sequence[str]) -> tuple[str, str]:
+    """Names of the velocities and efforts beside some positions: the usual ones, or with the word exchanged."""
 
+    def exchanged(words: Sequence[tuple[str, str]], usual: str) -> str:
+        head, dot, last = position.rpartition(".")
+        names = [head + dot + last.replace(p, v) for p, v in words if p in last and position != STATE]
+        return next((name for name in names if name in vectors), names[0] if names else usual)
 
-def _effort_of(position: str, vectors: Sequence[str]) -> str:
-    """`observation.effort`, likewise."""
-    return EFFORT if position == STATE else _exchanged(position, EFFORT_WORDS, vectors, EFFORT)
-
-
-def _exchanged(position: str, words: Sequence[tuple[str, str]], vectors: Sequence[str], usual: str) -> str:
-    head, dot, last = position.rpartition(".")
-    exchanged = [head + dot + last.replace(p, v) for p, v in words if p in last]
-    return next((name for name in exchanged if name in vectors), exchanged[0] if exchanged else usual)
+    return exchanged(VELOCITY_WORDS, VELOCITY), exchanged(EFFORT_WORDS, EFFORT)
 
 
 def entry_names(names: Any) -> tuple[str, ...] | None:
@@ -232,14 +242,16 @@ def separate_files(path: Path) -> list[list[Path]]:
         MissingExtraError: The extra `lerobot` is not installed.
     """
     runs: list[list[Path]] = []
-    before: int | None = None
-    for file in open_dataset(path).files:
-        ends = [row["episode_index"] for row in parsed_rows(file, ("episode_index",), ends_only=True)]
-        if runs and (not ends or before is None or ends[0] == before):
+    before, found, dataset = None, 0, open_dataset(path)
+    for file in dataset.files:
+        ends = list(parsed_rows(file, ("episode_index",), ends_only=True))
+        found += sum(end.get("rows", 0) for end in ends[:1])
+        if runs and (not ends or before is None or ends[0]["episode_index"] == before):
             runs[-1].append(file)
         else:
             runs.append([file])
-        before = ends[-1] if ends else None
+        before = ends[-1]["episode_index"] if ends else None
+    dataset.refuse_lost("frames", found)
     return runs
 
 
@@ -303,16 +315,12 @@ def _meta(path: Path) -> Path:
 
 def _json_lines(path: Path) -> Iterator[dict[str, Any]]:
     if path.stat().st_size > MOST_BYTES:
-        raise refusal(
-            path, "too-large", f"larger than {MOST_BYTES:,} bytes, which no such file should be", in_full=True
-        )
+        said = f"larger than {MOST_BYTES:,} bytes, which no such file should be"
+        raise refusal(path, "too-large", said, in_full=True)
     try:
-        with path.open(encoding="utf-8") as file:
-            for number, line in enumerate(file, 1):
-                row = json.loads(line) if line.strip() else {}
-                if line.strip() and not isinstance(row, dict):
-                    raise ValueError(f"line {number} is no object")
-                if row:
-                    yield row
+        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+        if not all(isinstance(row, dict) for row in rows):
+            raise ValueError("a line is no object")
     except (ValueError, RecursionError, OSError) as error:
         raise refusal(path, "damaged", f"not valid JSON lines: {reason(error)}", in_full=True) from error
+    yield from rows

@@ -23,7 +23,7 @@ from manip_learn.recordings.readers.lerobot_dataset import (
     state_feature,
 )
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, float_array, reason, refusal
+from manip_learn.recordings.readers.recording import Recording, bomb, float_array, most_bytes, reason, refusal
 
 try:
     import pyarrow as pa
@@ -32,7 +32,6 @@ except ImportError as error:
     raise MissingExtraError("reading LeRobot data", "lerobot") from error
 
 BATCH = 65_536
-ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200  # bytes, and how much smaller packed
 FEWEST_BYTES = 16  # of a sample: a stamp and a few joints
 STAMPS = ("timestamp", "frame_index", "episode_index")
 GRIPPER = "gripper"  # always 0 .. 100 in LeRobot, whatever the unit of the other motors
@@ -41,13 +40,20 @@ GRIPPER = "gripper"  # always 0 .. 100 in LeRobot, whatever the unit of the othe
 @final
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """Samples of one episode."""
+    """Samples of one episode: `time`, `state`, and `velocity` and `effort` where they were recorded."""
 
     index: int
-    time: np.ndarray
-    state: np.ndarray
-    velocity: np.ndarray | None
-    effort: np.ndarray | None = None
+    columns: dict[str, np.ndarray]
+
+    @property
+    def state(self) -> np.ndarray:
+        """Joint positions, in the unit of the file."""
+        return self.columns["state"]
+
+    def like_state(self, name: str) -> np.ndarray | None:
+        """Another column, if it has one number per joint."""
+        values = self.columns.get(name)
+        return values if values is not None and values.shape == self.state.shape else None
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
@@ -63,12 +69,18 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     feature = state_feature(dataset.root, dataset.features, request.feature)
     request.uses.use("feature")
     names: tuple[str, ...] | None = None
+    numbers, frames = set(), 0
     for episode in _episodes(dataset, feature, request):
+        numbers.add(episode.index)
+        frames += len(episode.state)
         if names is None:
             names = _names(dataset, feature, request, episode.state.shape[1])
             _refuse_unknown_units(dataset, request, names, episode.state)
         recording = _recording(dataset, request, names, episode)
         yield replace(recording, trusted=is_ours, notes=(*recording.notes, *_other_features(feature)))
+    if request.chosen is None:
+        dataset.refuse_lost("frames", frames)
+        dataset.refuse_lost("episodes", len(numbers))
 
 
 def _other_features(feature: StateFeature) -> list[str]:
@@ -82,33 +94,26 @@ def _recording(dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, 
     position = [i for i, n in enumerate(names) if not n.endswith(".vel")]
     velocity = [i for i, n in enumerate(names) if n.endswith(".vel")]
     position_names = tuple(_joint_name(names[i], request) for i in position)
-    velocity_names: tuple[str, ...] = ()
-    velocities = None
-    notes = []
+    positions, notes = _gripper(episode.state[:, position], position_names, request)
     if any(names[i] != n for i, n in zip(position, position_names, strict=True)):
-        notes.append("'.pos' was taken off the names")
+        notes.insert(0, "'.pos' was taken off the names")
+    velocity_names, velocities, efforts = position_names, episode.like_state("velocity"), episode.like_state("effort")
     if velocity:
         velocity_names = tuple(_joint_name(names[i], request) for i in velocity)
-        velocities = episode.state[:, velocity]
-    elif episode.velocity is not None and episode.velocity.shape == episode.state.shape:
-        velocity_names, velocities = position_names, episode.velocity
-    efforts = None
-    if not velocity and episode.effort is not None and episode.effort.shape == episode.state.shape:
-        efforts = episode.effort
-    positions, said = _gripper(episode.state[:, position], position_names, request)
+        velocities, efforts = episode.state[:, velocity], None
     return Recording(
         path=dataset.root,
         name=f"{dataset.root.name} episode {episode.index}",
-        time=episode.time,
+        time=episode.columns["time"],
         position_names=position_names,
         positions=positions,
-        velocity_names=velocity_names,
+        velocity_names=() if velocities is None else velocity_names,
         velocities=velocities,
-        effort_names=position_names if efforts is not None else (),
+        effort_names=() if efforts is None else position_names,
         efforts=efforts,
         strict_columns=False,
         in_seconds=True,
-        notes=(*notes, *said),
+        notes=tuple(notes),
     )
 
 
@@ -197,15 +202,8 @@ def _episodes(dataset: LeRobotDataset, feature: StateFeature, request: ReadReque
 
 
 def _joined(parts: list[Episode]) -> Episode:
-    velocities = [p.velocity for p in parts if p.velocity is not None]
-    efforts = [p.effort for p in parts if p.effort is not None]
-    return Episode(
-        parts[0].index,
-        np.concatenate([p.time for p in parts]),
-        np.concatenate([p.state for p in parts]),
-        np.concatenate(velocities) if len(velocities) == len(parts) else None,
-        np.concatenate(efforts) if len(efforts) == len(parts) else None,
-    )
+    common = [name for name in parts[0].columns if all(name in part.columns for part in parts)]
+    return Episode(parts[0].index, {name: np.concatenate([part.columns[name] for part in parts]) for name in common})
 
 
 def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest) -> Iterator[Episode]:
@@ -218,7 +216,9 @@ def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: 
             )
         columns = [c for c in (feature.position, feature.velocity, feature.effort, *STAMPS) if c in there]
         stated, found = parquet.metadata.num_rows, 0
-        _refuse_bomb(file, stated)
+        # the library's column metadata would tell more, but asking for it aborts the process if the file is damaged
+        if FEWEST_BYTES * stated > most_bytes(size := file.stat().st_size):
+            raise bomb(file, f"{size:,} bytes claim to hold {counted(stated, 'sample')}")
         for batch in parquet.iter_batches(batch_size=BATCH, columns=columns):
             found += batch.num_rows
             yield from _split(file, batch, dataset, feature, request)
@@ -228,30 +228,18 @@ def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: 
             raise refusal(file, "lost-samples", text)
 
 
-def _refuse_bomb(file: Path, n_rows: int) -> None:
-    # the library's column metadata would tell more, but asking for it aborts the process if the file is damaged
-    size = file.stat().st_size
-    if FEWEST_BYTES * n_rows > max(ALWAYS_FINE, BOMB_RATIO * size):
-        raise refusal(
-            file, "bomb", f"{size:,} bytes claim to hold {counted(n_rows, 'sample')}: no recorded motion packs so well"
-        )
-
-
 def _split(
     file: Path, batch: Any, dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest
 ) -> Iterator[Episode]:
-    state = _matrix(file, batch, feature.position)
-    velocity, effort = (
-        _matrix(file, batch, name) if name in batch.schema.names else None
-        for name in (feature.velocity, feature.effort)
-    )
-    episode = _vector(file, batch, "episode_index") if "episode_index" in batch.schema.names else np.zeros(len(state))
-    time = _time(file, batch, dataset, request)
-    bounds = [0, *(int(i) + 1 for i in np.flatnonzero(np.diff(episode))), len(state)]
+    named = {"state": feature.position, "velocity": feature.velocity, "effort": feature.effort}
+    columns = {name: _matrix(file, batch, column) for name, column in named.items() if column in batch.schema.names}
+    n = len(columns["state"])
+    number = _vector(file, batch, "episode_index") if "episode_index" in batch.schema.names else np.zeros(n)
+    columns["time"] = _time(file, batch, dataset, request)
+    bounds = [0, *(int(i) + 1 for i in np.flatnonzero(np.diff(number))), n]
     for a, b in zip(bounds, bounds[1:], strict=False):
         if b > a:
-            beside = (None if x is None else x[a:b] for x in (velocity, effort))
-            yield Episode(int(episode[a]), time[a:b], state[a:b], *beside)
+            yield Episode(int(number[a]), {name: values[a:b] for name, values in columns.items()})
 
 
 def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest) -> np.ndarray:
@@ -270,7 +258,10 @@ def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest)
 
 
 def _vector(file: Path, batch: Any, name: str) -> np.ndarray:
-    array = batch.column(name)
+    return _numbers(file, batch.column(name), name)
+
+
+def _numbers(file: Path, array: Any, name: str) -> np.ndarray:
     if array.null_count:
         raise refusal(file, "not-finite", f"{array.null_count} values of {name!r} are missing")
     if not (pa.types.is_integer(array.type) or pa.types.is_floating(array.type)):
@@ -290,13 +281,8 @@ def _matrix(file: Path, batch: Any, name: str) -> np.ndarray:
             raise refusal(file, "ragged", f"the samples of {name!r} have {widths[0]} to {widths[-1]} entries")
         width = int(widths[0]) if len(widths) else 0
     else:
-        return _vector(file, batch, name)[:, None]
-    flat = array.flatten()
-    if flat.null_count:
-        raise refusal(file, "not-finite", f"{flat.null_count} values of {name!r} are missing")
-    if not (pa.types.is_integer(flat.type) or pa.types.is_floating(flat.type)):
-        raise refusal(file, "not-a-number", f"{name!r} holds {flat.type}, numbers are needed")
-    return float_array(flat.to_numpy(zero_copy_only=False)).reshape(len(array), width)
+        return _numbers(file, array, name)[:, None]
+    return _numbers(file, array.flatten(), name).reshape(len(array), width)
 
 
 @contextmanager
@@ -321,7 +307,8 @@ def parquet_rows(file: Path, columns: tuple[str, ...], *, ends_only: bool) -> It
     Args:
         file: The file.
         columns: Names. A file without the first one, the number of the episode, is one episode: 0.
-        ends_only: Only the first and the last value of the first column, or nothing if it has none.
+        ends_only: Only the first and the last value of the first column, each with the number of rows, or nothing if it
+            has none.
 
     Raises:
         RecordingError: Damaged.
@@ -333,7 +320,7 @@ def parquet_rows(file: Path, columns: tuple[str, ...], *, ends_only: bool) -> It
         elif ends_only:
             column = parquet.read(columns=[columns[0]]).column(0)
             if len(column) and not column.null_count:
-                yield from ({columns[0]: int(column[i].as_py())} for i in (0, len(column) - 1))
+                yield from ({columns[0]: int(column[i].as_py()), "rows": len(column)} for i in (0, len(column) - 1))
         else:
             for batch in parquet.iter_batches(columns=there):
                 yield from batch.to_pylist()

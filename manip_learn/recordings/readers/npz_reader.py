@@ -7,6 +7,7 @@ import io
 import math
 import zipfile
 from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, final
@@ -15,11 +16,10 @@ import numpy as np
 
 from manip_learn.errors import DAMAGE, RecordingError, advice, closest_names, counted
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, float_array, reason, refusal
+from manip_learn.recordings.readers.recording import Recording, bomb, float_array, most_bytes, reason, refusal
 from manip_learn.recordings.saved_motion import joint_positions
 
 LARGEST = 16_000_000_000  # bytes of all arrays together
-ALWAYS_FINE, BOMB_RATIO = 50_000_000, 100  # bytes, and how much smaller packed: measured motions shrink 1 to 20 times
 LONGEST_TEXT = 1_000_000  # characters of one text
 SMALL = 4_000_000  # bytes, packed and unpacked, of an archive that is read at once
 
@@ -72,7 +72,7 @@ class NpzArchive:
                 for name, info in self._members.items():
                     if small:
                         self._contents[name] = archive.read(info)
-                    self.headers[name] = self._header(archive, name, info, "fiu" if name in numbers else "US")
+                    self.headers[name] = self._header(name, info.file_size, "fiu" if name in numbers else "US")
         except DAMAGE as error:
             raise self._damaged(error) from error
         self._check_size(size)
@@ -106,7 +106,7 @@ class NpzArchive:
         array = self._read(name)
         if array.ndim != 1:
             raise self.refusal("shape", f"{name} must be a list of names, it has shape {array.shape}")
-        return tuple(n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in array.tolist())
+        return tuple(map(_decoded, array.tolist()))
 
     def text(self, name: str) -> str:
         """A single text.
@@ -117,8 +117,7 @@ class NpzArchive:
         array = self._read(name)
         if array.ndim != 0:
             raise self.refusal("shape", f"{name} must be a single text, it has shape {array.shape}")
-        value = array.item()
-        return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+        return _decoded(array.item())
 
     def refusal(self, code: str, text: str) -> RecordingError:
         """The error that refuses this archive."""
@@ -134,10 +133,10 @@ class NpzArchive:
             else:
                 self.ignored.append(name)
 
-    def _header(self, archive: zipfile.ZipFile, name: str, info: zipfile.ZipInfo, kinds: str) -> ArrayHeader:
-        with self._opened(archive, name, info) as file:
+    def _header(self, name: str, size: int, kinds: str) -> ArrayHeader:
+        with self._opened(name) as file:
             header = _parse_header(file)
-            data_bytes = info.file_size - file.tell()
+            data_bytes = size - file.tell()
         if header.dtype.hasobject:
             raise self.refusal(
                 "pickle",
@@ -164,12 +163,8 @@ class NpzArchive:
             raise self.refusal(
                 "too-large", f"the arrays have {total:,} bytes, more than {LARGEST:,}: split the recording"
             )
-        if total > max(ALWAYS_FINE, BOMB_RATIO * packed):
-            raise self.refusal(
-                "bomb",
-                f"its {packed:,} bytes unpack to {total:,}: no recorded motion packs so well; if it is real, save it "
-                "with np.savez (not compressed)",
-            )
+        if total > most_bytes(packed):
+            raise bomb(self.path, f"its {packed:,} bytes unpack to {total:,}")
 
     def _read(self, name: str) -> np.ndarray:
         if name not in self._members:
@@ -177,7 +172,9 @@ class NpzArchive:
         header = self.headers[name]
         count = math.prod(header.shape)
         try:
-            content = self._data(name, count * header.dtype.itemsize + 1)
+            with self._opened(name) as file:
+                _parse_header(file)
+                content = file.read(count * header.dtype.itemsize + 1)
             if len(content) != count * header.dtype.itemsize:
                 raise self.refusal("damaged", f"the array {name!r} ends too early: copy or save it again")
             flat = np.frombuffer(content, dtype=header.dtype, count=count) if content else np.zeros(count, header.dtype)
@@ -185,21 +182,20 @@ class NpzArchive:
         except DAMAGE as error:
             raise self._damaged(error) from error
 
-    def _opened(self, archive: zipfile.ZipFile, name: str, info: zipfile.ZipInfo) -> IO[bytes]:
-        return io.BytesIO(self._contents[name]) if name in self._contents else archive.open(info)
-
-    def _data(self, name: str, most: int) -> bytes:
-        """What follows the header of an array, no more than so many bytes."""
+    @contextmanager
+    def _opened(self, name: str) -> Iterator[IO[bytes]]:
         if name in self._contents:
-            file = io.BytesIO(self._contents[name])
-            _parse_header(file)
-            return file.read(most)
-        with zipfile.ZipFile(self.path) as archive, archive.open(self._members[name]) as packed:
-            _parse_header(packed)
-            return packed.read(most)
+            yield io.BytesIO(self._contents[name])
+        else:
+            with zipfile.ZipFile(self.path) as archive, archive.open(self._members[name]) as packed:
+                yield packed
 
     def _damaged(self, error: Exception) -> RecordingError:
         return self.refusal("damaged", f"the archive is damaged ({reason(error)}): copy or save it again")
+
+
+def _decoded(value: str | bytes) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
 def _parse_header(file: IO[bytes]) -> ArrayHeader:

@@ -1,8 +1,8 @@
 """The child process that parses foreign formats; run as a script, never imported.
 
-The first line of stdin is the search path of modules, each further line a job (JSON). For a job it limits its own
-memory and processor time, and answers with frames of JSON, some followed by frames with the bytes of arrays; the last
-one says how it ended.
+Standard input brings the search path of modules, then jobs (pickled by the parent, which trusts nothing that comes
+back). For a job it limits its own memory and processor time, and answers with frames of JSON, some followed by frames
+with the bytes of arrays; the last one says how it ended.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import importlib
 import itertools
 import json
 import os
+import pickle
 import signal
 import sys
 import types
@@ -27,15 +28,16 @@ def main() -> None:
     # what a library prints must not get between the answers
     answers = Connection(os.dup(sys.stdout.fileno()), readable=False)
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    sys.path[:] = json.loads(sys.stdin.buffer.readline())
+    sys.path[:] = pickle.load(sys.stdin.buffer)
     # the package without its __init__, which would load robots, too
     package = types.ModuleType("manip_learn.recordings")
     package.__path__ = [os.path.dirname(os.path.dirname(os.path.abspath(__file__)))]
     sys.modules[package.__name__] = package
-    while line := sys.stdin.buffer.readline():
-        job = json.loads(line)
-        limit_self(job["bytes"], job["seconds"])
-        serve(job, answers)
+    with contextlib.suppress(EOFError):
+        while True:
+            job = pickle.load(sys.stdin.buffer)
+            limit_self(job["bytes"], job["seconds"])
+            serve(job, answers)
 
 
 def serve(job: dict[str, Any], answers: Connection) -> None:
@@ -43,9 +45,8 @@ def serve(job: dict[str, Any], answers: Connection) -> None:
     from pathlib import Path
 
     from manip_learn.errors import MissingExtraError, RecordingError, advice_for_command
-    from manip_learn.recordings.readers.read_request import ReadRequest
 
-    request = None if job["request"] is None else ReadRequest.of_words(job["request"])
+    request = job["request"]
     advice = contextlib.nullcontext() if job["flags"] is None else advice_for_command(job["flags"])
     try:
         with advice:

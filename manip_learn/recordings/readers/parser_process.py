@@ -10,6 +10,7 @@ import atexit
 import contextlib
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -50,7 +51,7 @@ def parsed_recordings(module: str, path: Path, request: ReadRequest) -> Iterator
         RecordingError: The parser's own, or codes `parser-time`, `parser-crashed`.
         MissingExtraError: The parser's library is not installed.
     """
-    job = {"module": module, "path": os.path.abspath(path), "request": request.as_words()}
+    job = {"module": module, "path": os.path.abspath(path), "request": request.for_parser()}
     for words, arrays in _answers(path, job):
         if words["kind"] == "end":
             request.uses.add_words(words["uses"])
@@ -75,13 +76,10 @@ def parsed_rows(path: Path, columns: tuple[str, ...], *, ends_only: bool = False
 def _answers(path: Path, job: dict[str, Any]) -> Iterator[Answer]:
     size = size_on_disk(path)
     seconds = SECONDS + size / BYTES_PER_SECOND
-    known = command_flags()
-    flags = None if known is None else sorted(known)
     child = _idle()
+    limits = {"bytes": MEMORY + MEMORY_PER_BYTE * size, "seconds": seconds}
     try:
-        yield from child.answers(
-            path, {**job, "bytes": MEMORY + MEMORY_PER_BYTE * size, "seconds": seconds, "flags": flags}
-        )
+        yield from child.answers(path, {**job, **limits, "flags": command_flags()})
     finally:
         if child.is_free:
             _IDLE.append(child)
@@ -149,10 +147,11 @@ class _Child:
             )
         yield answer
 
-    def _write(self, *lines: Any) -> None:
+    def _write(self, *given: Any) -> None:
         if self._process.stdin is None:
             raise BrokenPipeError
-        self._process.stdin.write(b"".join(json.dumps(line).encode() + b"\n" for line in lines))
+        for each in given:
+            pickle.dump(each, self._process.stdin)
         self._process.stdin.flush()
 
     def _answer(self, path: Path, job: dict[str, Any], patience: float) -> Answer:

@@ -6,7 +6,7 @@ import functools
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast, final, get_args
 
 from manip_learn.errors import RecordingError, advice, closest_names, spoken
@@ -223,19 +223,19 @@ class Block(NamedTuple):
 @final
 @dataclass(frozen=True)
 class RobotOutline:
-    """What the parser of a foreign format knows about a robot, under the names of `Robot`.
-
-    Attributes:
-        joint_names: In the robot's order.
-        blocks: Those of joints that turn without end.
-        position_lower: Per joint [rad or m].
-        position_upper: Per joint [rad or m].
-    """
+    """What the parser of a foreign format knows about a robot, under the names of `Robot`."""
 
     joint_names: tuple[str, ...]
     blocks: tuple[Block, ...]
     position_lower: tuple[float, ...]
     position_upper: tuple[float, ...]
+
+    @staticmethod
+    def of(robot: Robot | RobotOutline) -> RobotOutline:
+        """The outline of a robot."""
+        blocks = tuple(Block(b.name, b.kind) for b in robot.blocks)
+        limits = (tuple(map(float, limit)) for limit in (robot.position_lower, robot.position_upper))
+        return RobotOutline(robot.joint_names, blocks, *limits)
 
     def joint_index(self, name: str) -> int:
         """Place of a joint."""
@@ -253,8 +253,6 @@ def unmoved_joint_names(robot: Robot) -> tuple[str, ...]:
 Units = Literal["radians", "degrees", "normalised"]
 TimeUnit = Literal["s", "ms", "us", "ns"]
 
-# options that the parser of a foreign format is told
-PARSED = ("units", "joint_names", "topics", "rate", "feature")
 SECONDS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -370,29 +368,9 @@ class ReadRequest:
         """Joints that turn without end."""
         return frozenset(b.name for b in self.robot.blocks if b.kind == "continuous")
 
-    def as_words(self) -> dict[str, Any]:
-        """What the parser of a foreign format needs of it, as JSON can write it."""
-        robot = self.robot
-        outline = {
-            "joint_names": robot.joint_names,
-            "blocks": [(name, "continuous") for name in self.continuous],
-            "position_lower": tuple(map(float, robot.position_lower)),
-            "position_upper": tuple(map(float, robot.position_upper)),
-        }
-        chosen = None if self.chosen is None else sorted(self.chosen)
-        return {name: getattr(self, name) for name in PARSED} | {
-            "rename": dict(self.rename),
-            "robot": outline,
-            "chosen": chosen,
-        }
-
-    @staticmethod
-    def of_words(words: dict[str, Any]) -> ReadRequest:
-        """From what `as_words` gave; the robot is an outline of itself."""
-        parts: dict[str, Any] = {name: tuple(values) for name, values in words["robot"].items()}
-        parts["blocks"] = tuple(Block(*b) for b in parts["blocks"])
-        chosen = None if words["chosen"] is None else frozenset(words["chosen"])
-        return ReadRequest(**words | {"robot": cast("Robot", RobotOutline(**parts)), "chosen": chosen})
+    def for_parser(self) -> ReadRequest:
+        """The request for the process that parses a foreign format: with an outline of the robot."""
+        return replace(self, robot=cast("Robot", RobotOutline.of(self.robot)), uses=OptionUses())
 
 
 def _check_choice(option: str, value: object, allowed: tuple[object, ...]) -> None:

@@ -126,6 +126,22 @@ def refusal(path: Path, code: str, text: str, *, line: int | None = None, in_ful
     return RecordingError(f"{where}{'' if line is None else f':{line}'}: {text}", code=code, path=path, line=line)
 
 
+# bytes that are never too many, and times that a recording may be larger than its file: motions pack 1 to 20 times
+ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200
+
+
+def most_bytes(packed: int) -> int:
+    """Bytes that so many packed ones may unpack to."""
+    return max(ALWAYS_FINE, BOMB_RATIO * packed)
+
+
+def bomb(path: Path, evidence: str) -> RecordingError:
+    """The refusal of a file that unpacks to far too much."""
+    return refusal(
+        path, "bomb", f"{evidence}: no recorded motion packs so well; if it is real, unpack it yourself first"
+    )
+
+
 def reason(error: BaseException) -> str:
     """Its message without line breaks; the name of its class if it has none."""
     text = " ".join(str(error).split()) or type(error).__name__

@@ -15,7 +15,15 @@ import numpy as np
 
 from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError, advice
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, reason, refusal
+from manip_learn.recordings.readers.recording import (
+    Recording,
+    bomb,
+    float_array,
+    most_bytes,
+    natural_order,
+    reason,
+    refusal,
+)
 
 try:
     import h5py
@@ -24,7 +32,6 @@ except ImportError as error:
 
 POSITION, VELOCITY = "robot0_joint_pos", "robot0_joint_vel"
 EFFORTS = ("robot0_joint_effort", "robot0_joint_torque", "robot0_joint_torques")
-ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200  # bytes, and how much smaller packed
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
@@ -134,10 +141,8 @@ def _matrix(path: Path, dataset: Any, where: str) -> np.ndarray:
     need, stored = math.prod(dataset.shape) * dataset.dtype.itemsize, dataset.id.get_storage_size()
     if need and not stored:
         raise refusal(path, "damaged", f"{where} has shape {dataset.shape}, but no numbers are stored")
-    if need > max(ALWAYS_FINE, BOMB_RATIO * stored):
-        raise refusal(
-            path, "bomb", f"{where} claims {need:,} bytes, {stored:,} are stored: no recorded motion packs so well"
-        )
+    if need > most_bytes(stored):
+        raise bomb(path, f"{where} claims {need:,} bytes, {stored:,} are stored")
     return float_array(dataset[()])
 
 

@@ -1,24 +1,134 @@
-"""Joint-state messages of a bag -> arrays, one stream per topic and set of joints."""
+"""Joint-state messages of a bag -> arrays, one stream per topic and set of joints -> one table.
+
+Messages are read by their byte layout, thousands at a time: deserialising each of them takes longer than all the rest.
+"""
 
 from __future__ import annotations
 
 import itertools
+import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
 from manip_learn.errors import advice, closest_names, counted
-from manip_learn.recordings.readers.bag_file import JOINT_STATE, BagFile, JointStateLayout, open_bag
+from manip_learn.recordings.readers.bag_file import JOINT_STATE, BagFile, open_bag
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording, refusal
 
 BATCH = 16_384
 MOST_LAYOUTS = 200
+MOST_JOINTS = 10_000
+STAMP_AT = 4  # offset of the seconds in a message; the nanoseconds follow
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class JointStateLayout:
+    """Where the numbers are in messages that have the same joints.
+
+    Attributes:
+        order: `"<"` or `">"`, byte order.
+        names: Joint names in the message.
+        position_at: Offset of the positions, or None if the message has none.
+        velocity_at: Offset of the velocities, or None.
+        effort_at: Offset of the efforts, or None.
+        fixed: Offsets of the bytes that every message of this layout shares.
+        template: The shared bytes.
+    """
+
+    order: str
+    names: tuple[str, ...]
+    position_at: int | None
+    velocity_at: int | None
+    effort_at: int | None
+    fixed: Int[np.ndarray, " k"]
+    template: UInt8[np.ndarray, " k"]
+
+    def matches(self, messages: UInt8[np.ndarray, "N size"]) -> Bool[np.ndarray, " N"]:
+        """Messages (one per row) that have this layout."""
+        return np.all(messages[:, self.fixed] == self.template, axis=1)
+
+    def stamps(self, messages: UInt8[np.ndarray, "N size"]) -> Int[np.ndarray, " N"]:
+        """Header stamps [ns]."""
+        parts = np.ascontiguousarray(messages[:, STAMP_AT : STAMP_AT + 8]).view(self.order + "u4")
+        return parts[:, 0].astype(np.int64) * 1_000_000_000 + parts[:, 1].astype(np.int64)
+
+    def numbers(self, messages: UInt8[np.ndarray, "N size"], at: int | None) -> Float[np.ndarray, "N n"] | None:
+        """One number per joint from an offset on; None if the messages have none."""
+        if at is None:
+            return None
+        block = np.ascontiguousarray(messages[:, at : at + 8 * len(self.names)])
+        return block.view(self.order + "f8").astype(np.float64)
+
+
+@final
+class _Cursor:
+    """Reads one message field by field and remembers which bytes are shared by messages of the same layout."""
+
+    def __init__(self, raw: bytes, order: str, at: int, *, cdr: bool):
+        self.raw, self.order, self.at, self.cdr = raw, order, at, cdr
+        self.fixed: list[int] = []
+
+    def count(self) -> int:
+        """An unsigned 32-bit number that belongs to the layout."""
+        if self.cdr:  # CDR aligns numbers to their size, counted after the 4 bytes in front
+            self.at += -(self.at - 4) % 4
+        (value,) = struct.unpack_from(self.order + "I", self.raw, self.at)
+        self.fixed += range(self.at, self.at + 4)
+        self.at += 4
+        return value
+
+    def text(self, *, shared: bool) -> str:
+        """A string."""
+        length = self.count()
+        content = self.raw[self.at : self.at + length]
+        if len(content) != length:
+            raise ValueError("a string ends after the message")
+        if shared:
+            self.fixed += range(self.at, self.at + length)
+        self.at += length
+        return content.rstrip(b"\x00").decode("utf-8")
+
+    def doubles(self) -> tuple[int, int]:
+        """Offset and number of the entries of an array of numbers."""
+        length = self.count()
+        if self.cdr and length:
+            self.at += -(self.at - 4) % 8
+        start = self.at
+        self.at += 8 * length
+        if self.at > len(self.raw):
+            raise ValueError(f"an array of {length} numbers ends after the message")
+        return start, length
+
+
+def layout_of(raw: bytes, *, is_ros1: bool) -> JointStateLayout:
+    """Layout of a ROS 1 or a ROS 2 message.
+
+    Raises:
+        ValueError: Not a JointState, or an encoding other than plain CDR.
+        struct.error: Too short.
+    """
+    if not is_ros1 and raw[:2] not in (b"\x00\x00", b"\x00\x01"):
+        raise ValueError(f"the message is not plain CDR, it starts with {raw[:4]!r}")
+    # the stamp follows the sequence number of ROS 1, or the kind of encoding, which the layout shares
+    cursor = _Cursor(raw, "<" if is_ros1 or raw[1] else ">", 12, cdr=not is_ros1)
+    cursor.fixed += () if is_ros1 else (0, 1)
+    cursor.text(shared=False)  # the header's frame
+    n = cursor.count()
+    if n > MOST_JOINTS:
+        raise ValueError(f"the message names {n} joints")
+    names = tuple(cursor.text(shared=True) for _ in range(n))
+    arrays = [cursor.doubles() for _ in range(3)]
+    position_at, velocity_at, effort_at = (at if k == n and n else None for at, k in arrays)
+    fixed = np.array(cursor.fixed, dtype=np.int64)
+    template = np.frombuffer(raw, dtype=np.uint8)[fixed]
+    return JointStateLayout(cursor.order, names, position_at, velocity_at, effort_at, fixed, template)
 
 
 @final
@@ -47,65 +157,46 @@ class JointStateStream:
     efforts: Float[np.ndarray, "T n"] | None = None
 
 
-@final
-@dataclass
-class _Pieces:
-    stamps: list[np.ndarray] = field(default_factory=list)
-    received: list[np.ndarray] = field(default_factory=list)
-    positions: list[np.ndarray] = field(default_factory=list)
-    velocities: list[np.ndarray | None] = field(default_factory=list)
-    efforts: list[np.ndarray | None] = field(default_factory=list)
-
-
 def joint_state_streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStateStream], list[str]]:
     """All streams of some topics, and what was left out.
 
     Raises:
         RecordingError: Messages that are no JointState.
     """
-    pieces: dict[tuple[str, str, tuple[str, ...]], _Pieces] = {}
+    pieces: dict[tuple[str, str, tuple[str, ...]], list[JointStateStream]] = {}
     layouts: dict[tuple[str, int], list[JointStateLayout]] = {}
-    without_positions: dict[str, int] = {}
+    without_positions: Counter[str] = Counter()
     for topic, publisher, received, raw in _batches(bag, topics):
         for layout, messages, stamps in _by_layout(bag, topic, raw, received, layouts):
-            positions = layout.numbers(messages, layout.position_at)
+            positions, velocities, efforts = (
+                layout.numbers(messages, at) for at in (layout.position_at, layout.velocity_at, layout.effort_at)
+            )
             if positions is None:
-                without_positions[topic] = without_positions.get(topic, 0) + len(messages)
+                without_positions[topic] += len(messages)
                 continue
-            piece = pieces.setdefault((topic, publisher, layout.names), _Pieces())
-            piece.stamps.append(layout.stamps(messages))
-            piece.received.append(stamps)
-            piece.positions.append(positions)
-            piece.velocities.append(layout.numbers(messages, layout.velocity_at))
-            piece.efforts.append(layout.numbers(messages, layout.effort_at))
-    streams = [
-        JointStateStream(
-            topic,
-            publisher,
-            names,
-            np.concatenate(p.stamps),
-            np.concatenate(p.received),
-            np.concatenate(p.positions),
-            _all_or_none(p.velocities),
-            _all_or_none(p.efforts),
-        )
-        for (topic, publisher, names), p in pieces.items()
-    ]
+            source = topic, publisher, layout.names
+            piece = JointStateStream(*source, layout.stamps(messages), stamps, positions, velocities, efforts)
+            pieces.setdefault(source, []).append(piece)
     notes = [
         f"{counted(n, 'message')} of {topic} have no positions, not used" for topic, n in without_positions.items()
     ]
-    notes += [
-        f"{n} of {sum(map(len, p.stamps))} messages of {topic} have no velocities, so those of the others are not used"
-        for (topic, _, _), p in pieces.items()
-        if 0 < (n := sum(len(s) for s, v in zip(p.stamps, p.velocities, strict=True) if v is None))
-        and any(v is not None for v in p.velocities)
-    ]
-    return streams, notes
+    for (topic, *_), parts in pieces.items():
+        without = sum(len(p.stamps) for p in parts if p.velocities is None)
+        if without and any(p.velocities is not None for p in parts):
+            notes.append(
+                f"{without} of {sum(len(p.stamps) for p in parts)} messages of {topic} have no velocities, so those "
+                "of the others are not used"
+            )
+    return [_one_after_the_other(parts) for parts in pieces.values()], notes
 
 
-def _all_or_none(parts: list[np.ndarray | None]) -> np.ndarray | None:
-    there = [p for p in parts if p is not None]
-    return np.concatenate(there) if len(there) == len(parts) else None
+def _one_after_the_other(parts: list[JointStateStream]) -> JointStateStream:
+    """The messages of several streams about the same joints; velocities and efforts if all of them have some."""
+    joined: dict[str, Any] = {}
+    for name in ("stamps", "received", "positions", "velocities", "efforts"):
+        arrays = [getattr(part, name) for part in parts]
+        joined[name] = None if any(a is None for a in arrays) else np.concatenate(arrays)
+    return replace(parts[0], **joined)
 
 
 def _batches(bag: BagFile, topics: tuple[str, ...]) -> Iterator[tuple[str, str, np.ndarray, list[bytes]]]:
@@ -139,7 +230,7 @@ def _by_layout(
             tried += 1
             mine = todo & layout.matches(rows)
             if np.any(mine):
-                bag.layout(raw[index[np.flatnonzero(mine)[-1]]])  # a sample more, read by the library as well
+                _checked_layout(bag, raw[index[np.flatnonzero(mine)[-1]]])  # a sample more
                 yield layout, rows[mine], received[index[mine]]
                 todo &= ~mine
 
@@ -152,7 +243,23 @@ def _new_layout(bag: BagFile, topic: str, raw: bytes, n_known: int) -> JointStat
             f"the joints named in {topic} change all the time ({n_known} lists)"
             + advice(": choose another topic with {}", "topics=[...]", "--topic NAME"),
         )
-    return bag.layout(raw)
+    return _checked_layout(bag, raw)
+
+
+def _checked_layout(bag: BagFile, raw: bytes) -> JointStateLayout:
+    """Where the numbers are in a message; compared with the library's own reading of it."""
+    layout, message = layout_of(raw, is_ros1=bag.is_ros1), bag.deserialised(raw)
+    row = np.frombuffer(raw, dtype=np.uint8)[None]
+    if tuple(message.name) != layout.names:
+        raise ValueError(f"the joint names are read as {tuple(message.name)} and as {layout.names}")
+    arrays = (message.position, layout.position_at), (message.velocity, layout.velocity_at)
+    for values, at in (*arrays, (message.effort, layout.effort_at)):
+        if at is not None and values.tobytes() != layout.numbers(row, at).tobytes():  # type: ignore[union-attr]
+            raise ValueError("the numbers of a message are read differently by the library")
+    stamp = message.header.stamp
+    if layout.stamps(row)[0] != stamp.sec % 2**32 * 1_000_000_000 + stamp.nanosec:
+        raise ValueError("the stamp of a message is read differently by the library")
+    return layout
 
 
 USUAL_TOPIC = "/joint_states"
@@ -289,12 +396,8 @@ def _refuse_two_publishers(streams: list[JointStateStream], chosen: dict[str, st
 
 
 def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) -> tuple[JointGroup, list[str]]:
-    columns = [[s.names.index(n) for n in names] for s in streams]
-    stamps = np.concatenate([s.stamps for s in streams])
-    received = np.concatenate([s.received for s in streams])
-    q = np.concatenate([s.positions[:, c] for s, c in zip(streams, columns, strict=True)])
-    u = _side_by_side([s.velocities for s in streams], columns)
-    effort = _side_by_side([s.efforts for s in streams], columns)
+    whole = _one_after_the_other([_of_joints(s, names) for s in streams])
+    stamps, received = whole.stamps, whole.received
     notes = []
     if np.any(stamps == 0):
         stamps = received
@@ -318,14 +421,15 @@ def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) 
             f"{topic}: {counted(np.count_nonzero(~keep), 'message')} left out for a repeated stamp, the last is kept"
         )
     order = order[keep]
-    u, effort = (None if x is None else x[order] for x in (u, effort))
-    return JointGroup(topic, names, stamps[order], q[order], u, effort), notes
+    u, effort = (None if x is None else x[order] for x in (whole.velocities, whole.efforts))
+    return JointGroup(topic, names, stamps[order], whole.positions[order], u, effort), notes
 
 
-def _side_by_side(parts: list[np.ndarray | None], columns: list[list[int]]) -> Float[np.ndarray, "T n"] | None:
-    """The chosen columns of all streams, one after the other; None if one of them has none."""
-    there = [part[:, c] for part, c in zip(parts, columns, strict=True) if part is not None]
-    return np.concatenate(there) if len(there) == len(parts) else None
+def _of_joints(stream: JointStateStream, names: tuple[str, ...]) -> JointStateStream:
+    """The columns of some joints."""
+    columns = [stream.names.index(n) for n in names]
+    q, *beside = (None if x is None else x[:, columns] for x in (stream.positions, stream.velocities, stream.efforts))
+    return replace(stream, names=names, positions=q, velocities=beside[0], efforts=beside[1])
 
 
 def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> tuple[JointGroup, list[str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
 
@@ -12,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from manip_learn.errors import RecordingError, advice, counted
 from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest
 from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording
-from manip_learn.recordings.validation.joint_matching import object_coordinates
+from manip_learn.recordings.validation.joint_matching import angular_coordinates, object_coordinates
 from manip_learn.robot import Robot
 
 BUNCHED = 0.02  # of the usual step
@@ -21,6 +22,36 @@ UNIT_WORDS = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 EPOCHS = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
 # without recorded velocities: a step this long [s] with all joints this slow [rad/s] is no recording in seconds
 LONG_STEP, SLOW = 1.0, 0.02
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A recorded motion in the robot's joints and in SI units, and where it comes from.
+
+    Attributes:
+        recording: As it stands in the file, for the places in messages.
+        request: How it is read.
+        time: shape (T,), increasing [s].
+        q: shape (T, nv) [rad or m].
+        u: shape (T, nv) [rad/s or m/s], or None.
+    """
+
+    recording: Recording
+    request: ReadRequest
+    time: Float[np.ndarray, " T"]
+    q: Float[np.ndarray, "T nv"]
+    u: Float[np.ndarray, "T nv"] | None
+
+    @property
+    def robot(self) -> Robot:
+        """Whose joints they are."""
+        return self.request.robot
+
+    @property
+    def angular(self) -> Bool[np.ndarray, " nv"]:
+        """True for angles, False for lengths."""
+        return angular_coordinates(self.robot)
 
 
 def time_in_seconds(recording: Recording, request: ReadRequest) -> Float[np.ndarray, " T"]:
@@ -41,34 +72,28 @@ def time_in_seconds(recording: Recording, request: ReadRequest) -> Float[np.ndar
     largest = float(np.max(np.abs(time)))
     unit = next((u for u, start in EPOCHS if largest > start), None)
     if unit is not None:
-        raise unit_refusal(recording, unit, f"the stamps reach {largest:.6g}")
+        raise _unit_refusal(recording, unit, f"the stamps reach {largest:.6g}")
     return time
 
 
-def doubt_slow_time(
-    recording: Recording, request: ReadRequest, time: Float[np.ndarray, " T"], q: Float[np.ndarray, "T nv"]
-) -> None:
-    """Refuse stamps that look like milliseconds or less; for recordings without velocities.
-
-    Raises:
-        RecordingError: Steps of a second and more while all joints move very slowly.
-    """
-    if recording.in_seconds or request.time_unit is not None:
-        return
-    step = usual_step(np.diff(time))
+def _doubt_slow_time(motion: Motion) -> list[str]:
+    """Refuse steps of a second and more while all joints move very slowly, where no velocities were recorded."""
+    if motion.u is not None or motion.recording.in_seconds or motion.request.time_unit is not None:
+        return []
+    step = usual_step(np.diff(motion.time))
     if step < LONG_STEP:
-        return
+        return []
     with np.errstate(over="ignore"):  # some stamps may differ by next to nothing
-        speeds = np.abs(np.diff(q, axis=0)) / np.diff(time)[:, None]
+        speeds = np.abs(np.diff(motion.q, axis=0)) / np.diff(motion.time)[:, None]
     speed = float(np.max(np.percentile(speeds, 99, axis=0), initial=0.0))
     if 0.0 < speed < SLOW:
         unit = "ms" if step <= 1e3 else "us" if step <= 1e6 else "ns"
-        raise unit_refusal(
-            recording, unit, f"samples are {step:.6g} apart and no joint is faster than {speed:.2g} rad/s"
-        )
+        evidence = f"samples are {step:.6g} apart and no joint is faster than {speed:.2g} rad/s"
+        raise _unit_refusal(motion.recording, unit, evidence)
+    return []
 
 
-def unit_refusal(recording: Recording, unit: str, evidence: str) -> RecordingError:
+def _unit_refusal(recording: Recording, unit: str, evidence: str) -> RecordingError:
     """The refusal of stamps that are not in seconds."""
     return recording.refusal(
         "time-unit",
@@ -137,7 +162,7 @@ def usual_step(steps: Float[np.ndarray, " n"]) -> float:
 
 
 def bunched_note(time: Float[np.ndarray, " T"]) -> list[str]:
-    """A sentence on samples that were stamped almost at once, as by a recorder that fell behind; velocities derived
+    """A sentence on samples that were stamped almost at once, as by a recorder that fell behind: velocities derived
     from them would be far too large.
     """
     steps = np.diff(time)
@@ -159,32 +184,23 @@ JUMP = np.pi / 2  # [rad] in one step
 MOSTLY_OUTSIDE = 0.3  # of the samples
 
 
-def excess(robot: Robot, q: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, " nv"]:
+def _excess(robot: Robot, q: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, " nv"]:
     """How far each joint gets beyond its limits [rad or m]; 0 within."""
     below, above = robot.position_lower - q.min(axis=0), q.max(axis=0) - robot.position_upper
     return np.maximum(np.maximum(below, above), 0.0)
 
 
-def check_limits(
-    recording: Recording,
-    request: ReadRequest,
-    angular: Bool[np.ndarray, " nv"],
-    time: Float[np.ndarray, " T"],
-    q: Float[np.ndarray, "T nv"],
-) -> list[str]:
-    """Notes on positions a little outside the limits and on odd speeds.
-
-    Raises:
-        RecordingError: Positions that look like degrees, are far outside, or jump.
-    """
-    robot = request.robot
-    beyond = excess(robot, q)
+def _check_limits(motion: Motion) -> list[str]:
+    """Notes on positions slightly outside the limits and odd speeds; degrees, far positions and jumps are refused."""
+    robot, recording, angular = motion.robot, motion.recording, motion.angular
+    beyond = _excess(robot, motion.q)
     far = beyond > np.where(angular, FAR_ANGLE, FAR_LENGTH)
-    notes = _fast_notes(robot, time, q)
-    if request.units is None and not recording.trusted:
-        _refuse_degrees(recording, robot, angular, q, far, bool(notes))
-    if np.any(far) and request.outside_limits == "refuse" and not recording.trusted:
-        _refuse_far(recording, request, q, int(np.argmax(np.where(far, beyond, 0.0))))
+    notes = _fast_notes(robot, motion.time, motion.q)
+    if motion.request.units is None and not recording.trusted:
+        _refuse_degrees(motion, far, bool(notes))
+    refuses = motion.request.outside_limits == "refuse" and not recording.trusted
+    if np.any(far) and refuses:
+        _refuse_far(motion, int(np.argmax(np.where(far, beyond, 0.0))))
     slight = np.flatnonzero(beyond > NOTABLE)
     if slight.size:
         worst = int(np.argmax(beyond))
@@ -192,29 +208,24 @@ def check_limits(
             f"beyond their limits: {counted(slight.size, 'joint')}, {robot.joint_names[worst]!r} the farthest: by "
             f"{beyond[worst]:.3g} {'rad' if angular[worst] else 'm'}"
         )
-    if not recording.trusted and request.outside_limits == "refuse":
-        _refuse_jumps(recording, robot, angular, time, q)
+    if refuses:
+        _refuse_jumps(motion)
     return notes
 
 
-def _refuse_degrees(
-    recording: Recording,
-    robot: Robot,
-    angular: Bool[np.ndarray, " nv"],
-    q: Float[np.ndarray, "T nv"],
-    far: Bool[np.ndarray, " nv"],
-    fast: bool,
-) -> None:
+def _refuse_degrees(motion: Motion, far: Bool[np.ndarray, " nv"], fast: bool) -> None:
+    robot, angular, q = motion.robot, motion.angular, motion.q
     largest = np.abs(q).max(axis=0)
     unlimited = angular & ~np.isfinite(robot.position_lower) & ~np.isfinite(robot.position_upper)
     turning = unlimited & (largest > MANY_TURNS) & fast
-    if not np.any((far & angular & (largest > 2 * np.pi)) | turning):
+    beyond = far & angular & (largest > 2 * np.pi)
+    if not np.any(beyond | turning):
         return
     # one faulty sample, a sign or a full turn is another fault
     mostly = np.mean((q < robot.position_lower) | (q > robot.position_upper), axis=0) > MOSTLY_OUTSIDE
     other = np.array([_other_guess(robot, q[:, i], i) is not None for i in range(robot.nv)])
-    suspects = (far & angular & mostly & ~other & (largest > 2 * np.pi)) | turning
-    if not np.any(suspects) or np.any(excess(robot, np.radians(q))[suspects] > FAR_ANGLE):
+    suspects = (beyond & mostly & ~other) | turning
+    if not np.any(suspects) or np.any(_excess(robot, np.radians(q))[suspects] > FAR_ANGLE):
         return
     i = int(np.argmax(np.where(suspects, largest, 0.0)))
     sample = int(np.argmax(np.abs(q[:, i])))
@@ -222,7 +233,7 @@ def _refuse_degrees(
     fix = "convert this column to radians"
     if whole_file:
         fix = advice("pass {}, or ", "degrees=True", "--degrees") + "convert the file to radians"
-    raise recording.refusal(
+    raise motion.recording.refusal(
         "degrees",
         f"positions look like degrees: {q[sample, i]:.6g} where the limits are [{robot.position_lower[i]:.4g}, "
         f"{robot.position_upper[i]:.4g}] rad; {fix}",
@@ -241,18 +252,18 @@ def _other_guess(robot: Robot, q: Float[np.ndarray, " T"], i: int) -> str | None
     return None
 
 
-def _refuse_far(recording: Recording, request: ReadRequest, q: Float[np.ndarray, "T nv"], i: int) -> None:
-    robot = request.robot
+def _refuse_far(motion: Motion, i: int) -> None:
+    robot, q = motion.robot, motion.q
     lower, upper = robot.position_lower[i], robot.position_upper[i]
     outside = np.maximum(lower - q[:, i], q[:, i] - upper)
     sample = int(np.argmax(outside))
     guess = _other_guess(robot, q[:, i], i)
-    if guess is None and request.joint_names:
+    if guess is None and motion.request.joint_names:
         guess = "the wrong order in joint_names?"
     guess = guess or "wrong units, columns with the wrong names, or another robot?"
     if np.all(outside > 0) and "another robot" not in guess:
         guess += " Or another robot?"
-    raise recording.refusal(
+    raise motion.recording.refusal(
         "outside-limits",
         f"{q[sample, i]:.6g} is outside the limits [{lower:.4g}, {upper:.4g}] of robot {robot.name!r} at "
         f"{np.count_nonzero(outside > 0)} of {counted(q.shape[0], 'sample')}: "
@@ -280,22 +291,17 @@ def _fast_notes(robot: Robot, time: Float[np.ndarray, " T"], q: Float[np.ndarray
     ]
 
 
-def _refuse_jumps(
-    recording: Recording,
-    robot: Robot,
-    angular: Bool[np.ndarray, " nv"],
-    time: Float[np.ndarray, " T"],
-    q: Float[np.ndarray, "T nv"],
-) -> None:
-    change, steps = np.abs(np.diff(q, axis=0)), np.diff(time)
+def _refuse_jumps(motion: Motion) -> None:
+    robot, q = motion.robot, motion.q
+    change, steps = np.abs(np.diff(q, axis=0)), np.diff(motion.time)
     limit = np.where(np.isfinite(robot.velocity_limit), 10 * robot.velocity_limit, 50.0)
     # a rotation vector may jump where its rotation does not, close to a full turn
-    jump = angular & ~object_coordinates(robot) & (change > JUMP) & (change > limit * steps[:, None])
+    jump = motion.angular & ~object_coordinates(robot) & (change > JUMP) & (change > limit * steps[:, None])
     if np.any(jump):
         sample, i = (int(k) for k in np.argwhere(jump)[0])
         turn = abs(change[sample, i] - 2 * np.pi) < 0.5
         cause = "it wraps around a full turn, which this limited joint cannot" if turn else "a faulty sample?"
-        raise recording.refusal(
+        raise motion.recording.refusal(
             "jump",
             f"the joint jumps from {q[sample, i]:.4g} to {q[sample + 1, i]:.4g} rad within {steps[sample]:.3g} s: "
             f"{cause} "
@@ -350,25 +356,24 @@ def compare_velocities(
     return VelocityMatch(slope, correlation, np.ptp(q, axis=0) > MOVED)
 
 
-def check_velocities(
-    recording: Recording, names: tuple[str, ...], angular: Bool[np.ndarray, " nv"], match: VelocityMatch
-) -> list[str]:
-    """Notes on recorded velocities that do not follow the positions.
-
-    Raises:
-        RecordingError: A fault that can be named: degrees, milliseconds, a sign, another joint's velocity, a scale.
+def _check_velocities(motion: Motion) -> list[str]:
+    """Notes on recorded velocities that do not follow the positions; a fault that can be named is refused: degrees,
+    milliseconds, a sign, another joint's velocity, a scale.
     """
-    notes = []
+    if motion.u is None or len(motion.time) < FEWEST or motion.recording.trusted:
+        return []
+    names, notes = motion.robot.joint_names, []
+    match = compare_velocities(motion.time, motion.q, motion.u)
     for i, name in enumerate(names):
         if not match.moved[i]:
             continue
         own = float(match.correlation[i, i])
         if abs(own) >= SURE:
-            _refuse_slope(recording, name, bool(angular[i]), float(match.slope[i]))
+            _refuse_slope(motion.recording, name, bool(motion.angular[i]), float(match.slope[i]))
             continue
         j = _follower(match, i)
         if j is not None:
-            raise recording.refusal(
+            raise motion.recording.refusal(
                 "velocity-order",
                 f"the velocity does not follow this joint (correlation {own:.2f}) but that recorded for "
                 f"{names[j]!r} does ({match.correlation[i, j]:.2f}): the columns are in the wrong order",
@@ -418,7 +423,7 @@ def _refuse_slope(recording: Recording, name: str, angular: bool, slope: float) 
         )
     unit = next((u for u, s in TIME_SLOPES if _near(size, s)), None)
     if unit is not None:
-        raise unit_refusal(recording, unit, evidence)
+        raise _unit_refusal(recording, unit, evidence)
     raise recording.refusal(
         "velocity-scale",
         f"recorded velocities and positions have different scales: {evidence}; correct the units of one of them, "
@@ -460,25 +465,22 @@ class Alternation:
     usual: float
 
 
-def refuse_two_publishers(recording: Recording, names: tuple[str, ...], q: Float[np.ndarray, "T nv"]) -> None:
-    """Refuse positions that alternate, regularly or not, between two motions.
-
-    Raises:
-        RecordingError: Code `two-publishers`.
-    """
-    for start in range(0, q.shape[0], PART):
-        found = alternation(q[start : start + PART])
+def _refuse_two_publishers(motion: Motion) -> list[str]:
+    """Refuse positions that alternate, regularly or not, between two motions."""
+    names = motion.robot.joint_names
+    for start in range(0, 0 if motion.recording.trusted else len(motion.q), PART):
+        found = alternation(motion.q[start : start + PART])
         if found is not None:
-            sample = start + int(found.jumps[0]) + 1
-            raise recording.refusal(
+            raise motion.recording.refusal(
                 "two-publishers",
                 f"the samples alternate between two motions: {found.jumps.size} steps jump to and fro, joint "
                 f"{names[found.joint]!r} by about {found.size:.3g}, while samples that belong together are "
                 f"{found.usual:.2g} apart. Two programs published on one topic (a robot and a GUI?): end one of them "
                 "(`ros2 topic info -v`, `rostopic info` list them) and record again",
-                sample=sample,
+                sample=start + int(found.jumps[0]) + 1,
                 column=names[found.joint],
             )
+    return []
 
 
 def alternation(q: Float[np.ndarray, "T nv"]) -> Alternation | None:
@@ -492,12 +494,10 @@ def alternation(q: Float[np.ndarray, "T nv"]) -> Alternation | None:
         return None
     steps = np.diff(q, axis=0)
     size = np.linalg.norm(steps, axis=1)
-    if np.count_nonzero(size > SMALLEST) < FEWEST_JUMPS:
+    if np.count_nonzero(size > SMALLEST) < FEWEST_JUMPS:  # most recordings: their quanta need not be known
         return None
     least = max(SMALLEST, QUANTA * _quantum(q))
-    if np.count_nonzero(size > least) < FEWEST_JUMPS:
-        return None
-    if not _some_lead_back(steps[size > least]):
+    if np.count_nonzero(size > least) < FEWEST_JUMPS or not _some_lead_back(steps[size > least]):
         return None
     usual = _usual_distance(q, size)
     jumps = np.flatnonzero(size > max(CLEAR * usual, least))
@@ -538,3 +538,12 @@ def _quantum(q: Float[np.ndarray, "T nv"]) -> float:
     least = np.min(np.where(gaps > 0.0, gaps, np.inf), axis=0, initial=np.inf)
     least = np.where(np.isfinite(least), np.minimum(least, LARGEST_QUANTUM), 0.0)  # a joint that stands still has none
     return float(np.sqrt(np.sum(least**2)))
+
+
+# in the order in which they are made; each returns notes, and refuses what would spoil what is learnt
+CHECKS: tuple[Callable[[Motion], list[str]], ...] = (
+    _refuse_two_publishers,
+    _doubt_slow_time,
+    _check_velocities,
+    _check_limits,
+)

@@ -14,15 +14,11 @@ from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, match_joints, object_coordinates
 from manip_learn.recordings.validation.motion_checks import (
-    FEWEST,
+    CHECKS,
+    Motion,
     bunched_note,
-    check_limits,
-    check_velocities,
-    compare_velocities,
-    doubt_slow_time,
     increasing,
     pieces,
-    refuse_two_publishers,
     time_in_seconds,
 )
 from manip_learn.recordings.velocities import continuous_rotation_vectors
@@ -42,8 +38,7 @@ def validate(recording: Recording, request: ReadRequest) -> Demonstrations:
     """
     recording = match_joints(recording, request)
     q, u = recording.positions, recording.velocities
-    robot, angular = request.robot, angular_coordinates(request.robot)
-    notes = list(recording.notes)
+    robot, notes = request.robot, list(recording.notes)
     if recording.time.shape[0] >= 2:
         _refuse_not_finite(recording)
     time = time_in_seconds(recording, request)
@@ -58,26 +53,17 @@ def validate(recording: Recording, request: ReadRequest) -> Demonstrations:
     notes += bunched_note(time)
     q, said = _unwrapped(robot, q)
     notes += said
-    if not recording.trusted:
-        refuse_two_publishers(recording, robot.joint_names, q)
-    if u is None:
-        doubt_slow_time(recording, request, time, q)
-    elif time.shape[0] >= FEWEST and not recording.trusted:
-        notes += check_velocities(recording, robot.joint_names, angular, compare_velocities(time, q, u))
-    notes += check_limits(recording, request, angular, time, q)
+    motion = Motion(recording, request, time, q, u)
+    for check in CHECKS:
+        notes += check(motion)
     return _split(recording, robot, time, q, u, notes)
 
 
 def _refuse_not_finite(recording: Recording) -> None:
-    parts: list[tuple[str, np.ndarray, tuple[str, ...]]] = [
-        ("", recording.time[:, None], ("time",)),
-        ("", recording.positions, recording.position_names),
-    ]
+    parts = [("", recording.time[:, None], ("time",)), ("", recording.positions, recording.position_names)]
     if recording.velocities is not None:
         parts.append((" velocity", recording.velocities, recording.velocity_names))
-    bad = np.zeros(recording.time.shape[0], dtype=bool)
-    for _, values, _ in parts:
-        bad |= ~np.all(np.abs(values) < NO_MEASUREMENT, axis=1)
+    bad = np.any([~np.all(np.abs(values) < NO_MEASUREMENT, axis=1) for _, values, _ in parts], axis=0)
     rows = np.flatnonzero(bad)
     if not rows.size:
         return

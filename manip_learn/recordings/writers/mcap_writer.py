@@ -1,44 +1,48 @@
-"""A motion as MCAP: JointState messages for ROS, a rollout's samples on a topic of their own, the header as metadata.
+"""A motion as MCAP, and the records of any MCAP file: JointState messages for ROS, a rollout's samples on a topic of
+their own, the header as metadata.
 
-The layout is that of https://mcap.dev/spec: uncompressed chunks with message indexes, and a summary.
+The layout is that of https://mcap.dev/spec: uncompressed chunks with checksums and message indexes, and a summary.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
-from typing import final
+import zlib
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, final
 
 import numpy as np
+from jaxtyping import Float, Int
 
-from manip_learn.recordings.saved_motion import SavedMotion
-from manip_learn.recordings.writers.joint_state_messages import (
-    CHANNEL,
-    CHUNK,
-    CHUNK_INDEX,
-    DATA_END,
-    DEFINITIONS,
-    FOLLOWED_SAMPLE,
-    FOOTER,
-    HEADER,
-    JOINT_STATE,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_INDEX,
-    METADATA,
-    METADATA_INDEX,
-    ROLLOUT_SAMPLE,
-    SCHEMA,
-    STATISTICS,
-    joint_state_encoder,
-    nanoseconds,
-    rollout_sample,
-)
+from manip_learn.errors import OutputError
 
+if TYPE_CHECKING:  # the process that parses bags is without robots, which take long to load
+    from manip_learn.recordings.saved_motion import SavedMotion
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 1, 2, 3, 4, 5, 6, 7, 8
+STATISTICS, METADATA, METADATA_INDEX, DATA_END = 0x0B, 0x0C, 0x0D, 0x0F
 METADATA_NAME, HEADER_KEY = "manip_learn", "header"
 JOINT_TOPIC, ROLLOUT_TOPIC = "/joint_states", "/rollout"
 CHUNK_BYTES = 1_000_000
-NOT_SET = 1_000_000_000  # [ns] a stamp of zero means "not set" in ROS: such motions start at one second
+SECOND = 1_000_000_000  # [ns]; a stamp of zero means "not set" in ROS: motions that start at zero start at one second
+LAST_STAMP = 2**31 * SECOND  # [ns] seconds are int32 in ROS
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+ROLLOUT_SAMPLE = "manip_learn_msgs/msg/RolloutSample"
+FOLLOWED_SAMPLE = "manip_learn_msgs/msg/FollowedSample"  # with the following error
+_SAMPLE = "float64 time\nfloat64 manipulability\nfloat64 task_error\nfloat64[] q\nfloat64[] u\nstring status\n"
+# definitions as MCAP wants them: the message, then what it refers to
+DEFINITIONS = {
+    JOINT_STATE: "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
+    + "=" * 80
+    + "\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+    + "=" * 80
+    + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n",
+    ROLLOUT_SAMPLE: _SAMPLE,
+    FOLLOWED_SAMPLE: _SAMPLE + "float64 following_error\n",
+}
+CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
 
 def mcap_bytes(motion: SavedMotion) -> bytes:
@@ -49,7 +53,7 @@ def mcap_bytes(motion: SavedMotion) -> bytes:
     """
     stamps = nanoseconds(motion.time, from_first=False)
     if stamps.size and stamps[0] == 0:
-        stamps = stamps + NOT_SET
+        stamps = stamps + SECOND
     topics = [(JOINT_TOPIC, JOINT_STATE)]
     if motion.header.kind == "rollout":
         topics.append((ROLLOUT_TOPIC, ROLLOUT_SAMPLE if motion.following_error is None else FOLLOWED_SAMPLE))
@@ -59,6 +63,30 @@ def mcap_bytes(motion: SavedMotion) -> bytes:
         for channel, message in enumerate(messages, 1):
             file.message(channel, stamp, message)
     return file.finished()
+
+
+def nanoseconds(time: Float[np.ndarray, " T"], *, from_first: bool) -> Int[np.ndarray, " T"]:
+    """Times as whole nanoseconds.
+
+    Args:
+        time: [s].
+        from_first: Count from the first sample; otherwise from zero, or from the first sample where a stamp could not
+            hold that.
+
+    Raises:
+        OutputError: Two samples are less than a nanosecond apart, or the motion is longer than a stamp can say.
+    """
+    if not np.all(np.isfinite(time)):
+        raise OutputError("the motion has times that are not finite: they cannot be written as stamps")
+    start = float(time[0]) if time.size else 0.0
+    relative = from_first or start < 0.0 or float(np.max(time, initial=0.0)) * 1e9 >= LAST_STAMP
+    stamps = np.rint((time - start if relative else time) * 1e9)
+    if np.any(np.diff(stamps) <= 0) or np.max(stamps, initial=0.0) >= LAST_STAMP:
+        raise OutputError(
+            "the times cannot be written as stamps of whole nanoseconds: they must increase by a nanosecond or more, "
+            "over less than 68 years; write NPZ or CSV"
+        )
+    return stamps.astype(np.int64)
 
 
 def _messages(motion: SavedMotion, stamps: np.ndarray) -> Iterator[list[bytes]]:
@@ -74,6 +102,95 @@ def _messages(motion: SavedMotion, stamps: np.ndarray) -> Iterator[list[bytes]]:
             following = None if motion.following_error is None else float(motion.following_error[i])
             messages.append(rollout_sample(numbers, q, u, str(motion.status[i]), following))
         yield messages
+
+
+def joint_state_encoder(names: tuple[str, ...]) -> Callable[[int, np.ndarray, np.ndarray, np.ndarray], bytes]:
+    """A function (stamp [ns], positions, velocities, efforts) -> message; each array may be empty."""
+    head = b"\x01\x00\x00\x00\x00"  # frame_id: empty
+    body = bytearray(struct.pack("<I", len(names)))
+    for name in names:
+        _align(body, 4, 8 + len(head) + 3)
+        body += _text(name + "\x00")
+    middle = head + b"\x00" * 3 + bytes(body)
+
+    def encode(stamp: int, positions: np.ndarray, velocities: np.ndarray, efforts: np.ndarray) -> bytes:
+        message = bytearray(struct.pack("<iI", *divmod(stamp, SECOND)) + middle)
+        for values in (positions, velocities, efforts):
+            _append_doubles(message, values)
+        return CDR_LITTLE_ENDIAN + bytes(message)
+
+    return encode
+
+
+def rollout_sample(
+    numbers: tuple[float, float, float], q: np.ndarray, u: np.ndarray, status: str, following: float | None = None
+) -> bytes:
+    """One sample: (time, manipulability, task error), posture, velocities, status, and the following error if known."""
+    message = bytearray(struct.pack("<3d", *numbers))
+    _append_doubles(message, q)
+    _append_doubles(message, u)
+    _align(message, 4)
+    message += _text(status + "\x00")
+    if following is not None:
+        _align(message, 8)
+        message += struct.pack("<d", following)
+    return CDR_LITTLE_ENDIAN + bytes(message)
+
+
+def rollout_sample_values(message: bytes) -> tuple[tuple[float, ...], np.ndarray, np.ndarray, str, float | None]:
+    """What `rollout_sample` was given.
+
+    Raises:
+        ValueError: Another message.
+        struct.error: Too short.
+    """
+    if message[:4] != CDR_LITTLE_ENDIAN:
+        raise ValueError(f"a sample starts with {message[:4]!r}, plain CDR is needed")
+    content = message[4:]
+    at, arrays = 24, []
+    for _ in range(2):
+        at += -at % 4
+        (count,) = struct.unpack_from("<I", content, at)
+        at += 4
+        at += -at % 8 if count else 0
+        if at + 8 * count > len(content):
+            raise ValueError(f"an array of {count} numbers ends after its message")
+        arrays.append(np.frombuffer(content, "<f8", count, at))
+        at += 8 * count
+    status, at = text_at(content, at + -at % 4)
+    following = None
+    if len(content) == at + -at % 8 + 8:
+        at += -at % 8 + 8
+        (following,) = struct.unpack_from("<d", content, at - 8)
+    if at != len(content):
+        raise ValueError("a sample does not end with its status or its following error")
+    return struct.unpack_from("<3d", content, 0), arrays[0], arrays[1], status.rstrip("\x00"), following
+
+
+def text_at(content: bytes, at: int) -> tuple[str, int]:
+    """A text after its length, and where it ends.
+
+    Raises:
+        ValueError: It ends after the content, or is no text.
+    """
+    (length,) = struct.unpack_from("<I", content, at)
+    text = content[at + 4 : at + 4 + length]
+    if len(text) != length:
+        raise ValueError("a text ends after its record")
+    return text.decode(), at + 4 + length
+
+
+def _append_doubles(message: bytearray, values: np.ndarray) -> None:
+    _align(message, 4)
+    message += struct.pack("<I", len(values))
+    if len(values):
+        _align(message, 8)
+        message += np.ascontiguousarray(values, dtype="<f8").tobytes()
+
+
+def _align(message: bytearray, size: int, before: int = 0) -> None:
+    """CDR aligns numbers to their size, counted from the start of the message."""
+    message += b"\x00" * (-(before + len(message)) % size)
 
 
 def _text(value: str) -> bytes:
@@ -133,7 +250,7 @@ class _McapFile:
     def _end_chunk(self) -> None:
         stamps = [stamp for entries in self._index.values() for stamp, _ in entries]
         first, last, size = min(stamps), max(stamps), len(self._chunk)
-        head = struct.pack("<QQQI", first, last, size, 0) + _text("") + struct.pack("<Q", size)
+        head = struct.pack("<QQQI", first, last, size, zlib.crc32(self._chunk)) + _text("") + struct.pack("<Q", size)
         start, record = len(self._bytes), _record(CHUNK, head + bytes(self._chunk))
         self._bytes += record
         places = b""

@@ -14,42 +14,41 @@ import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import OutputError
-from manip_learn.recordings.saved_motion import PREFIX, FileHeader, SavedMotion
-from manip_learn.recordings.writers.joint_state_messages import nanoseconds
-from manip_learn.recordings.writers.mcap_writer import mcap_bytes
+from manip_learn.recordings.saved_motion import CURVES, PREFIX, FileHeader, SavedMotion
+from manip_learn.recordings.writers.mcap_writer import mcap_bytes, nanoseconds
 
 MARK = "# manip_learn "
 VELOCITY_SUFFIX, EFFORT_SUFFIX = "_velocity", "_effort"
 
 
-def column_names(header: FileHeader, with_velocities: bool, with_efforts: bool = False) -> list[str]:
-    """Names of the columns: `time`, postures, velocities, efforts, and of a rollout its curves and status."""
+def column_groups(header: FileHeader, with_velocities: bool, with_efforts: bool) -> dict[str, list[str]]:
+    """Array -> names of its columns: time, postures, velocities, efforts, and of a rollout its curves and status."""
     joints = list(header.joint_names)
-    is_joints = header.nq in (None, len(joints))
-    postures = joints if is_joints else [f"q[{i}]" for i in range(header.nq or 0)]
-    velocities = [f"{n}{VELOCITY_SUFFIX}" for n in joints] if with_velocities else []
-    efforts = [f"{n}{EFFORT_SUFFIX}" for n in joints] if with_efforts else []
-    following = ["following_error"] if header.follows else []
-    curves = ["manipulability", "task_error", *following, "status"] if header.kind == "rollout" else []
-    return ["time", *postures, *velocities, *efforts, *curves]
+    postures = joints if header.nq in (None, len(joints)) else [f"q[{i}]" for i in range(header.nq or 0)]
+    groups = {"time": ["time"], "q": postures}
+    if with_velocities:
+        groups["u"] = [name + VELOCITY_SUFFIX for name in joints]
+    if with_efforts:
+        groups["effort"] = [name + EFFORT_SUFFIX for name in joints]
+    if header.kind == "rollout":
+        curves = ("manipulability", "task_error", *(("following_error",) if header.follows else ()), "status")
+        groups |= {name: [name] for name in curves}
+    return groups
 
 
-def column_line(header: FileHeader, with_velocities: bool, with_efforts: bool = False) -> str:
+def column_line(groups: Mapping[str, list[str]]) -> str:
     """The line of column names; names with commas are quoted."""
     stream = io.StringIO()
-    csv.writer(stream, lineterminator="").writerow(column_names(header, with_velocities, with_efforts))
+    csv.writer(stream, lineterminator="").writerow([name for names in groups.values() for name in names])
     return " ".join(stream.getvalue().splitlines())
 
 
 def csv_bytes(motion: SavedMotion) -> bytes:
     """The table, UTF-8."""
-    columns = [motion.time[:, None], motion.q, motion.u, motion.effort]
-    curves = motion.manipulability, motion.task_error, motion.following_error
-    columns += [None if c is None else c[:, None] for c in curves]
-    table = np.hstack([c for c in columns if c is not None])
+    groups = column_groups(motion.header, motion.u is not None, motion.effort is not None)
+    table = np.column_stack([getattr(motion, name) for name in groups if name != "status"])
     words = [[word] for word in motion.status] or [[]] * len(table)
-    named = column_line(motion.header, motion.u is not None, motion.effort is not None)
-    lines = [MARK + motion.header.to_json(len(motion.time)), named]
+    lines = [MARK + motion.header.to_json(len(motion.time)), column_line(groups)]
     lines += [",".join([*map(repr, row), *word]) for row, word in zip(table.tolist(), words, strict=True)]
     return ("\n".join(lines) + "\n").encode()
 
@@ -57,10 +56,7 @@ def csv_bytes(motion: SavedMotion) -> bytes:
 def jsonl_bytes(motion: SavedMotion) -> bytes:
     """The lines, UTF-8."""
     columns: dict[str, list] = {"time": motion.time.tolist(), "q": motion.q.tolist()}
-    for name in ("u", "effort", "manipulability", "task_error", "following_error"):
-        array = getattr(motion, name)
-        if array is not None:
-            columns[name] = array.tolist()
+    columns |= {name: getattr(motion, name).tolist() for name in CURVES if getattr(motion, name) is not None}
     if motion.header.kind == "rollout":
         columns["status"] = [str(word) for word in motion.status]
     lines = [motion.header.to_json(len(motion.time))]
@@ -85,14 +81,8 @@ def npz_bytes(motion: SavedMotion) -> bytes:
     arrays: dict[str, np.ndarray | None] = {
         "format": np.array(PREFIX + header.kind),
         "header": np.array(header.to_json(len(motion.time))),
-        "time": motion.time,
-        "q": motion.q,
-        "u": motion.u,
-        "effort": motion.effort,
+        **{name: getattr(motion, name) for name in ("time", "q", *CURVES)},
         "joint_names": np.array(header.joint_names, dtype=str),
-        "manipulability": motion.manipulability,
-        "task_error": motion.task_error,
-        "following_error": motion.following_error,
         "status": np.array(motion.status, dtype=str) if header.kind == "rollout" else None,
     }
     stream = io.BytesIO()
