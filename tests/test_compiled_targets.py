@@ -12,7 +12,7 @@ from random_arms import random_posture, random_tree
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.control.compiled.control_step import free_step
+from manip_learn.control.compiled import control_step
 from manip_learn.control.compiled_controller import CompiledController, why_not
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
@@ -90,11 +90,11 @@ def test_rotations_are_those_of_the_library(numba: bool, rng: np.random.Generato
         axis = rng.normal(size=3)
         turn = angle * axis / np.linalg.norm(axis)
         R = rotation_matrix(turn)
-        got = free_step.rotation_vector(R.reshape(-1))
+        got = control_step.rotation_vector(R.reshape(-1))
         np.testing.assert_allclose(got, rotation_vector(R), rtol=0, atol=1e-15)
         row = rng.normal(size=3)
         expected = row @ left_jacobian_inverse(turn)
-        np.testing.assert_allclose(free_step.turned_row(*row, *turn), expected, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(control_step.turned_row(*row, *turn), expected, rtol=0, atol=1e-14)
 
 
 @needs_numba

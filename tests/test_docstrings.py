@@ -20,6 +20,7 @@ BUILTIN_ERRORS = {
         "KeyError",
         "AttributeError",
         "ImportError",
+        "ModuleNotFoundError",
         "OSError",
         "RuntimeError",
         "TimeoutError",
