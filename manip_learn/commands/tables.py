@@ -13,7 +13,7 @@ from rich.markdown import Markdown
 from rich.table import Table
 from rich.text import Text
 
-from manip_learn.errors import counted, listed
+from manip_learn.errors import counted, listed, printable
 
 if TYPE_CHECKING:
     from manip_learn.commands.audit import Audited
@@ -112,10 +112,15 @@ WORDS: dict[str, tuple[str, str]] = {
 }
 
 
+def text(words: object, style: str = "") -> Text:
+    """Words for the terminal: nothing in them is markup, and none of their characters controls the terminal."""
+    return Text(printable(words), style)
+
+
 def say(console: Console, *sentences: str, style: str = "", whole: bool = False) -> None:
     """Print sentences, each on its own line; whole ones, that end in the name of a file, are not wrapped."""
     for sentence in sentences:
-        console.print(Text(sentence, style), highlight=False, soft_wrap=whole)
+        console.print(text(sentence, style), highlight=False, soft_wrap=whole)
 
 
 def say_file(console: Console, what: str, file: Path | None, size: int | None = None) -> None:
@@ -139,7 +144,7 @@ def table_of(
     for i, name in enumerate(header):
         table.add_column(name, justify="left" if i in left else "right", no_wrap=True)
     for row in rows:
-        table.add_row(*(cell if isinstance(cell, Text) else Text(cell) for cell in row))
+        table.add_row(*(cell if isinstance(cell, Text) else text(cell) for cell in row))
     return table
 
 
@@ -199,7 +204,7 @@ def _measures(controlled: Controlled) -> dict[str, str | Text]:
 def audit_table(episodes: Sequence[EpisodeAudit], width: int) -> tuple[Table, tuple[str, ...]]:
     """Episodes with as many measures as fit, and the names of those that do not."""
     cells = {name: [_measure(name, e) for e in episodes] for name in SHOWN_ORDER}
-    room = width - max([len("episode"), *(len(e.episode) for e in episodes)])
+    room = width - max([len("episode"), *(len(printable(e.episode)) for e in episodes)])
     fitting: list[str] = []
     for name in MEASURES:
         room -= GAP + max(len(name), *(len(c) for c in cells[name]), 0)
@@ -208,7 +213,7 @@ def audit_table(episodes: Sequence[EpisodeAudit], width: int) -> tuple[Table, tu
         fitting.append(name)
     shown = [name for name in SHOWN_ORDER if name in fitting]
     lines = zip([e.episode for e in episodes], *(cells[name] for name in shown), strict=True)
-    rows = [[Text(cell, "red" if e.leave_out else "") for cell in row] for e, row in zip(episodes, lines, strict=True)]
+    rows = [[text(cell, "red" if e.leave_out else "") for cell in row] for e, row in zip(episodes, lines, strict=True)]
     style = {"header_style": "bold", "box": SIMPLE_HEAD, "padding": (0, 1, 0, 0), "show_edge": False}
     return table_of(["episode", *shown], rows, **style), tuple(name for name in SHOWN_ORDER if name not in fitting)
 
@@ -245,7 +250,7 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> Non
     facts = [(called, said, term) for called, said, term in _learnt_facts(learnt) if said]
     grid = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     for called, said, _ in facts:
-        grid.add_row(called, Text(said))
+        grid.add_row(called, text(said))
     console.print(grid)
     print_words(console, [term for *_, term in facts if term], explain)
     say(console, *(f"constraint {n}: {other.sentence}" for n, other in enumerate(learnt.reports[1:], start=2)))
@@ -320,7 +325,7 @@ def print_warm_up(console: Console, warmed: Warmed) -> None:
 def print_robot(console: Console, inspected: Inspected) -> None:
     """Joints, frames and warnings."""
     summary = inspected.summary
-    console.print(Text.assemble((summary.name, "bold"), f": nq {summary.nq}, nv {summary.nv}"), highlight=False)
+    console.print(Text.assemble(text(summary.name, "bold"), f": nq {summary.nq}, nv {summary.nv}"), highlight=False)
     if summary.source is not None:
         say(console, str(summary.source), style="dim", whole=True)
     rows = [(j.name, j.kind, _limit(j.lower), _limit(j.upper), _limit(j.velocity), j.unit) for j in summary.joints]
@@ -406,7 +411,7 @@ def print_audit(console: Console, audited: Audited, explain: bool = False) -> No
     left_out = f"leave out {len(report.leave_out)} of {counted(len(report.episodes), 'episode')}"
     console.print(Text.assemble((left_out, "bold"), f" ({threshold})"), highlight=False)
     for e in report.leave_out:
-        reasons = Text.assemble((e.episode, "red"), f": {'; '.join(e.reasons)}")
+        reasons = Text.assemble(text(e.episode, "red"), text(f": {'; '.join(e.reasons)}"))
         console.print(reasons, highlight=False, soft_wrap=True)
     say(console, *(f"note: {note}" for note in report.notes), style="dim")
     say_file(console, "written", audited.out)
