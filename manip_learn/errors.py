@@ -79,16 +79,12 @@ def _is_safe(character: str) -> bool:
     return character.isprintable() or unicodedata.category(character) == "Zs"  # a space that is none of ASCII
 
 
-@final
-class _PrintableRecords(logging.Filter):
-    """Lets every record pass, with its sentence made printable."""
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        record.msg, record.args = printable(record.getMessage(), layout=True), None
-        return True
+def _printable_record(record: logging.LogRecord) -> bool:
+    record.msg, record.args = printable(record.getMessage(), layout=True), None
+    return True
 
 
-logging.getLogger("manip_learn").addFilter(_PrintableRecords())  # where all records of the library are made
+logging.getLogger("manip_learn").addFilter(_printable_record)  # where all records of the library are made
 
 
 def counted(n: SupportsInt, noun: str) -> str:
