@@ -11,9 +11,9 @@ from library_source import Source, library
 from test_floors import own_imports
 from typer.main import get_command
 
-from manip_learn.cli import COMMANDS as DECLARED
-from manip_learn.cli import app
 from manip_learn.commands.command_line import flags_of
+from manip_learn.commands.program import COMMANDS as DECLARED
+from manip_learn.commands.program import app
 from manip_learn.errors import FLAG
 
 PROGRAM = get_command(app)
@@ -62,7 +62,14 @@ def reached(command: str) -> set[str]:
 
 
 # the program itself, and what writes a command line of `learn` for a page; a test of the page runs that line
-WRITERS = ("cli.py", "commands/options.py", "commands/command_line.py", "commands/replay.py", "playback/replay_page.py")
+WRITERS = (
+    "cli.py",
+    "commands/program.py",
+    "commands/options.py",
+    "commands/command_line.py",
+    "commands/replay.py",
+    "playback/replay_page.py",
+)
 
 
 @cache

@@ -15,6 +15,7 @@ from manip_learn.errors import RecordingError
 from manip_learn.playback import replay
 from manip_learn.playback.phase_bands import PhaseBand, own_bands, own_kinds, phase_bands, phase_kinds, phases_from_json
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.tips import default_tip
 
 FREE, FIRST, SECOND = ("a", 0.0, 1.0, None), ("a", 1.0, 2.0, 0), ("b", 0.5, 1.5, 1)
 
@@ -149,7 +150,7 @@ def test_mechanisms_are_drawn_where_they_are(robot_of, tmp_path):
     (line,), patches = drawn(type="line")
     np.testing.assert_allclose(off_axis(line), 0.0, atol=1e-6)
     assert not patches
-    path = np.array([robot.position(q, robot.frame("right_hand")) for q in recorded(robot).q[50:151]])
+    path = np.array([robot.position(q, robot.frame(default_tip(robot))) for q in recorded(robot).q[50:151]])
     reach = (line - POINT) @ AXIS, (path - POINT) @ AXIS
     margin = max(0.25 * np.ptp(reach[1]), 0.06)  # beyond the motion that it held
     np.testing.assert_allclose(sorted(reach[0]), [reach[1].min() - margin, reach[1].max() + margin], atol=0.03)
