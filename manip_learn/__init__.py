@@ -6,8 +6,15 @@ Avoidance".
 
 from __future__ import annotations
 
-import importlib
+import os
+import signal
 import sys
+
+if os.path.basename(sys.argv[0]).partition(".")[0] == "manip-learn" or sys.orig_argv[1:3] == ["-m", "manip_learn"]:
+    # the program, not a user of the library: while it is loading, Ctrl-C ends it without a traceback
+    signal.signal(signal.SIGINT, lambda *_: os._exit(130))
+
+import importlib
 from typing import TYPE_CHECKING, Any
 
 from manip_learn.moved import MovedModules

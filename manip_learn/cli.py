@@ -43,7 +43,7 @@ def _interrupt(signal_number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _unraisable(lost: sys.UnraisableHookArgs) -> None:
+def _unraisable(lost: Any) -> None:
     """Where Python cannot raise, as in a destructor, it would print a traceback of Ctrl-C and go on."""
     if isinstance(lost.exc_value, KeyboardInterrupt):
         _end()

@@ -347,3 +347,28 @@ def test_help_has_headings(run, monkeypatch):
         assert headings == ["Arguments:", "Learning:", "Reading recordings:", "Robot:", "Output:"] and code == 0
         places = [out.index(f"  {flag} ") for flag in ("--axes", "--units", "--lock", "--json")]
         assert places == sorted(places) and max(map(len, out.splitlines())) <= columns
+
+
+INTERRUPTED_AT = """
+import os, re, signal, sys
+left, sys.argv = int(sys.argv[1]), ["manip-learn", *sys.argv[2:]]
+
+def interrupt(event, arguments):
+    global left
+    left -= event == "import" and any(name.startswith("manip_learn") for name in sys.modules)
+    if left == 0:
+        left = -1
+        os.kill(os.getpid(), signal.SIGINT)
+
+sys.addaudithook(interrupt)
+from manip_learn.cli import main
+sys.exit(main())
+"""
+
+
+def test_ctrl_c_leaves_no_traceback_from_the_first_moment_on():
+    """At whichever import the program is when it is interrupted: exit code 130, and at most one word."""
+    for moment in (8, 20, 45, 80, 120, 170, 230, 300, 400, 520):
+        command = [sys.executable, "-c", INTERRUPTED_AT, str(moment), "inspect", "planar3"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        assert done.returncode == 130 and done.stderr.strip() in ("", "interrupted"), (moment, done.stderr)
