@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -71,27 +70,24 @@ def write_rerun(
     samples = {name: motion_samples(robot, name, recording) for name, recording in named.items()}
     views = [rrb.TimeSeriesView(name=v, contents=[f"{rr.new_entity_path([n, v])}/**" for n in named]) for v in VIEWS]
     layout = rrb.Horizontal(rrb.Spatial3DView(origin="world", name="robot"), rrb.Vertical(*views))
-    with tempfile.TemporaryDirectory(prefix="manip_learn_") as folder:
-        file = Path(folder) / "recording.rrd"
-        # without properties: they hold the time of writing, and files of the same rollouts should be alike
-        with rr.RecordingStream(f"manip_learn: {robot.name}", send_properties=False) as stream:
-            stream.save(file, default_blueprint=rrb.Blueprint(layout))
-            stream.send_recording_name(robot.name or "robot")
-            _still(stream, ["world"], rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-            for (name, recording), (_, colour) in zip(named.items(), rollout_colours(list(named), {}), strict=True):
-                rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
-                _add_robot(stream, robot, name, samples[name], rgb, tinted=len(named) > 1)
-                places = np.array([robot.position(q, frame) for q in samples[name].q])
-                tip_path = ["world", name, "tip"]
-                _still(stream, tip_path, rr.Points3D.from_fields(colors=[rgb], radii=[TIP_RADIUS]))
-                _moving(stream, tip_path, _clock(samples[name]), rr.Points3D.columns(positions=places))
-                line = rr.LineStrips3D([places], colors=[rgb], radii=[PATH_RADIUS])
-                _still(stream, [*tip_path, "path"], line)
-                _add_curves(stream, robot, name, recording, samples[name])
-                _add_target(stream, robot, name, guided[name], samples[name].q[0])
-            stream.flush()
-            stream.disconnect()
-        return write_atomically(path, file.read_bytes())
+    # without properties: they hold the time of writing, and files of the same rollouts should be alike
+    with rr.RecordingStream(f"manip_learn: {robot.name}", send_properties=False) as stream:
+        # in memory: a stream that cannot write to a disk that is full says nothing
+        content = rr.memory_recording(recording=stream)
+        stream.send_blueprint(rrb.Blueprint(layout), make_active=False)
+        stream.send_recording_name(robot.name or "robot")
+        _still(stream, ["world"], rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        for (name, recording), (_, colour) in zip(named.items(), rollout_colours(list(named), {}), strict=True):
+            rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+            _add_robot(stream, robot, name, samples[name], rgb, tinted=len(named) > 1)
+            places = np.array([robot.position(q, frame) for q in samples[name].q])
+            tip_path = ["world", name, "tip"]
+            _still(stream, tip_path, rr.Points3D.from_fields(colors=[rgb], radii=[TIP_RADIUS]))
+            _moving(stream, tip_path, _clock(samples[name]), rr.Points3D.columns(positions=places))
+            _still(stream, [*tip_path, "path"], rr.LineStrips3D([places], colors=[rgb], radii=[PATH_RADIUS]))
+            _add_curves(stream, robot, name, recording, samples[name])
+            _add_target(stream, robot, name, guided[name], samples[name].q[0])
+        return write_atomically(path, content.drain_as_bytes())
 
 
 def _clock(samples: MotionSamples) -> np.ndarray:
