@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from test_playback import data_in
 
 from manip_learn.cli import main
 from manip_learn.commands.command_line import joined_vectors
+from manip_learn.commands.output import SENTENCES
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
 DRAWER = sorted(map(str, (DATA / "sawyer_drawer").glob("*.csv")))[:6]
@@ -347,6 +349,81 @@ def test_help_has_headings(run, monkeypatch):
         assert headings == ["Arguments:", "Learning:", "Reading recordings:", "Robot:", "Output:"] and code == 0
         places = [out.index(f"  {flag} ") for flag in ("--axes", "--units", "--lock", "--json")]
         assert places == sorted(places) and max(map(len, out.splitlines())) <= columns
+
+
+EVIL = "\x1b[31m\x9b2J\u202e"
+
+
+def test_no_name_controls_the_terminal(run, tmp_path):
+    """Names of files, headers, robots, joints and frames with escapes, C1 controls and marks of direction come out as
+    text: in sentences, tables and notes, for people and in JSON, whatever the command has to say.
+    """
+    planar3 = (DATA.parents[1] / "robots" / "planar3.urdf").read_text(encoding="utf-8")
+    Path(f"arm{EVIL}.urdf").write_text(planar3, encoding="utf-8")
+    Path("evil.urdf").write_text(planar3.replace('"link2"', '"link2\x9b31m\u202e"'), encoding="utf-8")
+    shown = Path(f"shown{EVIL}")
+    shown.mkdir()
+    for k, file in enumerate(sorted((DATA / "planar3_reach").glob("*.csv"))[:6]):
+        lines = file.read_text(encoding="utf-8").splitlines()
+        lines = [f"{lines[0]},force{EVIL}", *(f"{line},0" for line in lines[1:])]
+        (shown / f"{k}{EVIL}\n.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    Path(f"odd{EVIL}.csv").write_text(f"time,joint1,joint2{EVIL},joint3\n0,0,0,0\n", encoding="utf-8")
+    shown = (shown, "--ignore-column", f"force{EVIL}")
+    arm, tip, held = f"arm{EVIL}.urdf", ("--frame", "tip"), f"held{EVIL}.json"
+    commands = [
+        (0, "inspect", arm),
+        (2, "inspect", "evil.urdf"),
+        (2, "inspect", f"{EVIL}.urdf"),
+        (
+            0,
+            "learn",
+            arm,
+            *shown,
+            *tip,
+            "--axes",
+            "planar",
+            "--phases",
+            "off",
+            "--out",
+            held,
+            "--html",
+            f"l{EVIL}.html",
+        ),
+        (2, "learn", arm, f"odd{EVIL}.csv", *tip),
+        (2, "learn", arm, f"gone{EVIL}.csv", *tip),
+        (2, "learn", arm, *shown, "--frame", f"link2{EVIL}"),
+        (2, "learn", arm, *shown, *tip, "--lock", f"joint2{EVIL}"),
+        (2, "learn", arm, *shown, *tip, "--rename", f"a{EVIL}=b{EVIL}"),
+        (2, f"lern{EVIL}", arm),
+        (2, "inspect", arm, f"--x{EVIL}"),
+        (0, "control", arm, held, "--target", "0,0.5,0", "--duration", "1", "--out", f"run{EVIL}.csv"),
+        (2, "control", arm, f"odd{EVIL}.csv"),
+        (2, "control", arm, held, "--policy", EVIL),
+        (0, "replay", arm, f"run{EVIL}.csv", "--html", f"p{EVIL}.html"),
+        (0, "replay", arm, *shown, "--constraint", held, "--html", f"p{EVIL}.html"),
+        (2, "replay", "planar3", f"run{EVIL}.csv"),
+        (0, "audit", arm, held, *shown, "--csv", f"a{EVIL}.csv"),
+        (2, "audit", arm, held, f"odd{EVIL}.csv"),
+        (0, "export", arm, *shown, "--to", "csv", "--out", f"exported{EVIL}"),
+        (2, "export", arm, *shown, "--to", EVIL, "--out", "x"),
+    ]
+    for expected, *words in commands:
+        for more in ((), ("--json",)):
+            code, out, err = run(*words, *more)
+            assert code == expected, (words, err)
+            for text in (out, err, *(sentences(json.loads(out)) if more else ())):
+                controls = [c for c in text if c != "\n" and unicodedata.category(c) in ("Cc", "Cf")]
+                assert not controls, (words, text)
+            assert len(err.splitlines()) == (expected == 2), (words, err)
+
+
+def sentences(content, key=""):
+    """What JSON has to say to people."""
+    if isinstance(content, dict):
+        return [text for k, value in content.items() for text in sentences(value, k)]
+    if isinstance(content, list):
+        return [text for value in content for text in sentences(value, key)]
+    return [content] if isinstance(content, str) and key in SENTENCES else []
 
 
 INTERRUPTED_AT = """

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import webbrowser
 from dataclasses import replace
+from html import unescape
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -126,6 +127,18 @@ def test_names_are_escaped(tmp_path):
     data = data_in(tmp_path / "a.html")
     assert data["rollouts"][0]["name"] == EVIL
     assert data["rollouts"][0]["status"] == [[0.0, EVIL]]
+
+
+def test_pages_and_the_wheel_bring_the_licences_of_others(robot_of, tmp_path):
+    """Who wrote the viewer, three.js and all that is bundled with them, and under which licence, word for word."""
+    page = replay(robot_of("planar3"), waving(robot_of("planar3"), 0.1), tmp_path / "a.html").html.read_text()
+    embedded = re.search(r'<script type="text/plain" id="licences">(.*?)</script>', page, re.DOTALL)[1]
+    shipped = PLANAR3.parents[1] / "LICENSES" / "third-party-pages.txt"
+    assert unescape(embedded) == shipped.read_text(encoding="utf-8")
+    for name in ("meshcat", "three 0.132.2", "dat.gui", "msgpack-lite", "Copyright © 2010-2021 three.js authors"):
+        assert name in unescape(embedded)
+    assert unescape(embedded).count("Permission is hereby granted, free of charge") >= 7
+    assert '"LICENSES/*.txt"' in (PLANAR3.parents[1] / "pyproject.toml").read_text()
 
 
 def test_json_in_html_is_inert():
