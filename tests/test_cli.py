@@ -370,25 +370,12 @@ def test_no_name_controls_the_terminal(run, tmp_path):
     Path(f"odd{EVIL}.csv").write_text(f"time,joint1,joint2{EVIL},joint3\n0,0,0,0\n", encoding="utf-8")
     shown = (shown, "--ignore-column", f"force{EVIL}")
     arm, tip, held = f"arm{EVIL}.urdf", ("--frame", "tip"), f"held{EVIL}.json"
+    how = ("--axes", "planar", "--reference", "world")
     commands = [
         (0, "inspect", arm),
         (2, "inspect", "evil.urdf"),
         (2, "inspect", f"{EVIL}.urdf"),
-        (
-            0,
-            "learn",
-            arm,
-            *shown,
-            *tip,
-            "--axes",
-            "planar",
-            "--phases",
-            "off",
-            "--out",
-            held,
-            "--html",
-            f"l{EVIL}.html",
-        ),
+        (0, "learn", arm, *shown, *tip, *how, "--out", held, "--html", f"l{EVIL}.html"),
         (2, "learn", arm, f"odd{EVIL}.csv", *tip),
         (2, "learn", arm, f"gone{EVIL}.csv", *tip),
         (2, "learn", arm, *shown, "--frame", f"link2{EVIL}"),
@@ -401,7 +388,7 @@ def test_no_name_controls_the_terminal(run, tmp_path):
         (2, "control", arm, held, "--policy", EVIL),
         (0, "replay", arm, f"run{EVIL}.csv", "--html", f"p{EVIL}.html"),
         (0, "replay", arm, *shown, "--constraint", held, "--html", f"p{EVIL}.html"),
-        (2, "replay", "planar3", f"run{EVIL}.csv"),
+        (2, "replay", "sawyer", f"run{EVIL}.csv"),
         (0, "audit", arm, held, *shown, "--csv", f"a{EVIL}.csv"),
         (2, "audit", arm, held, f"odd{EVIL}.csv"),
         (0, "export", arm, *shown, "--to", "csv", "--out", f"exported{EVIL}"),

@@ -357,6 +357,13 @@ def test_the_curve_is_that_of_the_rollout(robot_of, tmp_path, opened):
         slope, offset = np.polyfit(drawn, points[:, 1], 1)
         np.testing.assert_allclose(points[:, 1], slope * drawn + offset, atol=0.2)
         assert slope < 0.0
+        labels = page.locator("#chart text[text-anchor=end]").evaluate_all(
+            "all => all.map(e => [Number(e.textContent), Number(e.getAttribute('y')) - 4])"
+        )
+        ticks = np.array([tick for tick in labels if tick[0] > 0.0])  # those of time are in the middle, or end in s
+        at = np.log10(ticks[:, 0]) if logarithmic else ticks[:, 0]
+        assert len(ticks) >= 2
+        np.testing.assert_allclose(ticks[:, 1], slope * at + offset, atol=0.5)
         for t in (0.1, 0.25, 1.45, 3.9):
             seek(page, t)
             mu = float(np.interp(t, motion.time, motion.manipulability))
