@@ -61,7 +61,7 @@ def tips(constraint: ml.Constraint, rollout: ml.Rollout) -> np.ndarray:
 @pytest.mark.parametrize(
     ("name", "wanted"), [("drawer", {"along": 0.15}), ("door", {"turn": np.radians(40)}), ("table", {"along": 0.15})]
 )
-@pytest.mark.parametrize("far", [False, True])
+@pytest.mark.parametrize("far", [False, True], ids=("on it", "elsewhere"))
 def test_what_was_learnt_is_done_from_the_mechanism_and_from_elsewhere(name: str, wanted: dict, far: bool) -> None:
     """Drawer, door and table: the whole way to a millimetre or 0.2 degrees, less than 2 mm off, within the limits; a
     hand that is elsewhere first goes to where the task was shown.
