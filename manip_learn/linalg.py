@@ -59,12 +59,14 @@ def damped_inverse(value: float, threshold: float, damping: float) -> float:
 
 
 def finite(values: object, *shape: int) -> np.ndarray | None:
-    """The values as a float64 array of that shape; None if they are no such array, or not finite."""
+    """The values as a float64 array of that shape; None if they are no numbers, not finite, or of another shape."""
     try:
-        array = np.array(values, dtype=np.float64)
+        array = np.array(values)
     except (TypeError, ValueError):
         return None
-    return array if array.shape == shape and bool(np.all(np.isfinite(array))) else None
+    if array.shape != shape or array.dtype.kind not in "iuf" or not np.all(np.isfinite(array)):
+        return None
+    return array.astype(np.float64)
 
 
 def matlab_tolerance(sigma: Float[np.ndarray, " k"], shape: tuple[int, ...]) -> float:

@@ -22,6 +22,7 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection, Task
 from manip_learn.control.way import farthest_off, places_of
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError
+from manip_learn.linalg import finite
 from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.robot import Robot
 
@@ -432,18 +433,15 @@ def optimise_path(
     _check(constraint, knots, duration, dt)
     rows = task.rows(constraint)
     controller_of = law or (lambda policy: ResolvedRateController(constraint, task, policy, dt=dt))
-    posture = _posture(constraint, q0)
-    start = _positions(constraint, posture)
-    rng = rng or np.random.default_rng(0)
-    random = _random_postures(constraint, start, rng)
+    posture, start, random, bounds = _system(constraint, q0, acceleration_limit, rng or np.random.default_rng(0))
     floor = FLOOR_RATIO * max(float(np.median(manipulability_batch(rows, random).mu)), np.finfo(np.float64).tiny)
 
     def run(policy: NullSpacePolicy) -> _Candidate:
         rollout = simulate(constraint.robot, controller_of(policy), posture, duration, dt)
-        return _Candidate(rollout, _score(rows, rollout, floor))
+        mu = manipulability_batch(rows, rollout.q).mu
+        return _Candidate(rollout, float(np.mean(0.5 * np.log(mu**2 + floor**2))))
 
     greedy = run(ManipulabilityAscent(rows, gain))
-    bounds = _bounds(constraint, start.shape[0], acceleration_limit)
     problem = PathProblem(rows, task, start, duration / knots, knots, bounds, floor)
     pull = 4.0 / duration
     tried = [run(JointAttractor(goal, pull, constraint.robot)) for goal in random[:guesses]]
@@ -455,7 +453,7 @@ def optimise_path(
 
 @final
 class _Candidate(NamedTuple):
-    """A rollout and its mean of bounded log mu."""
+    """A rollout and its mean over time of log sqrt(mu^2 + floor^2)."""
 
     rollout: Rollout
     score: float
@@ -476,12 +474,6 @@ def _optimised(problem: PathProblem, starts: list[_Candidate]) -> list[PathPolic
     return policies
 
 
-def _score(constraint: Constraint, rollout: Rollout, floor: float) -> float:
-    """Mean over time of log sqrt(mu^2 + floor^2)."""
-    mu = manipulability_batch(constraint, rollout.q).mu
-    return float(np.mean(0.5 * np.log(mu**2 + floor**2)))
-
-
 def _serves(candidate: _Candidate, greedy: _Candidate, task: Task) -> bool:
     """Whether a candidate comes as close to its goal as the greedy law does: on average and in the end, and, on a
     way, no farther from what holds the hand.
@@ -499,35 +491,24 @@ def _strays(task: Task, rollout: Rollout) -> float:
     return farthest_off(task, rollout, places_of(task, rollout)) if isinstance(task, FreeDirection) else 0.0
 
 
-def _posture(constraint: Constraint, q0: ArrayLike) -> Float[np.ndarray, " n"]:
-    if constraint.robot is not None:
-        return constraint.robot.checked_posture(q0)
-    vector = np.array(q0, dtype=np.float64)
-    if vector.shape != (constraint.nv,) or not np.all(np.isfinite(vector)):
-        raise ConfigurationError(f"the start must be {constraint.nv} finite numbers, got {vector.tolist()}")
-    return vector
-
-
-def _positions(constraint: Constraint, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nv"]:
-    return q if constraint.robot is None else constraint.robot.positions(q)
-
-
-def _random_postures(constraint: Constraint, start: np.ndarray, rng: np.random.Generator) -> Float[np.ndarray, "m nv"]:
-    robot = constraint.robot
-    if robot is None:
-        return start + rng.uniform(-np.pi, np.pi, (SAMPLES, start.shape[0]))
-    return np.array([robot.positions(robot.random_configuration(rng)) for _ in range(SAMPLES)])
-
-
-def _bounds(constraint: Constraint, n: int, acceleration: ArrayLike | None) -> JointBounds:
-    infinite = np.full(n, np.inf)
-    a = infinite if acceleration is None else np.broadcast_to(np.asarray(acceleration, dtype=np.float64), (n,))
+def _system(
+    constraint: Constraint, q0: ArrayLike, acceleration: ArrayLike | None, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " nv"], Float[np.ndarray, "m nv"], JointBounds]:
+    """The start, its joint positions, random ones, and bounds: of a robot, or of a system whose state is a vector."""
+    robot, nv = constraint.robot, constraint.nv
+    infinite = np.full(nv, np.inf)
+    a = infinite if acceleration is None else np.broadcast_to(np.asarray(acceleration, dtype=np.float64), (nv,))
     if not np.all(a > 0.0):
         raise ConfigurationError(f"acceleration limits must be positive, got {a.tolist()}")
-    robot = constraint.robot
-    if robot is None:
-        return JointBounds(-infinite, infinite, infinite, a)
-    return JointBounds(robot.position_lower, robot.position_upper, SPARE_SPEED * robot.velocity_limit, a)
+    if robot is not None:
+        start = robot.checked_posture(q0)
+        random = np.array([robot.positions(robot.random_configuration(rng)) for _ in range(SAMPLES)])
+        bounds = JointBounds(robot.position_lower, robot.position_upper, SPARE_SPEED * robot.velocity_limit, a)
+        return start, robot.positions(start), random, bounds
+    if (start := finite(q0, nv)) is None:
+        raise ConfigurationError(f"the start must be {nv} finite numbers, got {q0!r}")
+    random = start + rng.uniform(-np.pi, np.pi, (SAMPLES, nv))
+    return start, start, random, JointBounds(-infinite, infinite, infinite, a)
 
 
 def _check(constraint: Constraint, knots: int, duration: float, dt: float) -> None:

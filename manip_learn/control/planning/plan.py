@@ -328,7 +328,10 @@ class _Problem:
         """The postures of the best way from one choice, relaxed; None where links touch on it."""
         path = ladder.postures(ladder.path(march, len(self.stations) - 1, margin - TIE))
         better = relaxed(self.stations, path, ladder.grasp[march])
-        return next((way for way in (better, path) if self._is_in_cone(way) and self._is_clear(way)), None)
+        for way in filter(self._is_in_cone, (better, path)):
+            if all(map(self.clear, way)) and all(map(self.clear.of_line, way[:-1], way[1:])):
+                return way
+        return None
 
     def _is_in_cone(self, way: Postures) -> bool:
         if self.grasp is None:
@@ -336,9 +339,6 @@ class _Problem:
         stations = self.stations
         toward = stations.turns[: len(way)] @ self.grasp.toward(stations.grasp)
         return bool(np.all(self.grasp.holds(stations.hand.pose(way)[:, :3, :3], toward)))
-
-    def _is_clear(self, way: Postures) -> bool:
-        return all(self.clear(q) for q in way) and all(map(self.clear.of_line, way[:-1], way[1:]))
 
     def _reached(self, path: Postures) -> tuple[Postures, ResolvedRateController, Rollout] | None:
         """A path, the law that leads to it and its rollout; by whole turns of joints where the limits leave several.
