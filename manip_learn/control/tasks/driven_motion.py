@@ -21,6 +21,7 @@ from manip_learn.linalg import complement_rows, finite
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
 
 Unit = Literal["m", "rad"]
+Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the features (p,)
 
 
 def way_in_words(way: float, unit: Unit) -> str:
@@ -60,31 +61,31 @@ class DrivenMotion(ABC):
     held: Float[np.ndarray, "k p"]
 
     @abstractmethod
-    def origin(self, q: ArrayLike) -> Float[np.ndarray, "..."]:
+    def origin(self, q: ArrayLike) -> Origin:
         """What has to be known of the start posture: the pose of the frame, or the features' coordinates."""
 
     @abstractmethod
-    def goal(self, origin: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
+    def goal(self, origin: Origin, distance: float) -> Origin:
         """Where the frame is after a distance: a pose (4, 4), or numbers for the features' rows (p,)."""
 
     @abstractmethod
-    def error(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " p"]:
+    def error(self, origin: Origin, q: ArrayLike, distance: float) -> Float[np.ndarray, " p"]:
         """How far the coordinates of posture q are from where they should be after a distance [m or rad]."""
 
     @abstractmethod
-    def moving_error(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> MovingError:
+    def moving_error(self, origin: Origin, q: ArrayLike, distance: float) -> MovingError:
         """The error, its rate while the goal moves, the scale of its rates, and E (see `MovingError`)."""
 
-    def progress(self, origin: Float[np.ndarray, "..."], q: ArrayLike, near: float) -> float:
+    def progress(self, origin: Origin, q: ArrayLike, near: float) -> float:
         """How far posture q is from the start [m or rad]; of angles a turn apart the one next to `near`."""
         return near - self._lag(self.error(origin, q, near))
 
-    def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
+    def deviation(self, origin: Origin, q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
         """How far the constrained coordinates are from where they are held [m or rad], at that distance."""
         return self.held @ self.error(origin, q, distance)
 
     def rates_and_jacobian(
-        self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
+        self, origin: Origin, q: ArrayLike, setpoint: Setpoint, gain: float
     ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
         """Velocities wanted of the features of `constraint`; E of `Task.error_jacobian`, None where that is A(q).
 
@@ -100,7 +101,7 @@ class DrivenMotion(ABC):
         return float(self.driven.dot(error)) / float(self.driven.dot(self.driven))
 
 
-def between(start: Float[np.ndarray, "..."], end: Float[np.ndarray, "..."], share: float) -> Float[np.ndarray, "..."]:
+def between(start: Origin, end: Origin, share: float) -> Origin:
     """An origin on the straight way from one to another: of poses the place moves and the orientation stays."""
     out = start.copy()
     if start.ndim == 1:
@@ -109,7 +110,7 @@ def between(start: Float[np.ndarray, "..."], end: Float[np.ndarray, "..."], shar
     return out
 
 
-def apart(one: Float[np.ndarray, "..."], other: Float[np.ndarray, "..."]) -> float:
+def apart(one: Origin, other: Origin) -> float:
     """Distance of two origins, poses or coordinates [m]."""
     if one.ndim == 2:
         one, other = one[:3, 3], other[:3, 3]
@@ -191,7 +192,7 @@ class ShownPlaces:
         along = [self.motion.progress(self.motion.origin(self.postures[0]), p, 0.0) for p in self.postures]
         return float(max(along) - min(along))
 
-    def nearest(self, here: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
+    def nearest(self, here: Origin, distance: float) -> Origin:
         """The origin from which the way begins: that of the hand where it is on the mechanism, else the nearest one.
 
         Args:
@@ -299,11 +300,11 @@ class StraightMotion(DrivenMotion):
             self._twist[self._rows] = self.driven
             self._own_axes = isinstance(features, FrameJacobian) and features.reference == "local"
 
-    def origin(self, q: ArrayLike) -> Float[np.ndarray, "..."]:
+    def origin(self, q: ArrayLike) -> Origin:
         """Pose of the frame, or the coordinates."""
         return self.constraint.features.coordinates(q) if self._features is None else self._features.pose(q)
 
-    def goal(self, origin: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
+    def goal(self, origin: Origin, distance: float) -> Origin:
         """The pose, or the coordinates, after a distance along f."""
         if self._features is None:
             return origin + distance * self.driven
@@ -316,14 +317,14 @@ class StraightMotion(DrivenMotion):
             goal[:3, :3], goal[:3, 3] = turned @ origin[:3, :3], origin[:3, 3] + v
         return goal
 
-    def error(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " p"]:
+    def error(self, origin: Origin, q: ArrayLike, distance: float) -> Float[np.ndarray, " p"]:
         """From the posture to the goal after a distance."""
         goal = self.goal(origin, distance)
         if self._features is None:
             return goal - self.constraint.features.coordinates(q)
         return pose_error(self._features.pose(q), goal, self._own_axes)[self._rows]
 
-    def moving_error(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> MovingError:
+    def moving_error(self, origin: Origin, q: ArrayLike, distance: float) -> MovingError:
         """As for `DrivenMotion`, from one look at the pose."""
         if self._features is None:
             E = self.constraint.features.coordinates_jacobian(q)
@@ -477,11 +478,11 @@ class MechanismMotion(DrivenMotion):
         self.driven, self.held = np.eye(self._rows.n_rows)[-1], np.eye(len(held), self._rows.n_rows)
         self._turns = any(name.startswith(("turn", "slide", "screw")) for name in (*held, driven))
 
-    def origin(self, q: ArrayLike) -> Float[np.ndarray, "..."]:
+    def origin(self, q: ArrayLike) -> Origin:
         """Pose of the frame."""
         return self._rows.robot.pose(q, self._rows.frame)
 
-    def goal(self, origin: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
+    def goal(self, origin: Origin, distance: float) -> Origin:
         """Pose of the frame after a distance of the driven row, as on a hand that turns with the mechanism."""
         g, goal = self._rows.geometry, np.eye(4)
         turn = rotation_matrix((distance if self.unit == "rad" else 0.0) * g.axis)
@@ -496,11 +497,11 @@ class MechanismMotion(DrivenMotion):
         goal[:3, 3] = g.point + turn @ (origin[:3, 3] - g.point) + shift
         return goal
 
-    def error(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " p"]:
+    def error(self, origin: Origin, q: ArrayLike, distance: float) -> Float[np.ndarray, " p"]:
         """What each row's coordinate is away from its value at the start, the driven one from the distance."""
         return self.moving_error(origin, q, distance)[0]
 
-    def moving_error(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> MovingError:
+    def moving_error(self, origin: Origin, q: ArrayLike, distance: float) -> MovingError:
         """As for `DrivenMotion`; `tangential` is a speed, its coordinate an angle."""
         now, names = self._coordinates(origin, q, distance), self._rows.row_names
         scale = np.array([now["distance from the axis"] if name == "tangential" else 1.0 for name in names])

@@ -19,6 +19,7 @@ from manip_learn.control.tasks.driven_motion import (
     DrivenMotion,
     MechanismMotion,
     MotionProfile,
+    Origin,
     Setpoint,
     ShownPlaces,
     StraightMotion,
@@ -263,7 +264,7 @@ class FreeDirection(Task):
         rates, E = self._motion.rates_and_jacobian(origin, q, setpoint, self.gain)
         return self.constraint.selection.dot(rates), E
 
-    def goal(self) -> Float[np.ndarray, "..."] | None:
+    def goal(self) -> Origin | None:
         """Where the motion ends; None before the first call, unless `start` was given."""
         return None if self._origin is None else self._motion.goal(self._origin, self._profile.distance)
 
