@@ -235,6 +235,36 @@ def test_profile() -> None:
         assert np.max(np.abs(np.diff(rates))) / (times[1] - times[0]) < 1.5 * profile.peak / ramp * 1.001
 
 
+def test_what_is_asked_of_a_hand_that_stands_still(robot_of: RobotOf) -> None:
+    """b is the rate of the profile, and gain times the lag, within the speed, from the pause on; then at rest.
+
+    Distance, duration, table and copies by another distance or in another time say the same.
+    """
+    robot = robot_of("panda")
+    constraint = Constraint(np.eye(3)[1:], FrameJacobian(robot, TIP))
+    for sign in (1.0, -1.0):
+        task = FreeDirection(constraint, 0.04 * sign, 0.1, gain=2.0, ramp=0.2, pause=0.3)
+        profile = MotionProfile(0.04 * sign, 0.1, 0.2)
+        assert (task.wanted, task.duration) == (0.04 * sign, pytest.approx(0.3 + profile.duration))
+        assert task.duration_from(READY) == pytest.approx(task.duration) and profile.duration == pytest.approx(0.6)
+        for late in (0.0, 0.2, 0.3, 0.35, 0.4, 0.6, 0.85, 1.5):
+            distance, rate = profile.at(late - 0.3)
+            wanted = sign * min(abs(rate + 2.0 * distance), 0.1)
+            b = task.velocity(task.constraint, READY, 5.0 + late)
+            np.testing.assert_allclose(b @ task.constraint.selection, [wanted, 0.0, 0.0], rtol=0, atol=1e-12)
+            assert task.error(task.constraint, READY, 5.0 + late) == pytest.approx(0.04)
+        assert task.way_begins == pytest.approx(5.3)
+        time, along, goals = task.table(READY, 0.1, 4, 20)
+        np.testing.assert_allclose(time, np.linspace(0.0, 0.6, 7), atol=1e-12)
+        np.testing.assert_allclose(along, [profile.at(t)[0] for t in time], atol=1e-15)
+        here = robot.position(READY, TIP)
+        np.testing.assert_allclose(goals, here + np.outer(along, [1.0, 0.0, 0.0]), atol=1e-12)
+        assert len(task.table(READY, 0.01, 4, 20)[0]) == 20 and len(task.table(READY, 9.0, 4, 20)[0]) == 4
+        slow, back = task.slowed(2.0), task.with_distance(-task.wanted)
+        assert slow.duration == pytest.approx(0.3 + 0.04 / 0.05 + 0.2) and back.wanted == -task.wanted
+        assert slow.way_begins is None and back.duration == task.duration
+
+
 def test_start_reset_and_a_second_run(robot_of: RobotOf) -> None:
     """The start is the first call's, or the one that was given; a run that begins again at its first time, and reset,
     start anew.

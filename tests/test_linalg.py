@@ -15,6 +15,7 @@ from manip_learn.linalg import (
     EPS,
     batch_row_spaces,
     complement_rows,
+    finite,
     inverse_singular_values,
     inverse_triangles,
     matlab_tolerance,
@@ -24,6 +25,7 @@ from manip_learn.linalg import (
     row_basis,
     row_space_angle,
     row_space_angles,
+    whitener,
 )
 
 
@@ -40,6 +42,20 @@ def test_exact_inverse_inverts_however_small(rng):
     assert pseudo_inverse(A, "exact")[1, 1] == pytest.approx(1e200)
     assert pseudo_inverse(A, "truncated")[1, 1] == 0.0
     assert pseudo_inverse(A, "truncated")[0, 0] == 1.0
+    sigma = np.array([1000.0, 4e-13, 3e-13])  # max(size) eps(norm) = 3.4e-13
+    np.testing.assert_array_equal(inverse_singular_values(sigma, (3, 3), "truncated"), [1e-3, 1.0 / 4e-13, 0.0])
+    for values in (
+        [[1, 2, 3]],
+        [1, 2],
+        [1, np.nan, 2],
+        "xyz",
+        ["1", "2", "3"],
+        [True, False, True],
+        [[1], [2, 3]],
+        None,
+    ):
+        assert finite(values, 3) is None
+    np.testing.assert_array_equal(finite((1, 2.5, 3), 3), [1.0, 2.5, 3.0])
 
 
 def test_zero_matrix_has_a_zero_inverse():
@@ -117,6 +133,18 @@ def test_angles_see_no_rows_that_add_nothing():
     assert row_space_angle(np.eye(3)[[0, 0]], np.eye(3)[:1]) < 1e-15
     assert row_space_angle(np.eye(3)[[0, 0]], np.eye(3)[:2]) == np.pi / 2
     assert row_space_angle(np.zeros((2, 3)), np.zeros((1, 3))) == 0.0
+
+
+def test_whitener(rng):
+    """W S W^T = I over what S determines, whatever the units of the unknowns; directions that are rounding are left out."""
+    B = rng.normal(size=(5, 5)) * [1e-6, 1.0, 1e5, 1.0, 1.0]
+    W = whitener(B.T @ B)
+    np.testing.assert_allclose(W @ B.T @ B @ W.T, np.eye(5), rtol=0, atol=1e-9)
+    flat = B.copy()
+    flat[:, 4] = flat[:, 3] * (1.0 + 1e-8)  # nearly the same unknown twice: 1e-16 of the largest eigenvalue
+    assert whitener(flat.T @ flat).shape == (4, 5) and whitener(np.zeros((3, 3))).shape == (0, 3)
+    np.testing.assert_allclose(whitener(np.diag([4.0, 0.0])), [[0.5, 0.0]])
+    assert whitener(np.array([[1.0, 0.9], [0.9, 1.0]]), least=0.1).shape == (1, 2)  # 0.1 over 1.9
 
 
 def test_batch_row_spaces(rng):

@@ -85,6 +85,7 @@ def test_ascent_where_several_directions_are_lost():
     for _ in range(3):
         direction = policy(q)
         assert np.all(np.isfinite(direction)) and np.linalg.norm(direction) > 0.0
+        assert np.max(direction) == np.max(np.abs(direction))  # of two senses the one whose largest entry is positive
         q = q + 0.1 * direction / np.linalg.norm(direction)
     assert manipulability(constraint, q) > 1e-3
 
