@@ -136,7 +136,7 @@ def test_angles_see_no_rows_that_add_nothing():
 
 
 def test_whitener(rng):
-    """W S W^T = I over what S determines, whatever the units of the unknowns; directions that are rounding are left out."""
+    """W S W^T = I over what S determines, whatever the units of the unknowns; what is rounding is left out."""
     B = rng.normal(size=(5, 5)) * [1e-6, 1.0, 1e5, 1.0, 1.0]
     W = whitener(B.T @ B)
     np.testing.assert_allclose(W @ B.T @ B @ W.T, np.eye(5), rtol=0, atol=1e-9)

@@ -109,9 +109,8 @@ def gradient_from(
     mu = others[0] * values[0]
     floor = SINGULAR_RATIO * values[0] * others[-1]
     if values[-1] <= SINGULAR_RATIO * values[0]:
-        rate, direction = _steepest(
-            U[:, -1:].T, Vt[s - 1 :], vjp
-        )  # a cone, mu(q + step) = |M step| prod_{j < s} sigma_j
+        # a cone, mu(q + step) = |M step| prod_{j < s} sigma_j
+        rate, direction = _steepest(U[:, -1:].T, Vt[s - 1 :], vjp)
         return mu, others[-1] * rate * direction, floor
     # W = sum_i others_i u_i v_i^T, so that the gradient is one vector-Jacobian product
     return mu, vjp((U * others).dot(Vt[:s])), floor
