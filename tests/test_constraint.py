@@ -188,11 +188,14 @@ def test_joints_locked_elsewhere_are_said(tmp_path):
             Constraint.load(path, free)
 
 
-def test_python_functions_cannot_be_saved(tmp_path):
+def test_python_functions_cannot_be_saved(robot_of, tmp_path):
     """A constraint on the user's own functions says so, and leaves no file."""
     constraint = Constraint([[1.0]], CustomFeatures(lambda q: np.ones((1, 2)), ("a",), 2))
     with pytest.raises(FeatureError, match="cannot be saved"):
         constraint.save(tmp_path / "c.json")
+    features = CentreOfMass(robot_of("wrist"), "z")
+    with pytest.raises(ValueError, match="float values"):  # NaN is no JSON
+        Constraint([[1.0]], features, {"gap": np.nan}).save(tmp_path / "c.json")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -212,9 +212,10 @@ def test_what_is_told_apart_and_how_far(robot_of) -> None:
         assert m is not None and m.type == kind and m.radius == pytest.approx(0.0, abs=1e-12)
     for degrees, known in ((0.9, True), (1.4, False)):
         beside = np.cos(np.radians(degrees)) * AXIS + np.sin(np.radians(degrees)) * ACROSS[0]
-        fitted = ml.Mechanism("line", beside, [0.1, 0.2, 0.3], name="line").to_dict()
+        fitted = ml.Mechanism("line", 2.0 * beside, [0.1, 0.2, 0.3], name="line").to_dict()
         m = ml.Constraint(ACROSS, FrameJacobian(robot, TIP), {"mechanism": fitted}).mechanism
         assert m is not None and (m.point is not None) is known
+        assert ml.Constraint(np.eye(3), FrameJacobian(robot, TIP), {"mechanism": fitted}).mechanism is None
 
 
 def test_mu_keeps_its_meaning_at_the_radius(robot_of, rng) -> None:

@@ -99,20 +99,6 @@ def tip_of(constraint: ml.Constraint, q: np.ndarray) -> np.ndarray:
     return constraint.robot.position(q, constraint.features.frame)
 
 
-def test_a_screw_turns_and_travels() -> None:
-    """40 degrees about the axis of a screw move the handle along it by its pitch."""
-    constraint = screw()
-    rows = constraint.features
-    task = ml.motion(constraint, turn=np.radians(40))
-    rollout, way = done(constraint, task, READY)
-    moved = tips(constraint, rollout)
-    assert way.is_done and np.degrees(way.done) == pytest.approx(40.0, abs=0.2)
-    assert way.deviation < 1e-4
-    travel = (moved[-1] - moved[0]) @ rows.geometry.axis
-    assert travel == pytest.approx(rows.geometry.pitch * way.done, abs=1e-4)
-    assert constraint.mechanism is not None and constraint.mechanism.type == "screw"
-
-
 def test_a_way_along_a_table_is_straight() -> None:
     """The direction that is neither held nor driven stands still: the null-space policy does not carry the hand off."""
     constraint, _ = learnt("table")

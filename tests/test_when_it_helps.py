@@ -1,4 +1,4 @@
-"""The benchmark of when manipulability helps: its starts, its rule of what is done, its intervals and its table."""
+"""The benchmark of when manipulability helps: its rule of what is done, its intervals and its table."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import functools
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import manip_learn as ml
@@ -39,46 +38,6 @@ def test_intervals_and_marks() -> None:
     assert when_it_helps.differs([True] * 6 + [True] * 9, [False] * 6 + [True] * 9)
     assert not when_it_helps.differs([True] * 5 + [False] * 9, [False] * 5 + [False] * 9)
     assert not when_it_helps.differs([], [])
-
-
-def test_a_start_near_a_singularity_is_nearer_to_one() -> None:
-    """Along the self-motion the smallest singular value of the rows only falls; with a kept orientation to 0.02."""
-    for grip in when_cases.GRIPS:
-        anywhere, near = (when_cases.cases_of("ur5", "drawer 0.3 m", grip, kind, 4, 5) for kind in when_cases.KINDS)
-        values = [[when_cases.smallest(case) for case in cases] for cases in (anywhere, near)]
-        assert np.median(values[1]) < np.median(values[0])
-        assert grip == "free" or np.max(values[1]) < when_cases.SINGULAR
-
-
-def end_of(case: when_cases.Case) -> np.ndarray:
-    """Where the hand is after all strokes as the library makes them."""
-    q = case.start
-    for number in range(len(case.strokes)):
-        law = ml.ResolvedRateController(case.constraint, case.motion(number))
-        q = simulate_way(case.constraint.robot, law, q)[0].q[-1]
-    return case.constraint.robot.pose(q, "tool0")
-
-
-@pytest.mark.parametrize(
-    "task", [task for task in when_cases.TASKS if task.startswith(("reach", "door", "drawer 0.3"))]
-)
-def test_the_poses_for_the_peers_are_those_of_the_way(task: str) -> None:
-    """They begin where the hand is and end at its goal, in the orientation of the start, 2 mm a step at most."""
-    cases = when_cases.cases_of("ur5", task, "held", "anywhere", 4, 3)
-    case = next(case for case in cases if when_runs.run(case, "none", 0.01).done)
-    poses, slices = when_runs.poses_of(case, 0.01)
-    if not case.strokes:
-        assert not slices and np.array_equal(poses[0], poses[-1])
-        assert np.linalg.norm(poses[0][:3, 3] - case.constraint.robot.position(case.start, "tool0")) > 0.2
-        return
-    assert np.allclose(poses[0], case.constraint.robot.pose(case.start, "tool0"), atol=1e-9)
-    assert np.array_equal(poses[0][:3, :3], poses[-1][:3, :3])
-    assert np.allclose(end_of(case), poses[-1], atol=2e-3)
-    assert slices[-1].stop == len(poses) and np.max(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)) < 2e-3
-    motion = case.motion(0)
-    motion.velocity(motion.constraint, case.start, 0.0)
-    if task.startswith(("drawer", "door", "screw")):
-        assert np.allclose(poses[-1][:3, 3], motion.goal()[:3, 3], atol=1e-6)
 
 
 def test_any_joint_path_is_judged_as_a_simulated_way_is() -> None:

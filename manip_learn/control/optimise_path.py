@@ -206,10 +206,8 @@ class PathProblem:
         """Which entries of the Jacobian and of the Hessian can be other than zero."""
         K, n = self.knots, self.n
         block = np.ones((K, self.s, n))
-        jacobian = self._jacobian_of(block, block, block[:, :, 0])
-        return jacobian != 0.0, self._hessian_of(
-            *(np.ones((m, n, n)) for m in (K, K - 1)), np.ones((K, n)), 1e-3
-        ) != 0.0
+        hessian = self._hessian_of(np.ones((K, n, n)), np.ones((K - 1, n, n)), np.ones((K, n)), 1e-3)
+        return self._jacobian_of(block, block, block[:, :, 0]) != 0.0, hessian != 0.0
 
     def _derivatives(self, x: np.ndarray) -> tuple[np.ndarray, ...]:
         """A (K, s, nv), dA/dq, b (K, s) and db/dq at the midpoints; the solver asks for both matrices at one place."""
@@ -297,7 +295,7 @@ def solve(
 
     def sparse(pattern: np.ndarray) -> tuple[Any, Callable[[np.ndarray], Any]]:
         columns, places = np.nonzero(pattern.T)  # CasADi's order, by columns
-        sparsity = casadi.Sparsity.triplet(*pattern.shape, places.tolist(), columns.tolist())
+        sparsity = casadi.Sparsity.triplet(len(pattern), size, places.tolist(), columns.tolist())
         return sparsity, lambda matrix: casadi.DM(sparsity, matrix[places, columns])
 
     (J, jacobian), (H, hessian) = map(sparse, p.patterns())

@@ -61,8 +61,8 @@ class RelativeFrameJacobian(PoseRows):
         """Phi(q) and dPhi/dq from one Hessian per frame."""
         J_A, H_A = self.robot.jacobian_and_derivative(q, self.frame)
         J_B, H_B = self.robot.jacobian_and_derivative(q, self.relative_to)
-        poses = (self.robot.pose(q, frame)[None] for frame in (self.frame, self.relative_to))
-        Phi, dPhi = _seen(*poses, J_A[None], J_B[None], H_A[None], H_B[None])
+        A, B = self.robot.pose(q, self.frame), self.robot.pose(q, self.relative_to)
+        Phi, dPhi = _seen(A[None], B[None], J_A[None], J_B[None], H_A[None], H_B[None])
         return Phi[0, self._rows], dPhi[0, self._rows]
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:

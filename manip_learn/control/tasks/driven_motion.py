@@ -284,8 +284,10 @@ class StraightMotion(DrivenMotion):
         angular = np.array([unit == "rad/s" for unit in features.row_units])
         f = _direction(constraint, direction, unit, angular)
         driven = np.vstack([constraint.selection, f])
-        if straight:
-            driven = np.vstack([constraint.selection, _translations_beside(driven, angular), f])
+        if straight:  # the translations beside f, beyond what is held
+            linear = np.eye(len(angular))[~angular]
+            _, sigma, Vt = np.linalg.svd(linear - linear @ np.linalg.pinv(driven) @ driven)
+            driven = np.vstack([constraint.selection, Vt[: int(np.count_nonzero(sigma > 0.5))], f])
         self.constraint = Constraint(driven, features, constraint.provenance)
         linear_size, angular_size = (float(np.linalg.norm(f[part])) for part in (~angular, angular))
         self.unit = "rad" if angular_size > linear_size else "m"
@@ -337,14 +339,6 @@ class StraightMotion(DrivenMotion):
             along[3:] = left_jacobian_inverse(-turn if self._own_axes else turn) @ w
             along = along[self._rows]
         return error, along, 1.0, None if E is None else self.constraint.selection.dot(E)
-
-
-def _translations_beside(driven: Float[np.ndarray, "k p"], angular: np.ndarray) -> Float[np.ndarray, "m p"]:
-    """The translations that a straight way along the last row leaves out, beside what is held."""
-    linear = np.eye(len(angular))[~angular]
-    rest = linear - linear @ np.linalg.pinv(driven) @ driven
-    _, sigma, Vt = np.linalg.svd(rest)
-    return Vt[: int(np.count_nonzero(sigma > 0.5))]
 
 
 def _direction(

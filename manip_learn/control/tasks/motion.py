@@ -126,11 +126,8 @@ class FreeDirection(Task):
         held = constraint.with_orientation() if keep_orientation else constraint.about_its_mechanism()
         motion_of = MechanismMotion if isinstance(held.features, MechanismRows) else StraightMotion
         self._motion: DrivenMotion = motion_of(held, direction, unit, straight)
-        self.constraint, self.unit, self.along_rows = (
-            self._motion.constraint,
-            self._motion.unit,
-            self._motion.along_rows,
-        )
+        self.constraint, self.along_rows = self._motion.constraint, self._motion.along_rows
+        self.unit: Unit = self._motion.unit
         self._n_held = constraint.n_constraints
         self.pause = _number("pause", pause, positive=True) if pause else 0.0
         self._profile = MotionProfile(numbers["distance"], numbers["speed"], numbers["ramp"])
