@@ -201,9 +201,7 @@ def test_the_evidence_counts_rows_where_residuals_do_not():
     motion, demos = one_row("sinusoidal", 0.0, (100, 10), 20100)
     samples = Samples.collect(motion.features, demos)
     found = explain(samples, [PolynomialModel(degree, 3) for degree in (1, 2)], np.random.default_rng(0))
-    residual = {
-        one.n_rows: one.judged.fit.cost / (3 - one.n_rows) for one in found if one.judged.fit.model.name == "affine"
-    }
+    residual = {one.n_rows: one.fit.cost / (3 - one.n_rows) for one in found if one.fit.model.name == "affine"}
     nats = {s: max(one.nats for one in found if one.n_rows == s) for s in range(3)}
     assert residual[2] < 0.1 * residual[1]
     assert nats[1] > nats[2] + 1000.0 and nats[1] > nats[0] + 1000.0

@@ -33,8 +33,9 @@ from jaxtyping import Float, Int
 from manip_learn.errors import NotIdentifiableError, error_in_words, listed
 from manip_learn.learning.deciding import MOST_UNCERTAIN_DEG, NONE_TO_SOME, OFFSET_RANGE_RAD, STATED_SHARE
 from manip_learn.learning.estimators.estimate import Estimate, PolicyPrior
+from manip_learn.learning.estimators.null_space import split
 from manip_learn.learning.samples import Samples, rows_beside, runs
-from manip_learn.linalg import complement_rows, inverse_triangles_beside, row_bases, row_space_angles, whitener
+from manip_learn.linalg import complement_rows, row_space_angles, whitener
 
 NOISE, JOINT_ZEROS, POLICY = PARTS = ("noise", "joint zeros", "policy")
 Uncertainty = dict[str, float | None]
@@ -320,12 +321,9 @@ def _linearised(samples: Samples, Lambda: np.ndarray) -> tuple[np.ndarray, np.nd
     n, s = len(samples), len(Lambda)
     both, u = np.concatenate([Lambda, complement_rows(Lambda)]), np.ascontiguousarray(samples.u.T)
     rows = np.concatenate([rows_beside(both, block.Phi) for block in samples.blocks()], axis=2)
-    Q, R = row_bases(rows[:s].transpose(1, 0, 2))
-    along = np.einsum("vsn,vn->sn", Q, u)
-    null = u - np.einsum("vsn,sn->vn", Q, along)
+    along, null, back = split(rows[:s], u)
     _, dPhi = samples.features.batch_with_derivative(samples.q)
     dA_null = np.einsum("sp,npvk,vn->nsk", Lambda @ samples.whitening, dPhi, null, optimize=True)
-    back = inverse_triangles_beside(R)  # R^{-1}
     J = np.einsum("sin,kn->nisk", back, np.einsum("kvn,vn->kn", rows[s:], null))
     K = np.einsum("sin,nsk->nik", back, dA_null, optimize=True)
     return along.T.reshape(-1), J.reshape(n * s, -1), K.reshape(n * s, -1)

@@ -87,6 +87,8 @@ class JointFit:
         energy: Mean of |Z^T u|^2.
         iterations: Gauss-Newton steps.
         model: The policy model.
+        held_out: Mean of |Z^T (u - pi)|^2 on left-out trajectories, once it is cross-validated.
+        unexplained: That as a share of the energy that there is to explain.
     """
 
     whitened_selection: Float[np.ndarray, "s r"]
@@ -95,6 +97,13 @@ class JointFit:
     energy: float
     iterations: int
     model: PolicyModel
+    held_out: float = float("nan")
+    unexplained: float = float("nan")
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows s."""
+        return len(self.whitened_selection)
 
     def leaves_only(self, share: float) -> bool:
         """Whether no more than a share of the motion in the null space is left."""

@@ -25,7 +25,6 @@ from manip_learn.learning.estimators.model_search import (
     COMPARE,
     N_FOLDS,
     ROUNDING,
-    CrossValidatedFit,
     RowCount,
     best_of_starts,
     conditional_pca,
@@ -99,7 +98,7 @@ def estimate_joint(
     models = _list_models(few, rng, policy_model)
     counted = _count(few, models, n_constraints, rng)
     weighted = samples
-    L = _unequal_noise(samples, few, counted.fits[n_constraints or counted.table.best].fit)
+    L = _unequal_noise(samples, few, counted.fits[n_constraints or counted.table.best])
     if L is not None:
         weighted, few = whitened(samples, L), whitened(few, L)
         counted = _count(few, models, n_constraints, rng)
@@ -216,8 +215,8 @@ def _unequal_noise(samples: Samples, few: Samples, fit: JointFit) -> Float[np.nd
 def _offsets_if_clear(
     samples: Samples,
     n_constraints: int | None,
-    first: CrossValidatedFit,
-    chosen: CrossValidatedFit,
+    first: JointFit,
+    chosen: JointFit,
     rng: np.random.Generator,
 ) -> Estimate | None:
     """The estimate with a rest posture for each trajectory, where a shared policy explains the motion poorly.
@@ -231,15 +230,15 @@ def _offsets_if_clear(
         chosen: The fit with the selected policy model.
         rng: For the starts.
     """
-    if first.fit.leaves_only(EXACT):
+    if first.leaves_only(EXACT):
         return None
     is_poor = chosen.unexplained > POORLY_EXPLAINED
     # rich models come close to separate rest postures, which alone are exact then
-    is_close = first.unexplained > POORLY_EXPLAINED and not chosen.fit.leaves_only(EXACT)
+    is_close = first.unexplained > POORLY_EXPLAINED and not chosen.leaves_only(EXACT)
     few = _few_trajectories(samples)
     if not (is_poor or is_close) or len(few) < _fewest_for_offsets(few):
         return None
-    shared, Lambda = PolynomialModel(1, samples.q.shape[1]), chosen.fit.whitened_selection
+    shared, Lambda = PolynomialModel(1, samples.q.shape[1]), chosen.whitened_selection
     without, offsets = (_held_out_samples(few, Lambda, model) for model in (shared, _offset_model(few)))
     if offsets > EXPLAINED * without:
         return None
@@ -314,7 +313,7 @@ def _search_from_starts(samples: Samples, s: int, rng: np.random.Generator) -> J
 
 
 def _fit_all(
-    samples: Samples, chosen: CrossValidatedFit, rng: np.random.Generator, *, is_start: bool, is_free: bool
+    samples: Samples, chosen: JointFit, rng: np.random.Generator, *, is_start: bool, is_free: bool
 ) -> tuple[Samples, JointFit, ScoredFit]:
     """The selected model fitted to all samples, these weighted where needed; and Lambda without a fixed model.
 
@@ -325,7 +324,7 @@ def _fit_all(
         is_start: The fit goes on elsewhere, with equal weights and with this model.
         is_free: The model was not asked for.
     """
-    fit = _fit_from_random_starts(samples, chosen.fit, rng)
+    fit = _fit_from_random_starts(samples, chosen, rng)
     # the residual is noise, and has its covariance, only where the policy model explains the motion
     if not is_start and chosen.unexplained <= POORLY_EXPLAINED:
         samples, fit = _fit_whitened(samples, fit)

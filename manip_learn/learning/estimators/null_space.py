@@ -69,15 +69,21 @@ class Terms(NamedTuple):
     def of(rows: Float[np.ndarray, "r nv n"], s: int, w: Float[np.ndarray, "nv n"]) -> Terms:
         """From Lambda Phi, s rows, above Lambda_perp Phi, with the samples side by side in the last axis."""
         m, n = s * (len(rows) - s), w.shape[1]
-        Q, R = row_bases(rows[:s].transpose(1, 0, 2))
-        along = np.einsum("vsn,vn->sn", Q, w)
-        null = w - np.einsum("vsn,sn->vn", Q, along)
-        R_inverse = inverse_triangles_beside(R)
+        along, null, R_inverse = split(rows[:s], w)
         a = np.einsum("ijn,jn->in", R_inverse, along)  # A^{+T} w
         g = np.einsum("kvn,vn->kn", rows[s:], null)
         inverse_gram = np.einsum("iln,jln->ijn", R_inverse, R_inverse)  # (A A^T)^-1
         H = inverse_gram[:, None, :, None] * (g[:, None] * g)[None, :, None]
         return Terms(float(np.sum(along**2)), float(np.sum(w**2)), a[:, None] * g, H.reshape(m, m, n))
+
+
+def split(
+    A: Float[np.ndarray, "s nv n"], w: Float[np.ndarray, "nv n"]
+) -> tuple[Float[np.ndarray, "s n"], Float[np.ndarray, "nv n"], Float[np.ndarray, "s s n"]]:
+    """Q^T w, N w and R^-1 of A^T = Q R, the samples side by side in the last axis."""
+    Q, R = row_bases(A.transpose(1, 0, 2))
+    along = np.einsum("vsn,vn->sn", Q, w)
+    return along, w - np.einsum("vsn,sn->vn", Q, along), inverse_triangles_beside(R)
 
 
 def levels(

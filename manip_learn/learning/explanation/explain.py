@@ -274,7 +274,7 @@ class Explanation:
     def __init__(self, views: Sequence[View], hypotheses: Sequence[Hypothesis] = (), switch: float = SWITCH_NATS):
         self.views, self.hypotheses, self.switch = views, tuple(hypotheses), switch
         self.thin = views[0].thin
-        self.values = self._values(fine=False)
+        self.values = _evidence_of([v.thin for v in views], self.hypotheses)[:, :, 0]
         self.states = states_of(self.values, self.thin.first, switch)
         gains = np.zeros((self.thin.n_trajectories, len(hypotheses)))
         for k in range(len(hypotheses)):
@@ -283,17 +283,10 @@ class Explanation:
         self.gains = gains
         self.refused: tuple[Hypothesis, ...] = ()
 
-    def _values(self, *, fine: bool) -> Float[np.ndarray, "n k"]:
-        motions = [v.motion if fine else v.thin for v in self.views]
-        values = np.zeros((len(motions[0]), len(self.hypotheses)))
-        for k, h in enumerate(self.hypotheses):
-            energy = broken_energy(motions[h.view], h.rows[None])
-            values[:, k] = evidence(motions[h.view], energy, h.n_rows, [h.scale])[:, 0, 0]
-        return values
-
     def fine_states(self) -> Int[np.ndarray, " n"]:
         """State of each sample of the views' full motion."""
-        return states_of(self._values(fine=True), self.views[0].motion.first, self.switch)
+        values = _evidence_of([v.motion for v in self.views], self.hypotheses)[:, :, 0]
+        return states_of(values, self.views[0].motion.first, self.switch)
 
     def others(self, k: int) -> Float[np.ndarray, " n"]:
         """Evidence of each sample for the best explanation beside the k-th hypothesis; 0 is free motion."""
@@ -453,16 +446,30 @@ def _fitted(
         if not going:
             break
         now = [best[i] for i in going]
-        values = np.empty((len(baseline), len(now)))
-        for (view, s, scale), numbers in _grouped((h.view, h.n_rows, h.scale) for h in now):
-            energy = broken_energy(views[view].thin, np.stack([now[i].rows for i in numbers]))
-            values[:, numbers] = evidence(views[view].thin, energy, s, [scale])[:, :, 0]
+        values = _evidence_of([v.thin for v in views], now)[:, :, 0]
         held = held_by(values - baseline[:, None], views[0].thin.first, switch)
         again = zip(going, _again(views, now, held, baseline, switch), strict=True)
         better = {i: h for i, h in again if h.gains.sum() > best[i].gains.sum()}
         best = [better.get(i, h) for i, h in enumerate(best)]
         going = list(better)
     return best
+
+
+def _evidence_of(
+    motions: Sequence[RowMotion], hypotheses: Sequence[Hypothesis], scales: Sequence[HeldScale] | None = None
+) -> Float[np.ndarray, "n h k"]:
+    """Evidence of each sample for each hypothesis under some scales, by default under its own.
+
+    Args:
+        motions: The same samples in each view.
+        hypotheses: What may hold.
+        scales: Those to compare.
+    """
+    values = np.empty((len(motions[0]), len(hypotheses), len(scales or SCALES[:1])))
+    for (view, s, own), numbers in _grouped((h.view, h.n_rows, () if scales else (h.scale,)) for h in hypotheses):
+        energy = broken_energy(motions[view], np.stack([hypotheses[i].rows for i in numbers]))
+        values[:, numbers] = evidence(motions[view], energy, s, scales or own)
+    return values
 
 
 def _grouped(keys: Iterable[Key]) -> list[tuple[Key, list[int]]]:
@@ -503,11 +510,7 @@ def _scaled(
     """Each with the scale that gains most."""
     if not hypotheses:
         return []
-    values = np.empty((len(baseline), len(hypotheses), len(SCALES)))
-    for (view, s), numbers in _grouped((h.view, h.n_rows) for h in hypotheses):
-        energy = broken_energy(views[view].thin, np.stack([hypotheses[i].rows for i in numbers]))
-        values[:, numbers] = evidence(views[view].thin, energy, s, SCALES)
-    values -= baseline[:, None, None]
+    values = _evidence_of([v.thin for v in views], hypotheses, SCALES) - baseline[:, None, None]
     gains = gains_of(values.reshape(len(baseline), -1), views[0].thin.first, switch)
     gains = gains.reshape(len(gains), len(hypotheses), len(SCALES))
     most = np.argmax(gains.sum(axis=0), axis=1)
