@@ -12,12 +12,11 @@ from manip_learn.constraint.features import CustomFeatures, FrameJacobian, Mecha
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.selection_in_words import describe, free_directions
 from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.estimators import variable_projection
 from manip_learn.learning.estimators.estimate import gaps_of_levels, gaps_of_residuals
 from manip_learn.learning.estimators.model_search import conditional_pca
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
 from manip_learn.learning.estimators.policy_model import PolynomialModel, RadialModel
-from manip_learn.learning.estimators.variable_projection import fit_joint, held_out_costs, scores
+from manip_learn.learning.estimators.variable_projection import fit_joint, scores
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.robot import load_robot
@@ -93,43 +92,9 @@ def test_conditional_pca_is_a_good_start(reaching):
     assert sizes[1] > 2.0 * sizes[2]
 
 
-@pytest.mark.parametrize("by_rows", [False, True])
-@pytest.mark.parametrize("by_sample", [False, True])
-def test_cross_validation_judges_what_was_not_fitted(reaching, by_sample, by_rows, monkeypatch):
-    """Each fold's share of |Z^T (u - pi)|^2, with pi fitted to the other folds alone, written out; by normal equations
-    and by QR.
-    """
-    if by_rows:
-        monkeypatch.setattr(variable_projection, "held_out_by_fold", lambda *_: None)
-    samples, _ = reaching
-    Lambda, model, n_folds = np.linalg.qr(np.random.default_rng(6).normal(size=(3, 2)))[0].T, PolynomialModel(1, 3), 5
-    rows, targets, folds = [], [], []
-    for block in samples.blocks():
-        for i, (Phi, u, beta) in enumerate(zip(block.Phi, block.u, model(block.x), strict=True)):
-            Z = np.linalg.svd(Lambda @ Phi)[2][2:].T
-            rows.append(np.kron(beta, Z.T))
-            targets.append(Z.T @ u)
-            folds.append((i if by_sample else block.trajectory[i]) % n_folds)
-    rows, targets, folds = np.array(rows), np.array(targets), np.array(folds)
-    expected = []
-    for fold in range(n_folds):
-        out = folds == fold
-        theta = np.linalg.lstsq(rows[~out].reshape(-1, rows.shape[2]), targets[~out].reshape(-1), rcond=1e-12)[0]
-        expected.append(np.sum((targets[out] - rows[out] @ theta) ** 2) / len(samples))
-    costs = held_out_costs(samples, Lambda, model, n_folds, by_sample=by_sample)
-    np.testing.assert_allclose(costs, expected, rtol=1e-6)
-    assert np.all(np.isinf(held_out_costs(samples, Lambda, model, 1)))
-
-
-def test_names_of_polynomials():
-    """A degree without a word of its own is named by its number."""
-    assert [PolynomialModel(degree, 1).name for degree in (0, 1, 5, 6, 7)] == [
-        *("constant", "affine", "quintic", "degree 6", "degree 7"),
-    ]
-
-
 def test_polynomials(rng):
-    """All monomials up to the degree, once each."""
+    """All monomials up to the degree, once each; a degree without a word of its own is named by its number."""
+    assert [PolynomialModel(degree, 1).name for degree in (0, 5, 6)] == ["constant", "quintic", "degree 6"]
     x = rng.standard_normal((20, 3))
     for degree, n in ((0, 1), (1, 4), (2, 10), (3, 20)):
         beta = PolynomialModel(degree, 3)(x)

@@ -200,30 +200,6 @@ def test_the_true_angle_lies_inside_about_two_times_in_three(make, settings, set
     assert np.quantile(ratios, 0.95) < 3.0
 
 
-def test_it_falls_with_the_number_of_demonstrations():
-    """Four times the demonstrations halve the uncertainty."""
-    few, many = (
-        np.median(
-            [
-                ConstraintLearner(arm_features(), 2, "null-space")
-                .fit(guided_motions(arm_features(), np.eye(3)[:2], np.random.default_rng(s), n, 12, 0.05, 0.02)[0])
-                .report_.uncertainty_deg
-                for s in range(4)
-            ]
-        )
-        for n in (8, 32)
-    )
-    assert 1.4 < few / many < 2.8
-
-
-def test_no_uncertainty_where_there_is_none_to_tell():
-    """One trajectory has no spread between trajectories: None, not zero."""
-    demos, truth = guided_motions(arm_features(), np.eye(3)[:2], np.random.default_rng(1), 1, 60, noise=0.01)
-    report = ConstraintLearner(truth.features, estimator="null-space").fit(demos).report_
-    assert report.uncertainty_deg is None
-    assert "+-" not in report.sentence
-
-
 class TwoRows:
     """The least that `bootstrap_angle_deg` asks of samples: coordinates that are those of the features."""
 
