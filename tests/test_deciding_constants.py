@@ -26,7 +26,7 @@ BESIDE = {
         "time": "N_FOLDS SCAN_COLUMNS ROUNDS MOST_TRIALS COMPARE RANDOM_STARTS SUBSPACES PROGRESS",
         "rounding": "ROUNDING EXACT VANISHING",
     },
-    "estimators.null_space": {"time": "MAX_ITERATIONS MAX_FOLDS", "rounding": "SAME_COST"},
+    "estimators.null_space": {"time": "MAX_ITERATIONS MAX_FOLDS", "rounding": "SAME_COST SHORTEST GAIN"},
     "estimators.policy_equations": {
         "time": "REFINEMENTS CHUNK TYLER_STEPS",
         "rounding": "FLAT FLOOR PRIOR DIFFERENCES MEDIAN",

@@ -75,7 +75,6 @@ def effort_witness(
     selection: Float[np.ndarray, "s p"],
     contact: Sequence[Trajectory],
     free: Sequence[Trajectory] = (),
-    seed: int = 0,
 ) -> EffortWitness | None:
     """The share of the contact's effort in the span of the held rows, and what chance makes of it.
 
@@ -84,7 +83,6 @@ def effort_witness(
         selection: Lambda.
         contact: Stretches in which the rows are held, with velocities.
         free: Stretches of free motion.
-        seed: Of the rows drawn at random.
 
     Returns:
         None where nothing can be told: no efforts; all rows held; neither inertias nor free motion; or a contact that
@@ -100,7 +98,7 @@ def effort_witness(
     stands_out = None if left is None else energy / robot.nv
     if energy == 0.0 or (stands_out is not None and stands_out < EFFORT_STANDS_OUT):
         return None
-    share, rng = _share(features.batch(q) * W, selection, tau * W), np.random.default_rng(seed)
+    share, rng = _share(features.batch(q) * W, selection, tau * W), np.random.default_rng(0)
     Phi, s, p = around.batch(q) * W, len(selection), around.n_rows
     # rows of unlike units (m beside rad) are drawn as strong as the features are
     size = 1.0 / np.sqrt(np.mean(np.sum(Phi**2, axis=2), axis=0) + np.finfo(np.float64).tiny)

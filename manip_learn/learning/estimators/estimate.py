@@ -85,7 +85,6 @@ class JointFit:
         theta: Parameters of the policy model, shape (k, nv).
         cost: Mean of |Z^T (u - pi)|^2.
         energy: Mean of |Z^T u|^2.
-        iterations: Gauss-Newton steps.
         model: The policy model.
         held_out: Mean of |Z^T (u - pi)|^2 on left-out trajectories, once it is cross-validated.
         unexplained: That as a share of the energy that there is to explain.
@@ -95,7 +94,6 @@ class JointFit:
     theta: Float[np.ndarray, "k nv"]
     cost: float
     energy: float
-    iterations: int
     model: PolicyModel
     held_out: float = float("nan")
     unexplained: float = float("nan")
@@ -207,7 +205,7 @@ def descend_rows(
     tolerance: float,
     gain: float,
     **further: Any,
-) -> tuple[Point, int]:
+) -> Point:
     """`descend` on the Grassmann manifold, from rows that have a choice.
 
     Args:

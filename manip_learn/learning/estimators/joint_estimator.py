@@ -119,23 +119,32 @@ def estimate_joint(
         raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
     samples = samples if isotropic else weighted
     samples, fit, scored = _fit_all(samples, chosen, rng, is_start=isotropic, is_free=policy_model == "auto")
-    noise_seen = chosen.held_out / (samples.nv - s)
     warnings = () if n_constraints is not None else counted.warnings
-    estimate = _estimate(samples, fit, scored, counted.table, chosen.unexplained)
-    return dataclasses.replace(estimate, policy_residuals=residuals, noise=noise_seen, warnings=warnings, joint=fit)
+    estimate = _estimate(samples, fit, scored, counted.table, residuals, chosen.held_out, chosen.unexplained)
+    return dataclasses.replace(estimate, warnings=warnings, joint=fit)
 
 
-def _estimate(samples: Samples, fit: JointFit, scored: ScoredFit, table: GapTable, held_out: float) -> Estimate:
-    """The answer of a fit; `held_out` is the share of the energy that it leaves of left-out trajectories."""
+def _estimate(
+    samples: Samples,
+    fit: JointFit,
+    scored: ScoredFit,
+    table: GapTable,
+    residuals: dict[str, float],
+    held_out: float,
+    share: float,
+) -> Estimate:
+    """The answer of a fit; of left-out trajectories it leaves `held_out`, a share of the energy."""
     return Estimate(
         "joint",
         scored.whitened_selection,
         table,
         fit.cost / null_energy(samples, fit),
-        held_out,
+        share,
         scored.gradients,
         scored.hessians,
         fit.model.name,
+        residuals,
+        held_out / (samples.nv - fit.n_rows),
         prior=scored.prior,
     )
 
@@ -272,9 +281,8 @@ def estimate_with_offsets(samples: Samples, n_constraints: int | None, rng: np.r
     s = n_constraints or table.best
     fit = fit_joint(samples, fits[s].whitened_selection, _offset_model(samples))
     share = held_out[s] / fits[s].energy
-    estimate = _estimate(samples, fit, ScoredFit(fit.whitened_selection, *scores(samples, fit)), table, share)
-    noise = held_out[s] / (samples.nv - s)
-    return dataclasses.replace(estimate, policy_residuals={fit.model.name: share}, noise=noise)
+    scored = ScoredFit(fit.whitened_selection, *scores(samples, fit))
+    return _estimate(samples, fit, scored, table, {fit.model.name: share}, held_out[s], share)
 
 
 def _few_trajectories(samples: Samples) -> Samples:
@@ -338,7 +346,7 @@ def _list_models(samples: Samples, rng: np.random.Generator, name: str) -> list[
     """Models in the order of their size; quadratic stands in for the others in the search for the number of rows."""
     m = samples.q.shape[1]
     if name == "rbf":
-        return [_make_radial(samples, rng)]
+        return [RadialModel(samples.x, RADIAL_CENTRES, rng)]
     if name != "auto":
         if name not in PolynomialModel.NAMES:
             raise NotIdentifiableError(
@@ -348,13 +356,13 @@ def _list_models(samples: Samples, rng: np.random.Generator, name: str) -> list[
             )
         return [PolynomialModel(PolynomialModel.NAMES.index(name), m)]
     models: list[PolicyModel] = [PolynomialModel(degree, m) for degree in range(1, 6)]
-    models += [HarmonicModel(samples.spread, 1), HarmonicModel(samples.spread, 2), _make_radial(samples, rng)]
+    models += [
+        HarmonicModel(samples.spread, 1),
+        HarmonicModel(samples.spread, 2),
+        RadialModel(samples.x, RADIAL_CENTRES, rng),
+    ]
     models.sort(key=lambda model: model.n_terms)
     return [models[0]] + [model for model in models[1:] if model.n_terms * samples.nv <= MAX_COLUMNS]
-
-
-def _make_radial(samples: Samples, rng: np.random.Generator) -> RadialModel:
-    return RadialModel(samples.x, RADIAL_CENTRES, rng)
 
 
 def _fit_whitened(samples: Samples, fit: JointFit) -> tuple[Samples, JointFit]:

@@ -92,12 +92,12 @@ def fit_joint(
             return fast
         # normal equations lose half the digits: QR answers where there are digits, and goes on where it is expensive
         start = fast.whitened_selection if many else start
-    here, iterations = descend_rows(
+    here = descend_rows(
         _ByRows.at(samples, orthonormal_rows(start), model),
         lambda Lambda: _ByRows.at(samples, Lambda, model),
         *(max_iterations, tolerance, gain),
     )
-    return JointFit(here.whitened_selection, here.theta, here.cost, here.energy, iterations, model)
+    return JointFit(here.whitened_selection, here.theta, here.cost, here.energy, model)
 
 
 def fit_projected(
@@ -113,7 +113,7 @@ def fit_projected(
     regressors = OrthonormalRegressors.of(samples, model)
     if least_pivot > 0.0 and regressors.values.shape[1] < model.n_terms:
         return None
-    here, iterations = descend_rows(
+    here = descend_rows(
         _ByEquations.at(samples, orthonormal_rows(start), regressors),
         lambda Lambda: _ByEquations.at(samples, Lambda, regressors),
         *(max_iterations, tolerance, gain),
@@ -123,8 +123,7 @@ def fit_projected(
     )
     if here.solver.least_pivot < least_pivot:
         return None
-    theta = regressors.mixing @ here.theta
-    return JointFit(here.whitened_selection, theta, here.cost, here.energy, iterations, model)
+    return JointFit(here.whitened_selection, regressors.mixing @ here.theta, here.cost, here.energy, model)
 
 
 @final
@@ -436,7 +435,7 @@ def fit_marginal(samples: Samples, fit: JointFit, most_columns: int) -> ScoredFi
     n_grades = int(regressors.grades.max()) + 1
     noise = max(fit.cost / max(samples.nv - len(fit.whitened_selection), 1), LEAST * scale)
     here.settle(Variances(noise, np.full(n_grades, START * scale)), FIRST_UPDATES)
-    here, _ = descend(
+    here = descend(
         here, _Posterior.moved, MARGINAL_ITERATIONS, settled=lambda _, step, H: float(step @ H @ step) < SETTLED
     )
     gradients, hessians = here.scores()

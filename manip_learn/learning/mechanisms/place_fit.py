@@ -332,7 +332,7 @@ def fit_place(
     for _ in range(ROUNDS if weights is None else 1):
         if "point" not in kind.unknowns:
             place = Place(place.axis, place.point + ((middle - place.point) @ place.axis) * place.axis, place.pitch)
-        here, _ = descend(
+        here = descend(
             PlaceFit.at(paths, kind, place, shared, weights),
             PlaceFit.moved,
             ITERATIONS if kind.unknowns else 0,
