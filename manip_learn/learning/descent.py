@@ -19,7 +19,7 @@ class State(Protocol):
 
     @property
     def cost(self) -> float:
-        """What is made small."""
+        """The quantity that the descent lowers."""
         ...
 
     def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:

@@ -1,6 +1,4 @@
-"""What is said in the end: where each constraint holds, with the evidence for it; or why none was found, and what to
-try next.
-"""
+"""The report: where each constraint holds, with the evidence for it; or why none was found, and what to try next."""
 
 from __future__ import annotations
 
@@ -188,8 +186,8 @@ class LearningReport:
         mechanism: What holds the hand, if that was found out.
         uncertainty: The parts of `uncertainty_deg` [deg]: `"noise"`, the scatter over trajectories (bootstrap);
             `"joint zeros"`, what the residual says of constant errors of the joints' zeros (null-space estimator);
-            `"policy"`, what is not known of the policy (joint estimator, where its parameters are integrated out). None
-            where a part does not apply.
+            `"policy"`, the part of the policy that the data leave open (joint estimator, where its parameters are
+            integrated out). None where a part does not apply.
         effort: What recorded efforts say of the held rows, a witness that the motion knows nothing of; None where none
             were recorded, or nothing can be told from them (see `effort_witness`).
     """
@@ -281,7 +279,7 @@ class LearningReport:
         ]
 
     def known_to(self) -> str:
-        """The uncertainty in words, as in the sentence: what is known how well; empty if nothing is known of it."""
+        """The uncertainty in words, as in the sentence: which quantity is known how well; empty if none is."""
         said = known_to(self.uncertainty_deg, self.mechanism, self._is_told)
         return f"{said} (68 %, {in_words(self.uncertainty, self.reference)})" if said else ""
 

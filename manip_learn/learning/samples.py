@@ -1,5 +1,5 @@
-"""What is learnt from: the samples of the demonstrations, their whitened features, and whether the arm moved enough in
-them, and as fast as they say.
+"""The samples of the demonstrations, their whitened features, and checks of them: whether the arm moved enough, and at
+the recorded velocities.
 """
 
 from __future__ import annotations

@@ -336,7 +336,7 @@ def _fit_all(
     # the residual is noise, and has its covariance, only where the policy model explains the motion
     if not is_start and chosen.unexplained <= POORLY_EXPLAINED:
         samples, fit = _fit_whitened(samples, fit)
-        # normal equations resolve what is left of the motion
+        # normal equations resolve the residual
         if is_free and 0 < len(fit.whitened_selection) < samples.n_rows and not fit.leaves_only(NOISY):
             return samples, fit, fit_marginal(samples, fit, MAX_COLUMNS)
     return samples, fit, ScoredFit(fit.whitened_selection, *scores(samples, fit))

@@ -415,7 +415,7 @@ def _most(found: Sequence[Explanation]) -> Explanation:
 
 
 def _best_of(found: Sequence[Explanation]) -> Explanation:
-    """The one with the most evidence among those that predict; the one that errs least on what was left out if none."""
+    """The one with the most evidence among those that predict; if none does, the least held-out cost."""
     predicting = [one for one in found if one.predicts]
     return _most(predicting) if predicting else min(found, key=lambda one: one.fit.held_out)
 

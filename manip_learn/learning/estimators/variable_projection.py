@@ -5,7 +5,7 @@
 Neither a separation of u into task and null part nor knowledge of b is needed: Z^T removes the task part whatever it
 was. pi(q) = Theta^T beta(q) is linear in its parameters, so Theta is eliminated (Golub and Pereyra, 1973, with
 Kaufman's Jacobian, 1975), in two ways. Normal equations cost a tenth of a QR of all rows, and square the condition
-number: they are used where what is left of the motion is noise, far above their rounding, and where their Cholesky
+number: they are used where the residual is noise, far above their rounding, and where their Cholesky
 factor shows that they are well conditioned.
 
 Or the policy's parameters are integrated out instead of fitted (`fit_marginal`): Lambda by marginal likelihood, with
@@ -57,7 +57,7 @@ MAX_ITERATIONS = 30
 RANK_TOLERANCE = 1e-13
 # directions of the policy that the data determine well enough to matter for the uncertainty
 BASIS_TOLERANCE = 1e-10
-# share of the energy below which what is left is no noise
+# share of the energy below which the residual is no noise
 NEARLY_EXACT = 1e-6
 # square of the least pivot, the diagonal scaled to 1, below which normal equations are ill-conditioned
 LEAST_PIVOT = 1e-8

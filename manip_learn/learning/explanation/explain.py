@@ -76,7 +76,7 @@ def proposed(
     """Rows for each number of rows s = 1 .. largest, orthonormal.
 
     Each window or recording solves M x = lambda S x with M = sum r r^T and S = sum Phi Phi^T, whose s least
-    eigenvectors are the s rows that its motion uses least. Windows are of what is not explained yet (state 0);
+    eigenvectors are the s rows that its motion uses least. Windows are of motion not explained yet (state 0);
     recordings and pairs of them are of each state by itself, so that rows may be added to an explanation, or it may be
     divided.
 
@@ -219,7 +219,7 @@ class Hypothesis:
         view: Number of the view.
         rows: Whitened, orthonormal, shape (s, r).
         scale: How large velocities along them are.
-        gains: Evidence of each recording beyond what is explained otherwise [nats], shape (g,).
+        gains: Evidence of each recording beyond the other explanations [nats], shape (g,).
     """
 
     view: int
@@ -368,7 +368,7 @@ class Explanation:
 def explain(views: Sequence[View], believed: Test, switch: float = SWITCH_NATS) -> Explanation:
     """Add one hypothesis after the other, as long as one gains enough and is believed.
 
-    Proposals come from windows of what is not explained, and from recordings and pairs of them in each state; so a
+    Proposals come from windows of unexplained motion, and from recordings and pairs of them in each state; so a
     new hypothesis may explain more, hold more rows than an old one or divide it. Then all compete for every sample, and
     what the others explain as well is dropped.
 
@@ -407,10 +407,10 @@ def explain(views: Sequence[View], believed: Test, switch: float = SWITCH_NATS) 
 
 
 def candidates(now: Explanation, *, alone: bool = False) -> list[Hypothesis]:
-    """The proposals that gain most beyond what is explained, of each view and number of rows, fitted.
+    """The proposals that gain most beyond the explanation so far, of each view and number of rows, fitted.
 
     Args:
-        now: What explains the recordings so far.
+        now: The explanation of the recordings so far.
         alone: Those that gain most in each recording by itself, instead of those that several support.
     """
     baseline, starts, kinds = now.explained, list[Hypothesis](), []

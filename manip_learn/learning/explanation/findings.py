@@ -73,7 +73,7 @@ def agreeing(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretches: Seque
     drift = lengths / np.maximum(ways, 1e-12)
     agrees = np.ones(len(stretches), dtype=bool)
     for _ in range(3):
-        # in length and as a share: a short stretch drifts as far as a long one
+        # in length and as a share: a short stretch drifts no less than a long one
         ratios = np.minimum(lengths / np.median(lengths[agrees]), drift / np.median(drift[agrees]))
         excess = np.log(np.maximum(ratios, 1e-12))
         # below the usual only: above it the odd ones spread as well

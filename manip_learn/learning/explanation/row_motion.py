@@ -189,9 +189,9 @@ def _weights(time: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
 
 
 def velocity_noise(trajectory: Trajectory) -> float:
-    """Variance of a joint velocity's noise: what is left in short windows beside a smooth motion.
+    """Variance of a joint velocity's noise: the rest that a smooth motion leaves in short windows.
 
-    A motion as smooth as a cubic fills four directions of a window, of its samples as of the joints: what is left in
+    A motion as smooth as a cubic fills four directions of a window, of its samples as of the joints: the rest in
     the others is noise. Where there are no more joints than that, the samples alone tell.
     """
     u, time = np.asarray(trajectory.u), trajectory.time

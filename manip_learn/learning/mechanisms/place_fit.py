@@ -65,7 +65,7 @@ class Weights:
 
     @staticmethod
     def of(paths: TipPaths, kind: MechanismKind, place: Place) -> Weights:
-        """From the slopes of what is held; in no direction does a sample vary by nothing."""
+        """From the slopes of the held quantities; in no direction does a sample vary by nothing."""
         held = [QUANTITIES[name] for name in kind.holds]
         D = [one.by_twist(paths, place, one.evaluate(paths, place)[1]) for one in held]
         noise = np.concatenate(D, axis=1) @ paths.J
@@ -374,7 +374,7 @@ def _without_constants(
 
 
 def _correlation(here: PlaceFit) -> list[float]:
-    """rho_1, rho_2, ... as far as they exceed chance."""
+    """rho_1, rho_2, ... up to the first that chance explains."""
     shares: list[float] = []
     for k in range(1, LONGEST + 1):
         pairs = [(here.residuals[p][k:], here.residuals[p][:-k]) for p in here.clusters]

@@ -219,7 +219,7 @@ class TrajectoryBuffer(TrajectorySource):
 
     @property
     def n_parts(self) -> int:
-        """As for a list."""
+        """Number of parts, as a list of the same trajectories has them."""
         return len(self._starts) - 1
 
     def add(self, source: TrajectorySource, features: list[FeatureMap], velocities: VelocityMethod) -> None:
