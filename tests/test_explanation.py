@@ -4,7 +4,9 @@ explains itself.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,10 +18,24 @@ import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.errors import FeatureError
-from manip_learn.learning.explanation.evidence import HeldScale, Stretch, evidence, gains_of, held_by, states_of
-from manip_learn.learning.explanation.explain import SAME, distinct, fitted_rows, proposed
+from manip_learn.learning.explanation import findings
+from manip_learn.learning.explanation.evidence import (
+    HeldScale,
+    Stretch,
+    covered,
+    cut,
+    evidence,
+    gains_of,
+    held_by,
+    sharpened,
+    states_of,
+    stretches_of,
+    uncovered,
+    ways_to_choose,
+)
+from manip_learn.learning.explanation.explain import SAME, Hypothesis, distinct, fitted_rows, proposed, supports_of
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, agreeing, find
-from manip_learn.learning.explanation.row_motion import RowMotion, broken_energy, joints_at_once
+from manip_learn.learning.explanation.row_motion import RowMotion, broken_energy, joints_at_once, views_of
 from manip_learn.linalg import complement_rows, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -229,6 +245,129 @@ def test_what_is_free_is_the_mean_over_the_signs_of_the_joints():
         P = np.linalg.pinv(Phi) @ Phi
         signed = u * rng.choice([-1.0, 1.0], (20_000, len(u)))
         assert motion.free[i] == pytest.approx(np.mean(np.einsum("ni,ij,nj->n", signed, P, signed)) / 3.0, rel=0.03)
+
+
+def flat_motion(*heights, seconds: float = 4.0, pause: tuple[float, float] = (9.0, 9.0)) -> RowMotion:
+    """Recordings at 100 Hz that move at 1 m/s along x, but for a pause, and are at a height of time along y."""
+    time = np.arange(0.0, seconds + 0.005, 0.01)
+    features, out = ml.CustomFeatures(lambda q: np.eye(2), ("x", "y"), 2), []
+    for height in heights:
+        u = np.column_stack([(time < pause[0]) | (time > pause[1]), np.gradient(height(time), time)])
+        out.append(Trajectory(time, np.cumsum(0.01 * u, axis=0), u))
+    return RowMotion.collect(features, out)
+
+
+def still(time: np.ndarray) -> np.ndarray:
+    return 1e-4 * np.sin(9.0 * time)
+
+
+def test_what_several_recordings_support_counts_without_the_best_of_them():
+    """The gain of all recordings but the one that gains most, less half of ln n for each parameter of Lambda."""
+    gains = np.array([[50.0, 10.0], [60.0, 0.0], [5.0, 0.0]])
+    np.testing.assert_allclose(supports_of(gains), [55.0, 0.0])
+    np.testing.assert_allclose(supports_of(gains[:1]), [50.0, 10.0])
+    h = Hypothesis(0, np.eye(2, 6), HeldScale(1.0, 0.01), gains[:, 0])
+    assert h.support == 55.0 and h.price(20.0) == pytest.approx(0.5 * 2 * 4 * np.log(200.0))
+    assert h.price(0.1) == pytest.approx(4.0 * np.log(2.0))
+    assert h.worth(20.0) == pytest.approx(55.0 - 4.0 * np.log(200.0))
+
+
+def test_stretches_are_as_long_as_what_moves_in_them():
+    """From the first to the last sample that moves; a contact of less than 0.3 s is chance; one that fills a recording
+    is all of it; what lies beside them is free motion.
+    """
+    motion = flat_motion(*[lambda time: 0.0 * time] * 2, pause=(1.0, 1.2))
+    states = ((motion.time > 0.395) & (motion.time < 0.605) | (motion.time > 1.095) & (motion.time < 2.005)).astype(int)
+    states[motion.trajectory == 1] = 1
+    held = stretches_of(motion, states, 1)
+    assert [s.trajectory for s in held] == [0, 1] and held[1] == Stretch(1, 0.0, 4.0)
+    assert (held[0].start, held[0].end) == pytest.approx((1.21, 2.0))
+    free = [(s.start, s.end) for s in stretches_of(motion, states, 0)]
+    np.testing.assert_allclose(free, [(0.0, 0.39), (0.61, 0.99), (2.01, 4.0)], atol=0.011)
+    beside = [(s.trajectory, s.start, s.end) for s in uncovered(motion, held)]
+    np.testing.assert_allclose(beside, [(0, 0.0, 0.99), (0, 2.01, 4.0)], atol=0.011)
+    assert np.count_nonzero(covered(motion, held)) == 80 + 401
+    assert held[0].shared(Stretch(0, 1.0, 1.5)) == pytest.approx(0.29)
+    assert held[0].shared(Stretch(0, 2.5, 3.0)) == held[0].shared(Stretch(1, 1.0, 1.5)) == 0.0
+    t = Trajectory(motion.time[:401], np.zeros((401, 2)), np.zeros((401, 2)))
+    span, whole = cut(t, Stretch(0, 0.995, 2.005)), cut(t, Stretch(0, 0.0, 4.0))
+    assert whole == slice(0, 401) and span is not None
+    assert (span.start, span.stop) == (110, 191)  # a tenth of a second belongs to the change
+    assert cut(t, Stretch(0, 1.0, 1.21)) is None
+
+
+def test_ends_that_have_left_the_rows_are_cut_off():
+    """A hand that leaves a surface at a flat angle: the contact ends where the way does, not at a recording's end."""
+
+    def leaving(at: float):
+        return lambda time: still(time) + 0.05 * np.maximum(time - at, 0.0)
+
+    def entering(time: np.ndarray) -> np.ndarray:
+        return still(time) + 0.05 * np.maximum(1.15 - time, 0.0)
+
+    motion, row = flat_motion(leaving(2.85), leaving(3.85), entering, leaving(1.85)), np.eye(2)[1:]
+    given = [Stretch(0, 1.0, 3.0), Stretch(1, 1.0, 4.0), Stretch(2, 1.0, 3.0), Stretch(3, 1.0, 2.0)]
+    found = sharpened(motion, row, given)
+    assert found[0].start == 1.0 and 2.83 < found[0].end < 2.89
+    assert found[1] == given[1] and found[3] == given[3]  # a recording's end; too short to tell
+    assert 1.11 < found[2].start < 1.17 and found[2].end == 3.0
+
+
+def test_noise_of_the_velocities_is_no_drift():
+    """A recording whose velocities are noisier goes as far along the held rows as their noise takes it, and no farther:
+    it agrees; one that goes as far without noise does not.
+    """
+    rng = np.random.default_rng(0)
+    noisy = 0.02 * np.cumsum(rng.standard_normal(401)) * 0.01
+    motion, row = flat_motion(still, still, still, still, lambda time: noisy), np.eye(2)[1:]
+    spans = [Stretch(i, 0.0, 4.0) for i in range(5)]
+    short = dataclasses.replace(motion, rates=motion.rates * [0.02, 1.0])  # beside a short way
+    assert agreeing(short, row, spans).tolist() == [True] * 5
+    smooth = np.interp(np.arange(401), [0, 400], [0.0, np.ptp(noisy)])
+    drift = flat_motion(still, still, still, still, lambda time: smooth)
+    drift = dataclasses.replace(drift, rates=drift.rates * [0.02, 1.0])
+    assert agreeing(drift, row, spans).tolist() == [True] * 4 + [False]
+
+
+def test_whoever_looks_for_what_is_still_pays_for_the_choice():
+    """Recordings, and places for stretches of these lengths in them, by their motion."""
+    motion = flat_motion(still, still, still)
+    one_each = [Stretch(0, 0.5, 1.5), Stretch(2, 1.0, 3.0)]
+    assert ways_to_choose(motion, one_each) == pytest.approx(3.0 * 4.0 * 2.0, rel=0.03)
+    two_in_one = [Stretch(0, 0.5, 1.5), Stretch(0, 2.0, 3.0)]
+    assert ways_to_choose(motion, two_in_one) == pytest.approx(3.0 * 4.0 * 4.0 / 2.0, rel=0.03)
+    assert ways_to_choose(motion, [Stretch(i, 0.0, 4.0) for i in range(3)]) == pytest.approx(1.0)
+
+
+def test_a_contact_has_to_pass_every_gate(monkeypatch):
+    """Rows that recombination supports, in at least two recordings, by joints that move at the same time, and beyond
+    doubt where fewer than three show it; chance is told what it was chosen from.
+    """
+    features, trajectories, truth = recordings("drawer", "panda", 2011, 5)
+    (view,), seen = views_of([features], trajectories), []
+    rows = np.linalg.svd(true_rows(truth) @ np.linalg.pinv(view.motion.whitening))[2][:2]
+    h, thin = Hypothesis(0, rows, HeldScale(1.0, 0.01), np.zeros(5)), view.thin
+    inside = np.any([(thin.trajectory == i) & (thin.time > w[0][0] + 0.1) & (thin.time < w[0][1] - 0.1)
+                     for i, w in enumerate(truth["windows"])], axis=0)  # fmt: skip
+
+    def told(n_rows: int, clear: bool, recordings: range = range(5), joints: float = 1.0) -> bool:
+        def answer(maps, pieces, rng, choices, believed):
+            seen.append((len(pieces), choices, believed))
+            return SimpleNamespace(n_rows=n_rows if len(pieces) else 0, clear=clear)
+
+        monkeypatch.setattr(findings, "recombination_test", answer)
+        monkeypatch.setattr(findings, "joints_at_once", lambda u, noise: joints_at_once(u, noise) * joints)
+        test = findings._Recombination(trajectories, 7, 0, 2.5)
+        return test(view, h, inside & np.isin(thin.trajectory, recordings))
+
+    assert told(2, False)
+    assert seen[-1][0] == 5 and seen[-1][2] == 2.5
+    assert seen[-1][1] == pytest.approx(7.0 * ways_to_choose(thin, stretches_of(thin, inside.astype(int), 1)), rel=0.05)
+    assert not told(1, True)
+    assert told(3, False)
+    assert not told(2, False, range(2)) and told(2, True, range(2)) and told(2, False, range(3))
+    assert not told(2, True, range(1))
+    assert not told(2, True, joints=0.3)
 
 
 def test_proposals_that_say_the_same_are_one():

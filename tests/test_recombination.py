@@ -90,6 +90,57 @@ def test_held_rows_are_counted_and_clear(s):
         assert found.states == ("held",) * s + ("free",) * (3 - s)
 
 
+def of_numbers(strengths, spread, p_values=None, levels=(0.01, 0.1, 1.0), n=199, **options) -> RowEvidence:
+    """Evidence of five trajectories, with numbers of one's own."""
+    p = p_values or (0.005,) * len(strengths)
+    return RowEvidence(strengths, strengths, p, levels, np.eye(3), 5, n, spread, **options)
+
+
+def test_the_verdict_is_that_of_its_numbers():
+    """A row counts by what its strength exceeds with 99 % confidence, the choice among hypotheses paid for: clear from
+    4, weak from 1.8; no row does with more chance than 1 %, none behind one that is hardly stronger than chance, and
+    one that is so itself does not count last.
+    """
+    found = of_numbers((10.0, 6.0, 0.9), (0.1, 0.15, 0.1))
+    exceeded = np.array([10.0, 6.0, 0.9]) * np.exp(-2.32635 * np.array([0.1, 0.15, 0.1]))
+    np.testing.assert_allclose(found.lower, exceeded, rtol=1e-5)
+    assert (found.n_rows, found.verdict, found.states) == (2, "clear", ("held", "held", "free"))
+    assert [row.p_value for row in found.rows] == [0.005] * 3
+    # one hypothesis of a hundred: 3.719 standard deviations of the normal distribution instead of 2.326
+    paid = of_numbers((10.0, 6.0, 0.9), (0.1, 0.15, 0.1), choices=100.0)
+    assert paid.lower[1] == pytest.approx(6.0 * np.exp(-3.7190 * 0.15), rel=1e-4)
+    assert (paid.n_rows, paid.verdict) == (2, "weak")
+    assert of_numbers((10.0, 2.0, 0.9), (0.1, 0.1, 0.1)).n_rows == 1  # 1.58 with confidence
+    assert of_numbers((1.4, 3.0, 0.9), (0.0, 0.0, 0.0)).n_rows == 2  # the first has the least of what noise there is
+    assert of_numbers((1.2, 9.0, 0.9), (0.0, 0.0, 0.0)).n_rows == 0
+    assert of_numbers((9.0, 9.0, 0.9), (0.0, 0.0, 0.0), (0.005, 0.011, 0.5)).n_rows == 1
+    assert of_numbers((3.0, 2.5, 0.9), (0.0, 0.0, 0.0)).verdict == "weak"
+    assert of_numbers((9.0, 8.0, 0.9), (0.0, 0.0, 0.0), believed=8.5).n_rows == 1
+    softly = of_numbers((9.0, 1.2, 2.0), (0.0, 0.0, 0.0), levels=(0.01, 0.1, 1.0))
+    assert softly.states == ("held", "untried", "unclear")
+    assert of_numbers((9.0, 1.0, 0.9), (0.0,) * 3, levels=(0.01, 0.2, 1.0)).states == ("held", "free", "free")
+
+
+def test_more_recombinations_are_drawn_where_they_could_decide():
+    """Near the strength that counts, by the error of its median and of its spread; near the chance that does."""
+    assert of_numbers((10.0, 1.8 * np.exp(0.2326), 0.9), (0.1, 0.1, 0.1)).is_close
+    assert not of_numbers((10.0, 3.0, 0.9), (0.1, 0.1, 0.1)).is_close
+    error = 2.5758 * np.sqrt((0.5 * np.pi + 0.5 * 2.3263**2) / 199)  # of log(lower) over the spread
+    for off, close in ((0.98, True), (1.02, False)):
+        for sign in (1.0, -1.0):
+            strength = 1.8 * np.exp(0.1 * (2.3263 + sign * off * error))
+            assert of_numbers((10.0, strength, 0.9), (0.1, 0.1, 0.1)).is_close == close
+    assert of_numbers((10.0, 9.0, 0.9), (0.0,) * 3, (0.005, 0.015, 0.5)).is_close
+    assert not of_numbers((10.0, 9.0, 0.9), (0.0,) * 3, (0.005, 0.2, 0.5)).is_close
+
+
+def test_chance_counts_the_recorded_motion_itself():
+    """No recombination is as low as the recorded motion: p is one in all of them and it, never zero."""
+    found = evidence(*held_motions(2, 4))
+    assert found.p_values[:2] == (1.0 / (found.n_recombinations + 1.0),) * 2
+    assert all(least <= strength for least, strength in zip(found.least, found.strengths, strict=True))
+
+
 def test_the_rows_found_are_those_that_are_held():
     """The directions are those of the selection that the motion was made with, in the features' own units."""
     features, rng = arm_features(), np.random.default_rng(3)

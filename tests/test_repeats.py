@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable
 
@@ -101,6 +102,35 @@ def test_pieces_of_one_recording_are_the_uncut_recording(clock: bool, shared: bo
     assert [p.trajectory for p in report.phases] == names
     for phase, t in zip(report.phases, given, strict=True):
         assert t.time[0] <= phase.start < phase.end <= t.time[-1]
+
+
+@pytest.mark.parametrize("clock", [False, True])
+@pytest.mark.parametrize("shared", [False, True])
+def test_pieces_are_put_together_as_they_were_recorded(clock: bool, shared: bool, drawers):
+    """Times, postures, recorded velocities and efforts are those of the uncut recording, every sample once; each piece
+    knows where on its own clock it lies.
+    """
+    t, q = drawers[1][2]
+    u, effort = np.gradient(q, t, axis=0), np.cos(q)
+    spans = [slice(a[0], a[-1] + 1 + (shared and k < 3)) for k, a in enumerate(np.array_split(np.arange(len(t)), 4))]
+    cut = [
+        ml.Trajectory(t[s] - (0.0 if clock else t[s.start]), q[s], u[s], name=f"p{k}", effort=effort[s])
+        for k, s in enumerate(spans)
+    ]
+    found = IndependentRecordings.of(Demonstrations([named(drawers[1])[0], *cut]))
+    assert len(found.demonstrations) == 2 and [number for number, _ in found.origins[1]] == [1, 2, 3, 4]
+    whole = found.demonstrations[1]
+    np.testing.assert_allclose(whole.time, t, atol=1e-9)
+    for kept, given in ((whole.q, q), (whole.u, u), (whole.effort, effort)):
+        np.testing.assert_array_equal(kept, given)
+    places = found.places(Stretch(1, float(t[10]), float(t[-10])))
+    assert [p.trajectory for p in places] == [1, 2, 3, 4]
+    for place, piece, s in zip(places, cut, spans, strict=True):
+        at = np.clip([t[s.start], t[s.stop - 1]], t[10], t[-10]) - t[s.start] + piece.time[0]
+        np.testing.assert_allclose([place.start, place.end], at, atol=1e-6)
+    without = [dataclasses.replace(p, effort=None) if k == 2 else p for k, p in enumerate(cut)]
+    again = IndependentRecordings.of(Demonstrations([named(drawers[1])[0], *without]))
+    assert again.demonstrations[1].effort is None and len(again.demonstrations[1]) == len(t)
 
 
 def test_one_recording_in_eight_is_no_more_than_one(drawers):
