@@ -63,7 +63,7 @@ def reached(command: str) -> set[str]:
 
 
 # the program itself, and what writes a command line of `learn` for a page; a test of the page runs that line
-WRITERS = ("cli.py", "commands/options.py", "commands/command_line.py", "playback/replay_page.py")
+WRITERS = ("cli.py", "commands/options.py", "commands/command_line.py", "commands/replay.py", "playback/replay_page.py")
 
 
 @cache

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from manip_learn.cli import main
-from manip_learn.commands.command_line import learning_command, typed, typed_command
+from manip_learn.commands.command_line import typed, typed_command
 from manip_learn.commands.demo import shipped_recordings
+from manip_learn.commands.replay import learning_command
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
 from manip_learn.control.controller import ResolvedRateController
