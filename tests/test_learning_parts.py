@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -17,8 +18,10 @@ from manip_learn.learning.estimators.model_search import conditional_pca
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
 from manip_learn.learning.estimators.policy_model import PolynomialModel, RadialModel
 from manip_learn.learning.estimators.variable_projection import fit_joint, scores
+from manip_learn.learning.report import Phase, RecordingOverview
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import orthonormal_rows, row_space_angle
+from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.robot import load_robot
 
 
@@ -207,6 +210,29 @@ def test_report_in_json_and_in_words():
     assert isinstance(plain["warnings"], list) and set(plain["gap_table"]) == {"1", "2", "3"}
     assert str(report).splitlines()[0] == report.sentence
     assert "warning: only one trajectory" in str(report)
+
+
+def test_no_name_of_a_file_or_a_row_moves_the_cursor():
+    """Control characters of names are written out in every sentence, in repr and in HTML; data keep the names."""
+    rng, bad = np.random.default_rng(6), "\x1b[31mred\x07\u202e"
+    demos, truth = guided_motions(arm_features(), np.eye(3)[:2], rng, 6, 60, noise=0.01)
+    features = CustomFeatures(truth.features, ("x" + bad, "y", "z"), 7)
+    slips = [dataclasses.replace(t, name=f"{t.name}{bad}") for t in demos]
+    slips[0] = dataclasses.replace(slips[0], u=slips[0].u + 0.02 * np.cos(slips[0].time)[:, None])
+    copied = dataclasses.replace(slips[2], name="copy" + bad)
+    report = ConstraintLearner(features).fit(Demonstrations([*slips, copied], ["read" + bad])).report_
+    assert any(f"copy{bad}" in p.trajectory or bad in p.trajectory for p in report.phases)
+    said = [
+        str(report),
+        repr(report),
+        report._repr_html_(),
+        *report.notes,
+        *(odd.reason for odd in report.odd_trajectories),
+    ]
+    assert any(r"\x1b[31m" in w for w in report.warnings) and r"read\x1b" in report.notes[0]
+    assert not [c for text in said for c in text if c in bad and not c.isprintable()]
+    overview = RecordingOverview((Phase("a" + bad, 0.0, 1.0, 0), Phase("b" + bad, 0.0, 1.0, None, "why" + bad)))
+    assert len(overview.sentences()) == 2 and all(text.isprintable() for text in overview.sentences())
 
 
 def test_rows_in_other_units_give_the_same_answer():

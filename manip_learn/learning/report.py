@@ -16,7 +16,7 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.selection_in_words import describe, free_directions, known_to, said_by_rows
-from manip_learn.errors import NotIdentifiableError, advice, counted, listed, named, number_if_known
+from manip_learn.errors import NotIdentifiableError, advice, counted, listed, named, number_if_known, printable
 from manip_learn.learning.answer import Answer
 from manip_learn.learning.deciding import CLEAR_GAP, FEWEST_TRAJECTORIES, REST_SPEED, STILL_ENERGY
 from manip_learn.learning.effort_witness import EffortWitness, effort_witness
@@ -97,7 +97,9 @@ class RecordingOverview:
                 f"left out of the first constraint: {listed}"
             )
         return RecordingOverview(
-            tuple(phases), tuple(OddTrajectory(names[i], why) for i, why in sorted(odd.items())), tuple(warnings)
+            tuple(phases),
+            tuple(OddTrajectory(names[i], printable(why)) for i, why in sorted(odd.items())),
+            tuple(warnings),
         )
 
     def sentences(self) -> tuple[str, ...]:
@@ -117,7 +119,7 @@ class RecordingOverview:
         if free:
             out.append(f"free motion in {counted(free, 'stretch')}")
         out += [f"not learnt from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}: {p.reason}" for p in unlearnt]
-        return tuple(out)
+        return tuple(map(printable, out))
 
 
 def lone_contacts(findings: Findings, recordings: IndependentRecordings) -> tuple[str, ...]:
@@ -232,9 +234,7 @@ class LearningReport:
         return _plain(content)
 
     def __str__(self) -> str:
-        lines = [self.sentence]
-        lines += [f"warning: {w}" for w in self.warnings]
-        return "\n".join(lines)
+        return "\n".join([self.sentence, *(f"warning: {w}" for w in self.warnings)])
 
     def __repr__(self) -> str:
         warned = f", {counted(len(self.warnings), 'warning')}" if self.warnings else ""
@@ -253,7 +253,7 @@ class LearningReport:
             html_card.folded(f"Phases ({len(self.phases)})", html_card.table(_PHASE_COLUMNS, self._phase_rows())),
             html_card.folded(
                 f"Recordings that do not agree ({len(self.odd_trajectories)})",
-                html_card.table(("recording", "why"), self.odd_trajectories),
+                html_card.table(("recording", "why"), [tuple(map(printable, odd)) for odd in self.odd_trajectories]),
             ),
             html_card.folded("Notes", "".join(map(html_card.sentence, self.notes))),
         )
@@ -263,7 +263,7 @@ class LearningReport:
         residual = self.held_out_residual
         unexplained = f"{100 * residual:.2g} % of the motion on recordings that were left out"
         return [
-            ("rows", f"{self.n_constraints} of {len(self.row_names)} ({' '.join(self.row_names)})"),
+            ("rows", f"{self.n_constraints} of {len(self.row_names)} ({printable(' '.join(self.row_names))})"),
             ("reference frame", self.reference),
             ("estimator", f"{self.estimator} ({self.kind})"),
             ("gap", f"{self.gap:.3g} (a ratio; {CLEAR_GAP:g} is clear)"),
@@ -294,7 +294,12 @@ class LearningReport:
 
     def _phase_rows(self) -> list[tuple[object, ...]]:
         return [
-            (p.trajectory, f"{p.start:.2f}", f"{p.end:.2f}", "free" if p.constraint is None else p.constraint + 1)
+            (
+                printable(p.trajectory),
+                f"{p.start:.2f}",
+                f"{p.end:.2f}",
+                "free" if (k := p.constraint) is None else k + 1,
+            )
             for p in self.phases
         ]
 
@@ -334,7 +339,7 @@ def build_report(
     kind = "motion-constrained" if estimate.name == "null-space" else "self-imposed"
     free = free_directions(selection, used)
     report = LearningReport(
-        sentence=describe(kind, free, features, used, uncertainty_deg, mechanism),
+        sentence=printable(describe(kind, free, features, used, uncertainty_deg, mechanism)),
         estimator=estimate.name,
         kind=kind,
         n_constraints=selection.shape[0],
@@ -354,7 +359,9 @@ def build_report(
         n_trajectories=data.n_trajectories,
         seconds=seconds,
         notes=_few_notes(data.notes),
-        warnings=(*warnings, *answer.warnings, *(found.warnings if found else ()), *overview.warnings),
+        warnings=tuple(
+            map(printable, (*warnings, *answer.warnings, *(found.warnings if found else ()), *overview.warnings))
+        ),
         row_evidence=() if evidence is None else evidence.rows,
         evidence="" if evidence is None else evidence.sentence(),
         phases=overview.phases,
@@ -386,7 +393,7 @@ def _effort(answer: Answer, overview: RecordingOverview, selection: np.ndarray) 
 
 def _few_notes(notes: tuple[str, ...]) -> tuple[str, ...]:
     """Each sentence once; of thousands of files, not thousands of sentences."""
-    unique = tuple(dict.fromkeys(notes))
+    unique = tuple(dict.fromkeys(map(printable, notes)))
     if len(unique) <= MOST_NOTES:
         return unique
     return (*unique[:MOST_NOTES], f"and {len(unique) - MOST_NOTES} more notes of this kind")
