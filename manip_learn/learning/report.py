@@ -294,13 +294,8 @@ class LearningReport:
 
     def _phase_rows(self) -> list[tuple[object, ...]]:
         return [
-            (
-                printable(p.trajectory),
-                f"{p.start:.2f}",
-                f"{p.end:.2f}",
-                "free" if (k := p.constraint) is None else k + 1,
-            )
-            for p in self.phases
+            (printable(name), f"{start:.2f}", f"{end:.2f}", "free" if held is None else held + 1)
+            for name, start, end, held, _ in self.phases
         ]
 
 
