@@ -329,6 +329,65 @@ def test_noise_of_the_velocities_is_no_drift():
     assert agreeing(drift, row, spans).tolist() == [True] * 4 + [False]
 
 
+def along_y(*ways: float, seconds: float = 2.0, rotating: bool = False) -> tuple[ml.CustomFeatures, list[Trajectory]]:
+    """Recordings that go a metre along x and so far along y, from 0 to pi of a cosine."""
+    time = np.arange(0.0, seconds + 0.005, 0.01)
+    unit = "rad/s" if rotating else "m/s"
+    features, out = ml.CustomFeatures(lambda q: np.eye(2), ("x", "y"), 2, row_units=(unit, unit)), []
+    for i, way in enumerate(ways):
+        rise = np.pi / seconds * np.sin(np.pi * time / seconds)
+        u = np.column_stack([0.5 * rise, 0.5 * way * rise])
+        out.append(Trajectory(time, np.zeros((len(time), 2)), u, name=f"demo_{i}"))
+    return features, out
+
+
+def test_reasons_are_numbers_with_units():
+    """How far the odd one goes along the direction that the others hold, how far they do, and when fastest; a
+    constraint that most recordings show is missed in the others.
+    """
+    features, made = along_y(1e-4, 3e-4, 2e-4, 0.02)
+    row, whole = np.eye(2)[1:], [Stretch(i, 0.0, 2.0) for i in range(4)]
+    said = "demo_3 moves 20 mm along a direction (+1.00 y) that the other 3 hold still (median 0.2 mm)"
+    assert findings.reason(features, made[3], made[:3], row) == said
+    np.testing.assert_allclose(findings.way_along(features, made[3], row)[-1], [0.02], rtol=1e-4)
+    turning, turned = along_y(1e-3, 0.1, rotating=True)
+    said = "demo_1 turns 5.7 deg about a direction (+1.00 y) that the other one holds still (median 0.057 deg)"
+    assert findings.reason(turning, turned[1], turned[:1], row) == said
+    odd = findings.drifting(features, made, row, whole, np.array([True, True, True, False]))
+    assert list(odd) == [3] and odd[3].startswith("demo_3 moves 20 mm along")
+    assert float(odd[3].removesuffix(" s").rpartition(", fastest at ")[2]) == pytest.approx(1.0, abs=0.1)
+    missed = findings.missing(features, made, row, whole[:3], 1)
+    assert list(missed) == [3]
+    assert missed[3].startswith("constraint 1 is not seen in it, but in 3 of the others; demo_3 moves 20 mm")
+    assert findings.missing(features, [*made, *made[:2]], row, whole[:3], 1) == {}  # half of six are no majority
+    assert findings.missing(features, [*made, made[0]], row, whole[:3], 1).keys() == {3, 4}
+
+
+def test_a_slip_interrupts_what_others_show_in_one_piece():
+    """Between two stretches of one contact the hand goes at least five times as far along the held rows as in a whole
+    one, and 2 mm; a longer pause, a smaller way, or another constraint in between is none.
+    """
+
+    def slip(way: float, start: float = 1.9, end: float = 2.1):
+        return lambda time: still(time) + way * np.clip((time - start) / (end - start), 0.0, 1.0)
+
+    def told(height, gap: tuple[float, float] = (1.8, 2.2), others: tuple[Stretch, ...] = ()) -> dict[int, str]:
+        motion = flat_motion(still, still, height)
+        time, features = motion.time[:401], ml.CustomFeatures(lambda q: np.eye(2), ("x", "y"), 2)
+        made = [
+            Trajectory(time, np.zeros((401, 2)), motion.rates[401 * i : 401 * (i + 1)], name=f"d{i}") for i in range(3)
+        ]
+        held = [Stretch(0, 0.0, 4.0), Stretch(1, 0.0, 4.0), Stretch(2, 0.0, gap[0]), Stretch(2, gap[1], 4.0)]
+        return findings.slipping(motion, np.eye(2)[1:], features, made, np.eye(2)[1:], held, others)
+
+    found = told(slip(5e-3))
+    assert list(found) == [2]
+    assert found[2].startswith("its contact is interrupted from 1.80 s to 2.20 s, as by a slip: d2 moves")
+    assert told(slip(1.5e-3)) == {} and told(slip(2.5e-3)).keys() == {2}
+    assert told(slip(5e-3), (1.2, 2.75)) == {} and told(slip(5e-3), (1.3, 2.75)).keys() == {2}
+    assert told(slip(5e-3), others=(Stretch(2, 1.9, 2.0),)) == {}
+
+
 def test_whoever_looks_for_what_is_still_pays_for_the_choice():
     """Recordings, and places for stretches of these lengths in them, by their motion."""
     motion = flat_motion(still, still, still)

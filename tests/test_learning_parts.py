@@ -229,7 +229,9 @@ def test_an_estimate_is_doubted_by_its_numbers():
     (weak,) = _doubts_of(estimate_of(9.9, 0.009), 7, None)
     assert weak.startswith("weak gap: 9.9 for 2 rows, 10 is clear")
     (soft,) = _doubts_of(estimate_of(10.0, 0.011), 7, None)
-    assert soft.startswith("1.1 % of the motion's energy breaks the constraint")
+    assert soft.startswith("1.1 % of the motion's energy breaks the constraint") and soft.endswith(
+        "(then use estimator='joint')"
+    )
     with pytest.raises(NotIdentifiableError, match="largest gap is 2.9, for 2 rows, and 3 is the least") as refusal:
         _doubts_of(estimate_of(2.9, 0.0), 7, None)
     assert refusal.value.code == "weak-gap" and refusal.value.gaps == {1: 2.0, 2: 2.9}
