@@ -24,6 +24,8 @@ KINDS = {
     "screw, firm": (about(AXIS, POINT, 0.8, pitch=0.04), ()),
 }
 SETS, NOISE = 60, 1e-3
+# the angle by which a hand has turned depends on the axis, and so does the base across it: the slopes leave both out
+LOOSE = ("screw-in-hand", "across-line")
 
 
 def fitted(robot, kind, postures, shared, *, equal=False):
@@ -105,9 +107,8 @@ def test_slopes_of_the_held_quantities(robot_of, name):
     everything = MechanismKind("", "other", "free", (), ("axis", "point", "pitch"), ())
     for T in tangents(everything, place).T:
         ends = [quantity.evaluate(paths, place.moved(sign * h * T))[0] for sign in (1.0, -1.0)]
-        # the angle by which a hand has turned depends on the axis, which the screw's slopes leave out
         off = J @ T - (ends[0] - ends[1]) / (2.0 * h)  # up to a constant of the trajectory, which the fit takes off
-        np.testing.assert_allclose(off - off.mean(axis=0), 0.0, atol=0.04 if "screw" in name else 1e-6)
+        np.testing.assert_allclose(off - off.mean(axis=0), 0.0, atol=0.04 if name in LOOSE else 1e-6)
     slopes = quantity.by_twist(paths, place, J)
     for k in (1, 4):  # the last sample that moves by itself, the others as they are
         for i in range(6):
