@@ -108,7 +108,7 @@ def test_slopes_of_the_held_quantities(robot_of, name):
     for T in tangents(everything, place).T:
         ends = [quantity.evaluate(paths, place.moved(sign * h * T))[0] for sign in (1.0, -1.0)]
         off = J @ T - (ends[0] - ends[1]) / (2.0 * h)  # up to a constant of the trajectory, which the fit takes off
-        np.testing.assert_allclose(off - off.mean(axis=0), 0.0, atol=0.04 if name in LOOSE else 1e-6)
+        np.testing.assert_allclose(off - off.mean(axis=0), 0.0, atol=0.1 if name in LOOSE else 1e-6)
     slopes = quantity.by_twist(paths, place, J)
     for k in (1, 4):  # the last sample that moves by itself, the others as they are
         for i in range(6):
