@@ -8,7 +8,7 @@ from generated_motions import arm_features, guided_motions, oblique, planar_feat
 
 from manip_learn.constraint.features import CustomFeatures, FeatureMap, FrameJacobian
 from manip_learn.errors import RecordingError
-from manip_learn.learning.recombination import RowEvidence, recombination_test
+from manip_learn.learning.recombination import RowEvidence, _arrangements, _moments, recombination_test
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 
@@ -139,6 +139,22 @@ def test_chance_counts_the_recorded_motion_itself():
     found = evidence(*held_motions(2, 4))
     assert found.p_values[:2] == (1.0 / (found.n_recombinations + 1.0),) * 2
     assert all(least <= strength for least, strength in zip(found.least, found.strengths, strict=True))
+    # as many as tell a chance of 1 % twice over; more where they could decide
+    assert found.n_recombinations == 199
+    features, trajectories = held_motions(2, 4)
+    close = recombination_test(features, trajectories, np.random.default_rng(0), believed=found.lower[1])
+    assert close.n_recombinations >= 4 * 199
+
+
+def test_each_joint_moves_as_in_its_own_donor(rng):
+    """r = sum over the joints of what each adds as it moves in its donor; mean of r r^T over the bins."""
+    parts, donors = rng.standard_normal((3, 5, 4, 6, 2)), rng.integers(0, 6, (7, 4, 3))
+    for m, d in np.ndindex(7, 3):
+        r = np.sum([parts[d, :, v, donors[m, v, d]] for v in range(4)], axis=0)
+        np.testing.assert_allclose(_moments(parts, donors)[m, d], r.T @ r / 5.0)
+    orders = _arrangements(rng, 50, 4, 3, 3)
+    assert np.array_equal(np.sort(orders, axis=2), np.broadcast_to(np.arange(3), (50, 4, 3)))
+    assert len(np.unique(orders.reshape(50, -1), axis=0)) > 45  # each joint by itself
 
 
 def test_the_rows_found_are_those_that_are_held():

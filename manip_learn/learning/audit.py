@@ -19,15 +19,7 @@ from scipy.special import stdtrit
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import RecordingError, counted
-from manip_learn.learning.deciding import (
-    FALSE_ALARMS,
-    FEWEST_EPISODES,
-    LOG_SPREAD,
-    NEGLIGIBLE,
-    REST_SPEED,
-    SHARE_SPREAD,
-    SMALLEST_THRESHOLD,
-)
+from manip_learn.learning import deciding
 from manip_learn.learning.samples import check_joints
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.local_fit import jerk
@@ -219,7 +211,7 @@ def _rest_share(time: Float[np.ndarray, " T"], u: Float[np.ndarray, "T n"]) -> f
     if len(time) < 2:
         return float("nan")
     weights = np.gradient(time)
-    return float(np.sum(weights[np.max(np.abs(u), axis=1, initial=0.0) < REST_SPEED]) / np.sum(weights))
+    return float(np.sum(weights[np.max(np.abs(u), axis=1, initial=0.0) < deciding.REST_SPEED]) / np.sum(weights))
 
 
 @final
@@ -248,13 +240,13 @@ class Criterion:
     @property
     def least_spread(self) -> float:
         """Smallest standard deviation that is believed."""
-        return LOG_SPREAD if self.name in NEGLIGIBLE else SHARE_SPREAD
+        return deciding.LOG_SPREAD if self.name in deciding.NEGLIGIBLE else deciding.SHARE_SPREAD
 
     def badness(self, episode: EpisodeAudit) -> float:
         """A number that grows as the episode gets worse; differences below what is negligible do not matter."""
         value = getattr(episode, self.measure)
-        if self.name in NEGLIGIBLE:
-            value = math.log(max(value, NEGLIGIBLE[self.name])) if not math.isnan(value) else math.nan
+        if self.name in deciding.NEGLIGIBLE:
+            value = math.log(max(value, deciding.NEGLIGIBLE[self.name])) if not math.isnan(value) else math.nan
         return -value if self.is_bad == "low" else value
 
     def sentence(self, episode: EpisodeAudit) -> str:
@@ -380,10 +372,9 @@ def audit_episodes(
     imposed = constraint.provenance.get("kind") == "self-imposed"
     if imposed:
         notes.append("the constrained rows were moved on purpose: motion along them is no violation and does not count")
-    if len(rows) < FEWEST_EPISODES:
-        notes.append(
-            f"too few to say which are odd: {counted(len(rows), 'episode')}, at least {FEWEST_EPISODES} are needed"
-        )
+    if len(rows) < deciding.FEWEST_EPISODES:
+        few, needed = counted(len(rows), "episode"), deciding.FEWEST_EPISODES
+        notes.append(f"too few to say which are odd: {few}, at least {needed} are needed")
     return _judged(rows, imposed, tuple(dict.fromkeys(notes)))
 
 
@@ -452,6 +443,9 @@ def outlier_threshold(n: int, k: int) -> float:
 
     For normal values; the chance is shared evenly among all n k scores (Bonferroni).
     """
-    if n < FEWEST_EPISODES:
+    if n < deciding.FEWEST_EPISODES:
         return math.inf
-    return max(SMALLEST_THRESHOLD, -float(stdtrit(MAD_EFFICIENCY * n + MAD_SMALL, FALSE_ALARMS / (n * max(k, 1)))))
+    return max(
+        deciding.SMALLEST_THRESHOLD,
+        -float(stdtrit(MAD_EFFICIENCY * n + MAD_SMALL, deciding.FALSE_ALARMS / (n * max(k, 1)))),
+    )

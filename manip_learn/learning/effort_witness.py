@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.learning.deciding import EFFORT_STANDS_OUT, FALSE_ALARMS
+from manip_learn.learning import deciding
 from manip_learn.linalg import batch_row_spaces, orthonormal_rows
 from manip_learn.recordings.local_fit import best_window, local_fit
 from manip_learn.recordings.preprocessing import evenly
@@ -96,7 +96,7 @@ def effort_witness(
     W = np.ones(robot.nv) if left is None else 1.0 / np.sqrt(np.mean(left**2, axis=0) + np.finfo(np.float64).tiny)
     energy = float(np.mean(np.sum((tau * W) ** 2, axis=1)))
     stands_out = None if left is None else energy / robot.nv
-    if energy == 0.0 or (stands_out is not None and stands_out < EFFORT_STANDS_OUT):
+    if energy == 0.0 or (stands_out is not None and stands_out < deciding.EFFORT_STANDS_OUT):
         return None
     share, rng = _share(features.batch(q) * W, selection, tau * W), np.random.default_rng(0)
     Phi, s, p = around.batch(q) * W, len(selection), around.n_rows
@@ -106,7 +106,7 @@ def effort_witness(
     own = None
     if left is not None:
         own = _share(features.batch(np.concatenate([m.q for m in moves])) * W, selection, left * W)
-    high = float(np.quantile(drawn, 1.0 - FALSE_ALARMS))
+    high = float(np.quantile(drawn, 1.0 - deciding.FALSE_ALARMS))
     return EffortWitness(share, float(np.mean(drawn)), high, own, stands_out, len(tau))
 
 

@@ -17,8 +17,8 @@ from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.selection_in_words import describe, free_directions, known_to, said_by_rows
 from manip_learn.errors import NotIdentifiableError, advice, counted, listed, named, number_if_known, printable
+from manip_learn.learning import deciding
 from manip_learn.learning.answer import Answer
-from manip_learn.learning.deciding import CLEAR_GAP, FEWEST_TRAJECTORIES, REST_SPEED, STILL_ENERGY
 from manip_learn.learning.effort_witness import EffortWitness, effort_witness
 from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, held_throughout
@@ -266,7 +266,7 @@ class LearningReport:
             ("rows", f"{self.n_constraints} of {len(self.row_names)} ({printable(' '.join(self.row_names))})"),
             ("reference frame", self.reference),
             ("estimator", f"{self.estimator} ({self.kind})"),
-            ("gap", f"{self.gap:.3g} (a ratio; {CLEAR_GAP:g} is clear)"),
+            ("gap", f"{self.gap:.3g} (a ratio; {deciding.CLEAR_GAP:g} is clear)"),
             ("unexplained", unexplained if math.isfinite(residual) else None),
             ("uncertainty", self.known_to() or None),
             ("effort", None if self.effort is None else self.effort.sentence()),
@@ -449,9 +449,9 @@ def _advised(refusal: NotIdentifiableError, causes: Sequence[str], facts: Sequen
 
 def _too_few(recordings: IndependentRecordings) -> list[str]:
     n = len(recordings.demonstrations)
-    if n >= FEWEST_TRAJECTORIES:
+    if n >= deciding.FEWEST_TRAJECTORIES:
         return []
-    wanted = f"record at least {FEWEST_TRAJECTORIES}, better 5, that differ in way and posture"
+    wanted = f"record at least {deciding.FEWEST_TRAJECTORIES}, better 5, that differ in way and posture"
     return [f"{wanted}, not {counted(n, 'recording')}"]
 
 
@@ -521,7 +521,9 @@ def _still_joints(demonstrations: Demonstrations) -> list[str]:
     if total <= 0.0:
         return []
     still = [
-        n for n, e in zip(demonstrations.joint_names, np.atleast_1d(energy), strict=True) if e < STILL_ENERGY * total
+        n
+        for n, e in zip(demonstrations.joint_names, np.atleast_1d(energy), strict=True)
+        if e < deciding.STILL_ENERGY * total
     ]
     if not still:
         return []
@@ -532,5 +534,7 @@ def _still_joints(demonstrations: Demonstrations) -> list[str]:
 def _too_slow(demonstrations: Demonstrations) -> list[str]:
     speed = max((float(np.max(np.abs(t.u))) for t in demonstrations if t.u is not None), default=0.0)
     return (
-        [f"move faster, noise hides a motion in which no joint exceeds {speed:.2g} rad/s"] if speed < REST_SPEED else []
+        [f"move faster, noise hides a motion in which no joint exceeds {speed:.2g} rad/s"]
+        if speed < deciding.REST_SPEED
+        else []
     )

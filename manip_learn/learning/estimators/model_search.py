@@ -30,21 +30,7 @@ from scipy.fft import dct
 from scipy.linalg import eigh
 
 from manip_learn.errors import counted
-from manip_learn.learning.deciding import (
-    ABOVE_NOISE,
-    CHEAP,
-    CLOSER,
-    EQUALLY_GOOD,
-    NOT_THE_POLICYS,
-    ONE_DEGREE,
-    POORLY_EXPLAINED,
-    PREDICTED,
-    PREDICTS_NOISE,
-    RESIDUALS_PER_PARAMETER,
-    RESOLVED_SHARE,
-    STANDARD_ERRORS,
-    WORTH,
-)
+from manip_learn.learning import deciding
 from manip_learn.learning.estimators.estimate import GapTable, JointFit, gaps_of_residuals
 from manip_learn.learning.estimators.policy_equations import (
     OrthonormalRegressors,
@@ -194,14 +180,14 @@ def choose_model(judged: Sequence[JudgedModel], most_parameters: float) -> Judge
 
 def _largest_size(model: PolicyModel, most_parameters: float) -> float:
     """Regressors that a model richer than a given one may have."""
-    return max(min(ONE_DEGREE * model.n_terms, most_parameters), model.n_terms)
+    return max(min(deciding.ONE_DEGREE * model.n_terms, most_parameters), model.n_terms)
 
 
 def _is_worse(costs: np.ndarray, best: np.ndarray) -> bool:
     difference = costs - best
-    if costs.sum() > EQUALLY_GOOD * best.sum():
+    if costs.sum() > deciding.EQUALLY_GOOD * best.sum():
         return True
-    return bool(difference.mean() > STANDARD_ERRORS * difference.std(ddof=1) / np.sqrt(len(difference)))
+    return bool(difference.mean() > deciding.STANDARD_ERRORS * difference.std(ddof=1) / np.sqrt(len(difference)))
 
 
 def _is_better(trial: JointFit, best: JointFit, factor: float) -> bool:
@@ -234,7 +220,7 @@ def search_model(
     usable = [model for model in models if has_enough(samples, s, model)]
     if s == 0 or len(usable) < 2:
         return best, residuals
-    if best.unexplained > POORLY_EXPLAINED:
+    if best.unexplained > deciding.POORLY_EXPLAINED:
         # a poor model has led Lambda astray: each model from its own closed-form start
         for model in (model for model in usable if model.n_terms * samples.nv <= len(samples)):
             trial = _tried(samples, model, conditional_pca(samples, model)[1][:s])
@@ -251,15 +237,15 @@ def search_model(
         predicts_best = min(judged, key=lambda one: one.held_out)
         settled = predicts_best.model.name == best.model.name
         # a model that is too rich bends Lambda while that is far off: first the model that predicts best
-        chosen = choose_model(judged, residuals_per_joint / CHEAP) if settled else predicts_best
+        chosen = choose_model(judged, residuals_per_joint / deciding.CHEAP) if settled else predicts_best
         if chosen.model.name != best.model.name:
             trial = _tried(samples, chosen.model, best.whitened_selection)
-            if not _is_better(trial, best, EQUALLY_GOOD if settled else 1.0):
+            if not _is_better(trial, best, deciding.EQUALLY_GOOD if settled else 1.0):
                 break
             best = trial
         if settled:
             break
-    return _try_closer_models(samples, judged, best, residuals_per_joint / RESIDUALS_PER_PARAMETER), residuals
+    return _try_closer_models(samples, judged, best, residuals_per_joint / deciding.RESIDUALS_PER_PARAMETER), residuals
 
 
 def _tried(samples: Samples, model: PolicyModel, start: np.ndarray) -> JointFit:
@@ -273,14 +259,14 @@ def _try_closer_models(samples: Samples, judged: list[JudgedModel], best: JointF
     At the Lambda of a model that is too small, a richer one may extrapolate so badly to single trajectories that
     cross-validation rejects it; the variance of its residual shows nevertheless that it describes the motion.
     """
-    if best.unexplained > POORLY_EXPLAINED:
+    if best.unexplained > deciding.POORLY_EXPLAINED:
         return best
     own = next(one for one in judged if one.model.name == best.model.name)
     most = _largest_size(best.model, most_parameters)
-    closer = [one for one in judged if one.variance < CLOSER * own.variance and one.model.n_terms <= most]
+    closer = [one for one in judged if one.variance < deciding.CLOSER * own.variance and one.model.n_terms <= most]
     for one in sorted(closer, key=lambda one: one.variance)[:MOST_TRIALS]:
         trial = _tried(samples, one.model, best.whitened_selection)
-        if _is_better(trial, best, WORTH) or trial.unexplained < PREDICTED:
+        if _is_better(trial, best, deciding.WORTH) or trial.unexplained < deciding.PREDICTED:
             return trial
     return best
 
@@ -294,7 +280,7 @@ def _climb_exact_models(
             continue
         candidate = _tried(samples, model, best.whitened_selection)
         residuals[model.name] = candidate.unexplained
-        best = candidate if _is_better(candidate, best, WORTH) else best
+        best = candidate if _is_better(candidate, best, deciding.WORTH) else best
     return best, residuals
 
 
@@ -391,7 +377,7 @@ def explain(samples: Samples, models: Sequence[PolicyModel], rng: np.random.Gene
                 continue
             if same:
                 best = _best_of(found)
-                is_answered = _left(samples, best.fit) <= ABOVE_NOISE * noise
+                is_answered = _left(samples, best.fit) <= deciding.ABOVE_NOISE * noise
                 if is_answered and (s < commanded or _is_hopeless(same, best)):
                     continue
                 most = _most(same)  # were noise all that the richer model leaves:
@@ -430,7 +416,7 @@ def _is_hopeless(same: Sequence[Explanation], best: Explanation) -> bool:
 def _explained(samples: Samples, fit: JointFit) -> Explanation:
     task, n_octaves = _task_nats(samples, fit.whitened_selection)
     fit = cross_validated(samples, fit)
-    predicts = fit.held_out <= PREDICTS_NOISE * max(fit.energy, _resolved(samples))
+    predicts = fit.held_out <= deciding.PREDICTS_NOISE * max(fit.energy, _resolved(samples))
     price = 0.5 * n_octaves * np.log(len(samples))
     nats = task + _null_nats(samples, fit.n_rows, fit.model, _left(samples, fit)) - price
     return Explanation(fit, float(nats), task, predicts)
@@ -471,7 +457,7 @@ def _task_nats(samples: Samples, Lambda: Float[np.ndarray, "s r"]) -> tuple[floa
 
 def _resolved(samples: Samples) -> float:
     """Variance [(rad/s)^2] that is noise enough."""
-    return RESOLVED_SHARE**2 * samples.energy / samples.nv
+    return deciding.RESOLVED_SHARE**2 * samples.energy / samples.nv
 
 
 def _left(samples: Samples, fit: JointFit) -> float:
@@ -495,7 +481,7 @@ def _count_commanded(samples: Samples, models: Sequence[PolicyModel]) -> int:
         return 0
     constant = PolynomialModel(0, samples.q.shape[1])
     left, everything = (conditional_pca(samples, model)[0] for model in (rich[-1], constant))
-    return int(np.count_nonzero(left > NOT_THE_POLICYS * everything))
+    return int(np.count_nonzero(left > deciding.NOT_THE_POLICYS * everything))
 
 
 def _fit_from_starts(
@@ -512,6 +498,6 @@ def _fit_from_starts(
         samples,
         model,
         itertools.chain([conditional_pca(samples, model)[1][:s]], warm, random),
-        lambda best: s in (0, samples.n_rows) or _left(samples, best) <= ABOVE_NOISE * noise,
+        lambda best: s in (0, samples.n_rows) or _left(samples, best) <= deciding.ABOVE_NOISE * noise,
         **COMPARE,
     )

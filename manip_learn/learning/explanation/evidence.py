@@ -13,15 +13,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.learning.deciding import (
-    CHANGE_SECONDS,
-    FAR_FROM_HELD,
-    FAR_OFF_SHARE,
-    HELD_SHARES,
-    HELD_STEADY,
-    SHORTEST_STRETCH_SECONDS,
-    SWITCH_NATS,
-)
+from manip_learn.learning import deciding
 from manip_learn.learning.explanation.row_motion import RowMotion
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -63,16 +55,16 @@ def evidence(
     held = np.minimum(floor + share * free, free)
     offset, slope = 0.5 * s * np.log(free / held), 0.5 * (1.0 / held - 1.0 / free)
     exponent = np.minimum(offset[:, None] - energy[:, :, None] * slope[:, None], 50.0)
-    ratio = np.log(FAR_OFF_SHARE + (1.0 - FAR_OFF_SHARE) * np.exp(exponent))
-    return ratio * (motion.weight[:, None, None] / CHANGE_SECONDS)
+    ratio = np.log(deciding.FAR_OFF_SHARE + (1.0 - deciding.FAR_OFF_SHARE) * np.exp(exponent))
+    return ratio * (motion.weight[:, None, None] / deciding.CHANGE_SECONDS)
 
 
 # the scales among which a hypothesis takes the one with the most evidence, about half a decade apart
-SCALES = tuple(HeldScale(steady, share) for steady in HELD_STEADY for share in HELD_SHARES)
+SCALES = tuple(HeldScale(steady, share) for steady in deciding.HELD_STEADY for share in deciding.HELD_SHARES)
 
 
 def gains_of(
-    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = SWITCH_NATS
+    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = deciding.SWITCH_NATS
 ) -> Float[np.ndarray, "g h"]:
     """Evidence of each trajectory for each hypothesis: of the best sequence of held and free stretches, or, as in a cut
     recording, of a single state throughout.
@@ -93,14 +85,14 @@ def gains_of(
 
 
 def held_by(
-    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = SWITCH_NATS
+    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = deciding.SWITCH_NATS
 ) -> Bool[np.ndarray, "n h"]:
     """Which samples each hypothesis holds in, taken on its own: the sequences of `gains_of`."""
     return _sequences(values[None], first, switch) > 0
 
 
 def states_of(
-    values: Float[np.ndarray, "n k"], first: Int[np.ndarray, " m"], switch: float = SWITCH_NATS
+    values: Float[np.ndarray, "n k"], first: Int[np.ndarray, " m"], switch: float = deciding.SWITCH_NATS
 ) -> Int[np.ndarray, " n"]:
     """Most likely state of each sample: 0 free motion, k the k-th hypothesis; or, as in a cut recording, a single state
     throughout.
@@ -189,7 +181,7 @@ def stretches_of(motion: RowMotion, states: Int[np.ndarray, " n"], state: int) -
             continue
         number = int(motion.trajectory[a])
         start, end = float(motion.time[a + inside[0]]), float(motion.time[a + inside[-1]])
-        long = end - start >= SHORTEST_STRETCH_SECONDS
+        long = end - start >= deciding.SHORTEST_STRETCH_SECONDS
         if state:
             start = float(motion.ends[number, 0]) if a == motion.first[number] else start
             end = float(motion.ends[number, 1]) if b == motion.first[number + 1] else end
@@ -207,14 +199,19 @@ def sharpened(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretches: Sequ
     for s in stretches:
         inside = covered(motion, [s])
         time = motion.time[inside]
-        inner = (time >= s.start + SHORTEST_STRETCH_SECONDS) & (time <= s.end - SHORTEST_STRETCH_SECONDS)
-        if s.duration < 4.0 * SHORTEST_STRETCH_SECONDS or np.count_nonzero(inner) < 10:
+        inner = (time >= s.start + deciding.SHORTEST_STRETCH_SECONDS) & (
+            time <= s.end - deciding.SHORTEST_STRETCH_SECONDS
+        )
+        if s.duration < 4.0 * deciding.SHORTEST_STRETCH_SECONDS or np.count_nonzero(inner) < 10:
             out.append(s)
             continue
         way = np.cumsum(motion.rates[inside] * motion.weight[inside, None], axis=0) @ rows.T
         away = np.linalg.norm(way - np.median(way[inner], axis=0), axis=1)
-        left = time[(away > FAR_FROM_HELD * np.quantile(away[inner], 0.9)) & ~inner]
-        before, after = left[left < s.start + SHORTEST_STRETCH_SECONDS], left[left > s.end - SHORTEST_STRETCH_SECONDS]
+        left = time[(away > deciding.FAR_FROM_HELD * np.quantile(away[inner], 0.9)) & ~inner]
+        before, after = (
+            left[left < s.start + deciding.SHORTEST_STRETCH_SECONDS],
+            left[left > s.end - deciding.SHORTEST_STRETCH_SECONDS],
+        )
         first, last = motion.ends[s.trajectory]
         start = float(time[time > before[-1]][0]) if len(before) and s.start > first else s.start
         end = float(time[time < after[0]][-1]) if len(after) and s.end < last else s.end
@@ -227,8 +224,8 @@ def cut(trajectory: Trajectory, stretch: Stretch) -> slice | None:
     three are left, which are no motion.
     """
     time = trajectory.time
-    start = stretch.start if stretch.start <= time[0] else stretch.start + CHANGE_SECONDS
-    end = stretch.end if stretch.end >= time[-1] else stretch.end - CHANGE_SECONDS
+    start = stretch.start if stretch.start <= time[0] else stretch.start + deciding.CHANGE_SECONDS
+    end = stretch.end if stretch.end >= time[-1] else stretch.end - deciding.CHANGE_SECONDS
     inside = np.flatnonzero((time >= start) & (time <= end))
     return slice(int(inside[0]), int(inside[-1]) + 1) if len(inside) > 2 else None
 
