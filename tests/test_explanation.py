@@ -457,6 +457,22 @@ def test_rows_are_fitted_to_the_samples_that_weigh():
     assert row_space_angle(held, complement_rows(np.atleast_2d(truth["mechanisms"][0]["axis"]))) < np.radians(0.2)
 
 
+def test_evidence_is_the_ratio_of_two_normal_densities():
+    """Of each sample, s rows of variance (steady sigma)^2 + share^2 f against rows of variance f, two in a hundred far
+    off, a tenth of a second counting as one; at most the density that a standstill has.
+    """
+    motion = flat_motion(still, still)
+    energy = np.abs(np.random.default_rng(1).standard_normal((len(motion), 2))) * 1e-4
+    motion = dataclasses.replace(motion, noise=np.full(len(motion), 1e-6))
+    scales = [HeldScale(3.0, 0.01), HeldScale(1.0, 0.1)]
+    found = evidence(motion, energy, 2, scales)
+    for (i, h, k), value in np.ndenumerate(found[::97]):
+        i, f = 97 * i, motion.free[97 * i]
+        held = scales[k].steady ** 2 * 1e-6 + scales[k].share ** 2 * f
+        ratio = (f / held) ** (2 / 2) * np.exp(-0.5 * energy[i, h] * (1.0 / held - 1.0 / f))
+        assert value == pytest.approx(np.log(0.02 + 0.98 * ratio) * motion.weight[i] / 0.1, rel=1e-9)
+
+
 def test_standstill_says_nothing():
     """Without motion the evidence for and against a constraint is zero."""
     features, trajectories, _ = recordings("drawer", "panda", 2011, 5)

@@ -8,7 +8,7 @@ from generated_motions import arm_features, guided_motions, oblique, planar_feat
 
 from manip_learn.constraint.features import CustomFeatures, FeatureMap, FrameJacobian
 from manip_learn.errors import RecordingError
-from manip_learn.learning.recombination import RowEvidence, _arrangements, _moments, recombination_test
+from manip_learn.learning.recombination import RowEvidence, _arrangements, _moments, phase_paths, recombination_test
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 
@@ -144,6 +144,35 @@ def test_chance_counts_the_recorded_motion_itself():
     features, trajectories = held_motions(2, 4)
     close = recombination_test(features, trajectories, np.random.default_rng(0), believed=found.lower[1])
     assert close.n_recombinations >= 4 * 199
+
+
+def test_paths_are_walked_by_their_share_of_the_way(rng):
+    """The joints of another trajectory move between the same phases, ahead by a shift; what leaves at the end comes in
+    at the start. Bins weigh as fast as they are passed, and a path run from its end keeps its displacements.
+    """
+    features, trajectories = held_motions(2, 4)
+    path = phase_paths(trajectories)[0]
+    steps = rng.standard_normal((4 * path.n_bins, 7))
+    g = len(steps)
+    way = np.concatenate([np.zeros((1, 7)), np.cumsum(np.tile(steps, (3, 1)), axis=0)])
+    for shift in (0.0, 0.3, 1.3):
+        at = (path.edges + shift) * g
+        expected = np.diff([[np.interp(x, np.arange(len(way)), way[:, j]) for j in range(7)] for x in at], axis=0)
+        np.testing.assert_allclose(path.displacements(steps, shift), expected, atol=1e-9)
+    assert path.edges[0] == 0.0 and path.edges[-1] == 1.0 and np.all(np.diff(path.edges) > 0.0)
+    assert np.array_equal(path.bins, np.sort(path.bins)) and path.bins[0] == 0 and path.bins[-1] == path.n_bins - 1
+    back = path.reverse()
+    np.testing.assert_allclose(back.bin_steps(), path.bin_steps()[::-1], atol=1e-15)
+    np.testing.assert_allclose(back.reverse().edges, path.edges)
+    np.testing.assert_array_equal(back.reverse().bins, path.bins)
+    time, u = np.linspace(0.0, 4.0, 401), np.ones((401, 2))
+    u[:200] *= 3.0  # three quarters of the way in half of the time
+    made = [Trajectory(time, np.cumsum(u, axis=0), u) for _ in range(3)]
+    (walked, *_) = phase_paths(made)
+    assert walked.n_bins == 16 and np.abs(walked.steps.sum(axis=0)) == pytest.approx([np.sqrt(2.5)] * 2, rel=0.01)
+    weight = np.sort(walked.weight)  # of four slow bins and twelve fast ones
+    np.testing.assert_allclose(weight / weight[0], [1.0] * 4 + [3.0] * 12, rtol=0.03)
+    assert np.mean(weight) == pytest.approx((8.0 / np.sqrt(2.5)) ** 2, rel=0.02)  # the squared length of the way
 
 
 def test_each_joint_moves_as_in_its_own_donor(rng):
