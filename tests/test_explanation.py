@@ -289,6 +289,8 @@ def test_stretches_are_as_long_as_what_moves_in_them():
     assert np.count_nonzero(covered(motion, held)) == 80 + 401
     assert held[0].shared(Stretch(0, 1.0, 1.5)) == pytest.approx(0.29)
     assert held[0].shared(Stretch(0, 2.5, 3.0)) == held[0].shared(Stretch(1, 1.0, 1.5)) == 0.0
+    rests = flat_motion(lambda time: 0.0 * time, lambda time: 0.0 * time, pause=(3.5, 9.0))
+    assert stretches_of(rests, np.ones(len(rests), dtype=int), 1) == (Stretch(0, 0.0, 4.0), Stretch(1, 0.0, 4.0))
     t = Trajectory(motion.time[:401], np.zeros((401, 2)), np.zeros((401, 2)))
     span, whole = cut(t, Stretch(0, 0.995, 2.005)), cut(t, Stretch(0, 0.0, 4.0))
     assert whole == slice(0, 401) and span is not None
@@ -499,6 +501,9 @@ def test_the_best_sequence_ignores_what_is_shorter_than_a_change_is_worth():
     assert np.array_equal(states_of(values[:, :1], first, switch=10.0), np.where(expected == 1, 1, 0))
     assert np.array_equal(held_by(values, first, switch=10.0)[:, 0], expected == 1)
     assert gains_of(values, first, switch=10.0)[0, 0] == pytest.approx(57.0 - 3.0 - 10.0)
+    late = np.where(np.arange(200) < 40, -1.0, 1.0)[:, None]
+    assert gains_of(late, first, switch=10.0)[0, 0] == gains_of(late[::-1], first, switch=10.0)[0, 0] == 160.0 - 10.0
+    assert gains_of(late, np.array([0, 50, 200]), switch=10.0)[:, 0].tolist() == [0.0, 150.0]
     brief = np.full((5, 1), 1.0)
     assert gains_of(brief, np.array([0, 5]), switch=10.0)[0, 0] == 5.0
     assert np.all(states_of(brief, np.array([0, 5]), switch=10.0) == 1)
