@@ -22,7 +22,7 @@ import pinocchio as pin
 from manip_learn.errors import RobotError, UnknownNameError
 from manip_learn.robot.description.catalogue import find_robot
 from manip_learn.robot.description.mjcf import validate_mjcf
-from manip_learn.robot.description.text import expanded_xacro, read_description
+from manip_learn.robot.description.text import read_description
 from manip_learn.robot.description.urdf import (
     LARGE,
     MAX_NAME,
@@ -37,6 +37,7 @@ from manip_learn.robot.description.urdf import (
     kinematic_urdf,
 )
 from manip_learn.robot.description.validation import Mimics, validate_urdf
+from manip_learn.robot.description.xacro_expansion import expanded_xacro
 from manip_learn.robot.joints import COORDINATE_SUFFIXES, Mimic
 from manip_learn.robot.robot import Robot
 

@@ -193,7 +193,7 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
         """
-        q = self._finite_vector(q)
+        q = self.checked_posture(q)
         if self.nq == self.nv:
             return q
         if q.shape[0] == self.nv:
@@ -206,9 +206,6 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size, NaN or infinity.
         """
-        return self._finite_vector(q)
-
-    def _finite_vector(self, q: ArrayLike) -> np.ndarray:
         if type(q) is np.ndarray and q.shape == self._shape and is_plain(q) and math.isfinite(sum(q.tolist())):
             return q  # the case of every control step
         vector = _float_vector(q, "a configuration")
@@ -261,7 +258,7 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        vector = self._finite_vector(q)
+        vector = self.checked_posture(q)
         if vector.shape[0] == self.nv:
             return vector
         vector = self._normalised(vector)
@@ -307,7 +304,7 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        vector = self._finite_vector(q)
+        vector = self.checked_posture(q)
         step = self.velocity(v)
         if vector.shape[0] == self.nv and self._positions_add_up:
             return vector + step
@@ -358,10 +355,10 @@ class Robot:
     def pinocchio_configuration(self, q: ArrayLike) -> Float[np.ndarray, " n"]:
         """Configuration of the underlying Pinocchio model, mimic joints included."""
         if self._plain:
-            return self._finite_vector(q)
+            return self.checked_posture(q)
         if self._coupling is None:
             return self.configuration(q)
-        vector = self._finite_vector(q)
+        vector = self.checked_posture(q)
         # of joint positions the full turns count: a follower at half speed is elsewhere after one
         return self._expanded(self.configuration(vector), vector if vector.shape[0] == self.nv else None)
 
