@@ -11,22 +11,23 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-from jaxtyping import Float
 
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.experiments import charts
+from manip_learn.experiments.charts import Panel, strips
 from manip_learn.experiments.experiment_result import (
-    ExperimentResult,
+    TrialsResult,
     markdown_table,
     median_and_worst,
     number,
     percent,
+    share,
     summary,
 )
 from manip_learn.experiments.sawyer import recordings_folder
-from manip_learn.experiments.trial_runner import a_tenth, of_trials
+from manip_learn.experiments.trial_runner import of_trials
 from manip_learn.learning.learner import ConstraintLearner
+from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import load_demonstrations
 from manip_learn.robot.loading import load_robot
@@ -95,34 +96,28 @@ def recorded_trial(case: RecordedCase, rng: np.random.Generator) -> dict[str, An
         for name in windows
     }
     return _axes_found(learner, truth) | {
-        "overlap": overlap({n: [(a, b) for a, b, _ in w] for n, w in windows.items()}, spans),
+        "overlap": overlap({name: [(a, b) for a, b, _ in w] for name, w in windows.items()}, spans),
         "odd_right": {o.trajectory for o in report.odd_trajectories} == odd,
     }
 
 
 def _axes_found(learner: ConstraintLearner, truth: dict[str, Any]) -> dict[str, Any]:
-    out: dict[str, Any] = {"types_right": True, "axis_deg": None, "stated_deg": None, "inside": None}
+    nearest = []
     wanted = truth["mechanisms"][: 1 if truth["contaminated"] else None]
     for mechanism in wanted:
-        found = [r.mechanism for r in learner.reports_ if r.mechanism and r.mechanism.type == TYPES[mechanism["type"]]]
-        angles = [(axis_angle(one.axis, np.array(mechanism["axis"])), one) for one in found if one.axis is not None]
-        if not angles:
-            out["types_right"] = False
-            continue
-        angle, best = min(angles, key=lambda pair: pair[0])
-        if out["axis_deg"] is None or angle > out["axis_deg"]:
-            stated = best.uncertainty.get("axis")
-            out |= {
-                "axis_deg": angle,
-                "stated_deg": stated,
-                "inside": None if stated is None else bool(angle <= stated),
-            }
-    return out
-
-
-def axis_angle(axis: Float[np.ndarray, " 3"], true: Float[np.ndarray, " 3"]) -> float:
-    """Angle between two lines [deg]."""
-    return float(np.degrees(np.arcsin(min(1.0, float(np.linalg.norm(np.cross(axis, true)))))))
+        true = np.array([mechanism["axis"]])
+        nearest += sorted(
+            (float(np.degrees(row_space_angle(true, one.axis[None]))), one.uncertainty.get("axis"))
+            for one in (report.mechanism for report in learner.reports_)
+            if one is not None and one.type == TYPES[mechanism["type"]] and one.axis is not None
+        )[:1]
+    angle, stated = max(nearest, default=(None, None))
+    return {
+        "types_right": len(nearest) == len(wanted),
+        "axis_deg": angle,
+        "stated_deg": stated,
+        "inside": None if stated is None else angle <= stated,
+    }
 
 
 def overlap(true: Mapping[str, list[tuple[float, float]]], found: Mapping[str, list[tuple[float, float]]]) -> float:
@@ -136,42 +131,22 @@ def overlap(true: Mapping[str, list[tuple[float, float]]], found: Mapping[str, l
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class RecordedResult(ExperimentResult):
-    """Outcome of every trial.
-
-    Attributes:
-        outcomes: Case -> one dictionary per trial, see `recorded_trial`.
-    """
-
-    outcomes: dict[RecordedCase, list[dict[str, Any]]]
+class RecordedResult(TrialsResult):
+    """Outcome of every trial, see `recorded_trial`."""
 
     def to_dict(self) -> dict[str, Any]:
         """Ours; the paper has cut recordings of one known task."""
-        ours = {}
-        for case, trials in self.outcomes.items():
-            answered = [t for t in trials if "refused" not in t]
-            inside = [t["inside"] for t in answered if t["inside"] is not None]
-            ours[case.said] = {
-                "axis_deg": summary(t["axis_deg"] for t in answered),
-                "stated_deg": summary(t["stated_deg"] for t in answered),
-                "inside": float(np.mean(inside)) if inside else None,
-                "overlap": summary(t["overlap"] for t in answered),
-                "types_right": sum(t["types_right"] for t in answered) / len(trials),
-                "odd_right": sum(t["odd_right"] for t in answered) / len(trials),
-                "refused": 1.0 - len(answered) / len(trials),
+        ours = {
+            said: {what: summary(t.get(what) for t in trials) for what in ("axis_deg", "stated_deg", "overlap")}
+            | {
+                "inside": share(t["inside"] for t in trials if t.get("inside") is not None),
+                **{what: share(t.get(what, False) for t in trials) for what in ("types_right", "odd_right")},
+                "refused": share("refused" in t for t in trials),
                 "trials": len(trials),
             }
+            for said, trials in self.outcomes.items()
+        }
         return {"paper": None, "ours": ours}
-
-    def rows(self) -> list[dict[str, Any]]:
-        """One line per trial."""
-        keys = ("refused", "types_right", "axis_deg", "stated_deg", "inside", "overlap", "odd_right")
-        return [
-            {"case": case.said, "trial": i, **{k: t.get(k, "") for k in keys}}
-            for case, trials in self.outcomes.items()
-            for i, t in enumerate(trials)
-        ]
 
     def markdown(self) -> str:
         """One line a folder."""
@@ -180,26 +155,19 @@ class RecordedResult(ExperimentResult):
             inside = "-" if block["inside"] is None else f"{percent(block['inside'])} of {block['trials']}"
             lines.append([said, percent(block["types_right"]), median_and_worst(block["axis_deg"])])
             lines[-1] += [number(block["stated_deg"]["median"]), inside]
-            lines[-1] += [f"{block['overlap']['median']:.2f}", percent(block["odd_right"])]
-        header = [
-            "recordings",
-            "mechanisms found",
-            "axis or normal [deg], median (worst)",
-            "stated 68 % [deg]",
-            "truth inside",
-        ]
-        return markdown_table([*header, "contact, overlap in time", "odd ones named, no others"], lines)
+            lines[-1] += [number(block["overlap"]["median"]), percent(block["odd_right"])]
+        header = ["recordings", "mechanisms found", "axis or normal [deg], median (worst)", "stated 68 % [deg]"]
+        header += ["truth inside", "contact, overlap in time", "odd ones named, no others"]
+        return markdown_table(header, lines)
 
     def figures(self) -> dict[str, Figure]:
         """Angles of all trials."""
-        figure, axes = charts.new_figure(7.0, 4.2)
-        values = {
-            c.said: [t["axis_deg"] for t in ts if t.get("axis_deg") is not None] for c, ts in self.outcomes.items()
+        angles = {
+            said: [t["axis_deg"] for t in trials if t.get("axis_deg") is not None]
+            for said, trials in self.outcomes.items()
         }
-        charts.strip(axes[0, 0], values)
-        axes[0, 0].set_ylabel("angle of axis or normal [deg],\nlearnt as shipped")
-        axes[0, 0].set_xlabel("recordings; a dot is a trial, a bar the median")
-        return {"recorded": figure}
+        panel = Panel(angles, "angle of axis or normal [deg],\nlearnt as shipped")
+        return {"recorded": strips([[panel]], "recordings; a dot is a trial, a bar the median", 7.0, 4.2)}
 
 
-RECORDED = of_trials("recorded", recorded_trial, {case: case for case in CASES}, RecordedResult, a_tenth)
+RECORDED = of_trials("recorded", recorded_trial, {case.said: case for case in CASES}, RecordedResult, 0.1)
