@@ -148,7 +148,7 @@ def test_scaled_rows(rng):
     assert_allclose(scaled(q), factor[:, None] * planar_features()(q))
     assert_allclose(scaled.batch(q[None])[0], scaled(q))
     assert_allclose(differences(scaled, q), scaled.derivative(q), atol=1e-6)
-    assert scaled.row_units == ("m / 100", "m / 100", "rad / 1")
+    assert scaled.row_units == ("m/s / 100", "m/s / 100", "rad/s / 1")
 
 
 def test_every_way_to_learn_learns(rng):

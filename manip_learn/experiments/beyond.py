@@ -48,7 +48,7 @@ CURVES = {
     "circle": np.array([[-0.6, 0.4, 1.0, 0.0, 1.0]]),
     "ellipse": np.array([[-0.3, -0.2, 1.0, 0.6, 2.5]]),
 }
-CURVE_DEMONSTRATIONS, CURVE_SAMPLES, CURVE_STEP = 20, 40, 0.02
+CURVE_DEMONSTRATIONS, CURVE_SAMPLES, CURVE_STEP = 20, 40, 0.02  # [s]
 LEGS = {"fl": (0.25, 0.15), "fr": (0.25, -0.15), "hl": (-0.25, 0.15), "hr": (-0.25, -0.15)}  # hips [m]
 THIGH, SHANK = 0.25, 0.25  # [m]
 STANCE = (0.1, 0.7, -1.4)  # abduction, hip, knee [rad]
@@ -57,13 +57,14 @@ BALANCE = {
     "stand, mass over one place": np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
     "stand, mass in a slanted plane": np.array([[0.6, 0.0, 0.8]]),
 }
-LEGGED_DEMONSTRATIONS, LEGGED_SAMPLES, LEGGED_STEP = 10, 40, 0.02
+LEGGED_DEMONSTRATIONS, LEGGED_SAMPLES, LEGGED_STEP = 10, 40, 0.02  # [s]
 LENGTHS = np.array([0.5, 0.5, 0.4, 0.3])  # [m]
 MASSES = np.array([3.0, 2.0, 1.5, 1.0])  # at the end of each link [kg]
 ROTORS = 0.05  # inertia of each drive [kg m^2]
 REST = np.array([0.4, 0.6, 0.5, 0.4])  # [rad]
 STIFFNESS, DAMPING = 6.0, 2.0  # of the free part [N m/rad], of the joints [N m s/rad]
 NAMES = ("torque1", "torque2", "torque3", "torque4")
+# name -> rows of the acceleration of the tip and its heading
 TORQUE_TASKS = {
     "tip accelerates along x and y": np.eye(3)[:2],
     "tip accelerates along 30 degrees": np.array([[np.cos(np.pi / 6), np.sin(np.pi / 6), 0.0]]),
@@ -73,7 +74,7 @@ TORQUE_DEMONSTRATIONS, TORQUE_SAMPLES, TORQUE_STEP, TORQUE_EVERY = 40, 25, 0.002
 
 # gradients of the monomials, LINEAR + BENT q
 LINEAR = np.eye(5, 2)
-BENT = np.zeros((5, 2, 2))
+BENT = np.zeros((5, 2, 2))  # second derivatives
 BENT[2, 0, 0] = BENT[4, 1, 1] = 2.0
 BENT[3, 0, 1] = BENT[3, 1, 0] = 1.0
 
@@ -252,7 +253,7 @@ def torque_demonstrations(
     return recorded(TORQUE_STEP * TORQUE_EVERY, q, noisy, NAMES, "reach"), Lambda
 
 
-NOISES = (0.0, 0.01)
+NOISES = (0.0, 0.01)  # shares of each column's root mean square
 
 
 @final

@@ -244,8 +244,8 @@ def _refusals(learner: dict[str, Any]) -> str:
     return f"; {percent(learner['refused'])} refused" if learner["refused"] else ""
 
 
-NOISES = (0.001, 0.005, 0.01, 0.02, 0.05, 0.10)
-TRAJECTORIES = (1, 2, 5, 10, 20, 50, 100, 200)
+NOISES = (0.001, 0.005, 0.01, 0.02, 0.05, 0.10)  # shares of each joint's root mean square action
+TRAJECTORIES = (1, 2, 5, 10, 20, 50, 100, 200)  # demonstrations of 10 samples
 NOISE, SIZE = 0.01, 100  # of the line over trajectories, of the line over noise
 LEARNERS = ("auto", "joint-affine", "separate-row-by-row", "closed-form")
 DRAWS = 50  # answers at the bound for each trial
@@ -254,7 +254,7 @@ DRAWS = 50  # answers at the bound for each trial
 @final
 @dataclass(frozen=True)
 class NoisyCase:
-    """What is demonstrated.
+    """A kind of noisy demonstrations.
 
     Attributes:
         setup: Rows, noise and number of trajectories.

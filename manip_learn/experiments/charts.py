@@ -50,6 +50,7 @@ def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **o
     return figure, axes
 
 
+# 110 dots per inch: pictures of the pages stay below 200 kB; no dates or versions, so that the bytes are the same
 KINDS: dict[str, Any] = {"png": {"dpi": 110, "metadata": {"Software": None}}, "svg": {"metadata": {"Date": None}}}
 
 
@@ -76,8 +77,8 @@ class Panel:
     """One part of a chart.
 
     Attributes:
-        values: What is said below a column -> its values.
-        says: What is on the vertical axis, with its unit.
+        values: Words below a column -> its values.
+        says: Words of the vertical axis, with its unit.
         title: Above the panel.
         paper: The paper's mean, drawn as a line across.
     """
@@ -93,7 +94,7 @@ def strips(panels: Sequence[Sequence[Panel]], across: str, width: float = 11.0, 
 
     Args:
         panels: Lines of panels; a line is as long as the others.
-        across: What a column is, and what a dot is.
+        across: Words of the horizontal axis: the meaning of a column and of a dot.
         width: Of the figure [inch].
         height: Of the figure [inch].
     """

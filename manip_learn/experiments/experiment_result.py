@@ -56,7 +56,7 @@ class TrialsResult(ExperimentResult):
     outcomes: dict[str, list[dict[str, Any]]]
 
     def rows(self) -> list[dict[str, Any]]:
-        """One line per trial: its case, and every number under its key; keys of what is nested are joined by dots."""
+        """One line per trial: its case, and every number under its key; nested keys are joined by dots."""
         lines = [
             {"case": case, "trial": i} | dict(_flat(trial))
             for case, trials in self.outcomes.items()

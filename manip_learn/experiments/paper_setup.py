@@ -43,7 +43,7 @@ PAPER_ABSTRACT = (1e-5, 1e-2)
 PAPER_RMSE: dict[str, float] = {"mean": 2.069e-4, "sd": 1.001e-4}
 # a real Sawyer that opens a drawer; its data were not published
 PAPER_SAWYER_MIE = 0.002
-PAPER_SAWYER_RMSE: dict[str, float] = {"mean": 0.220, "sd": 0.094}
+PAPER_SAWYER_RMSE: dict[str, float] = {"mean": 0.220, "sd": 0.094}  # of the policy
 
 PolicyName = Literal["attractor", "sinusoidal", "zero", "own"]
 
@@ -51,7 +51,7 @@ PolicyName = Literal["attractor", "sinusoidal", "zero", "own"]
 @final
 @dataclass(frozen=True)
 class Setup:
-    """What is demonstrated.
+    """A kind of demonstrations.
 
     Attributes:
         rows: Constrained rows, words of `"x y rz"`; `"oblique"` draws two random directions each time.

@@ -23,7 +23,7 @@ from manip_learn.linalg import one_thread
 from manip_learn.playback.replay_page import replay
 from manip_learn.recordings.trajectory_source import Progress
 
-MAX_TRIALS = 100_000
+MAX_TRIALS = 100_000  # more would run for months: a slip of the keyboard
 PARTS: dict[str, Experiment[Any]] = {
     "table": table.TABLE,
     "variants": table.VARIED_TABLE,

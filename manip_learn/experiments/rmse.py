@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ESTIMATORS = ("joint-affine", "joint-rbf", "separate")
-# what is compared -> words for tables; all with the root mean square over 100 points of the length of the difference
+# comparison -> words for tables; all with the root mean square over 100 points of the length of the difference
 KINDS = {
     "two_policies": "policies of two trajectories [rad/s]",
     "two_postures": "postures of two trajectories [rad]",
@@ -57,7 +57,7 @@ ROLLOUTS, POINTS = 20, 100
 @final
 @dataclass(frozen=True)
 class RmseCase:
-    """What is learnt: the constrained rows of the paper's demonstrations."""
+    """The constrained rows of the paper's demonstrations, which are to be learnt."""
 
     rows: str
 

@@ -118,10 +118,11 @@ def recordings_folder(name: str) -> Path:
     )
 
 
+# the paper's numbers: the pose that the null-space policy leads to [rad], and the starts
 DEFAULT_POSE = np.deg2rad([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0])
-START_LOW, START_HIGH = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])
-STEP, DEMONSTRATIONS, POINTS = 0.01, 50, 10
-ROLLOUTS, ROLLOUT_POINTS = 20, 100
+START_LOW, START_HIGH = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])  # [rad]
+STEP, DEMONSTRATIONS, POINTS = 0.01, 50, 10  # [s]
+ROLLOUTS, ROLLOUT_POINTS = 20, 100  # that the RMSE is taken over, samples of each
 DAMPING = 0.05  # of the rollouts' inverse [m]; targets may be out of reach
 
 Source = Literal["model", "kind physics", "hard physics"]
@@ -210,7 +211,7 @@ def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
 
 
 def drawn(case: SawyerCase, true: Constraint, rng: Generator) -> tuple[Demonstrations, Demonstrations]:
-    """What is learnt from, and what it is tested on: none of the latter is among the former."""
+    """Demonstrations to learn from, and others to test on: none is in both."""
     if case.source == "model":
         return simulated(true, rng), simulated(true, rng)
     opens_along_x = (case.direction == "x") == (case.reading == "free direction")

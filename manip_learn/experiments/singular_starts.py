@@ -38,7 +38,7 @@ POLICIES = ("zero", "attractor", "manipulability")
 LEARNT = "joint-affine"  # how Lambda is learnt, from 100 of the paper's demonstrations
 WILD = 1e6  # postures beyond have no digits left below 1e-10 of a turn: chaotic [rad]
 ROUNDING_STARTS = 20  # starts that differ by rounding
-SETTLED = 100.0  # largest joint speed after the first second of what is no leap any more [rad/s]
+SETTLED = 100.0  # joint speed after the first second above which the arm still leaps [rad/s]
 
 
 @final
@@ -84,9 +84,9 @@ class Claim:
     """A statement, and whether it holds here.
 
     Attributes:
-        text: What is claimed or expected.
+        text: The claim, or our question.
         source: `"paper"`, or `"check"` for a question of ours.
-        seen: What was measured.
+        seen: The measurement, in words.
         holds: Whether it was reproduced as printed.
         verdict: What to say in place of yes or no.
     """

@@ -44,7 +44,7 @@ Matrix = Float[np.ndarray, "s p"]
 @final
 @dataclass(frozen=True)
 class LearningCase:
-    """What is learnt from what.
+    """Demonstrations, and the ways to learn from them.
 
     Attributes:
         setup: The demonstrations.
@@ -84,14 +84,14 @@ def answers(
     Args:
         estimators: Names of `ESTIMATORS`.
         features: Phi.
-        demos: What is learnt from.
+        demos: The training set.
         true: Lambda.
         seen: Postures of the training set and of the test set.
         rng: Each way gets a generator of its own.
 
     Returns:
         Estimator -> `train` and `test` NMIE, `scale_free` NMIE on the test set, `angle_deg` between the row spaces,
-        `rows` found, `seconds`, and for `auto` whether it `warned`; or `refused`, the reason. And what was learnt.
+        `rows` found, `seconds`, and for `auto` whether it `warned`; or `refused`, the reason. And each answer, Lambda.
     """
     out: dict[str, Any] = {}
     learnt: dict[str, np.ndarray] = {}
@@ -190,7 +190,7 @@ class TableResult(TrialsResult):
 IN_VARIANTS = ("auto", "joint-affine", "separate")
 CURVED = (*IN_VARIANTS, "joint-rbf")
 OWN = (*IN_VARIANTS, "joint-own")
-# name -> what is changed, for which rows, and what learns
+# name -> the changed setup, the rows it is used for, and the ways to learn
 VARIANTS: dict[str, tuple[Setup, tuple[str, ...], tuple[str, ...]]] = {
     "1 trajectory": (Setup(trajectories=1), SELECTIONS, IN_VARIANTS),
     "5 trajectories": (Setup(trajectories=5), SELECTIONS, IN_VARIANTS),

@@ -55,8 +55,8 @@ def scaled_rows(features: FeatureMap, scales: Sequence[float]) -> CustomFeatures
     )
 
 
-STARTS_AN_ANGLE = 3
-TOLERANCE = 1e-15
+STARTS_AN_ANGLE = 3  # the search has local minima; more starts found no lower ones on the paper's reaches
+TOLERANCE = 1e-15  # of the search, relative: it stops at rounding
 
 
 def fit_row_by_row(samples: Samples, n_rows: int) -> Float[np.ndarray, "s r"]:
@@ -102,7 +102,7 @@ def _best_row(Phi: np.ndarray, w: np.ndarray, frame: np.ndarray) -> Float[np.nda
 
 
 def _beside(Phi: np.ndarray, Lambda: np.ndarray) -> Float[np.ndarray, "n r v"]:
-    """Phi N: what is left of each row of Phi in the null space of the rows so far."""
+    """Phi N: each row of Phi without its part along the rows so far."""
     s = len(Lambda)
     if s == 0:
         return Phi
@@ -140,7 +140,7 @@ def closed_form(
 
 
 def closed_form_held(task_velocity: Float[np.ndarray, "n p"], n_rows: int) -> Float[np.ndarray, "s p"]:
-    """Lambda from Lambda Phi u = 0: the same with b = 0, the smallest left singular vectors of Phi u."""
+    """Lambda from Lambda Phi u = 0 (b = 0): the left singular vectors of Phi u with the smallest singular values."""
     return np.linalg.svd(task_velocity, full_matrices=False)[2][-n_rows:]
 
 
