@@ -12,7 +12,7 @@ from numpy.random import Generator
 from threadpoolctl import threadpool_limits
 
 from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
-from manip_learn.experiments import EXPERIMENTS, beyond, bounds, recorded, reproduce, sawyer, table
+from manip_learn.experiments import EXPERIMENTS, beyond, bounds, reproduce, sawyer, table
 from manip_learn.experiments.experiment_result import markdown_table, mean_and_sd, number, share, summary
 from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup
 from manip_learn.experiments.reproduce import PARTS as EXPERIMENT_PARTS
@@ -207,7 +207,7 @@ def test_statistics_and_numbers_for_tables():
 
 def test_settings_are_plain():
     """Settings of every part become JSON, since they are part of what a kept part is found by."""
-    cases = (beyond.CASES, bounds.CASES, recorded.CASES, sawyer.CASES, table.VARIED)
+    cases = (beyond.CASES, bounds.CASES, beyond.FOLDERS, sawyer.CASES, table.VARIED)
     for case in (*(c for found in cases for c in (found.values() if isinstance(found, dict) else found)),):
         json.dumps(dataclasses.asdict(case))
     for start in (SINGULAR, NEAR_SINGULAR):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from manip_learn.experiments import bounds, recorded
+from manip_learn.experiments import beyond, bounds
 from manip_learn.experiments.bounds import (
     NoiseFreeMotion,
     affine_regressors,
@@ -205,15 +205,15 @@ def test_noises_and_sizes_are_those_announced():
     assert len(setups) == len(set(setups)) == 39
 
 
-@pytest.mark.parametrize("case", recorded.CASES, ids=lambda c: c.folder)
+@pytest.mark.parametrize("case", beyond.FOLDERS, ids=lambda c: c.folder)
 def test_uncut_recordings_and_mechanisms(case):
     """Without one recording, every mechanism is found with its axis within 0.1 degrees, and the odd ones are named."""
-    outcome = recorded.recorded_trial(case, np.random.default_rng(1))
+    outcome = beyond.recorded_trial(case, np.random.default_rng(1))
     assert outcome["types_right"] and outcome["odd_right"]
     assert outcome["axis_deg"] < 0.1 and outcome["overlap"] > 0.8
 
 
 def test_overlap_of_spans():
     """Time in both over time in either."""
-    assert recorded.overlap({"a": [(0.0, 2.0)]}, {"a": [(1.0, 3.0)]}) == pytest.approx(1.0 / 3.0)
-    assert recorded.overlap({"a": [(0.0, 1.0), (2.0, 3.0)]}, {"a": [(0.0, 1.0), (2.0, 3.0)]}) == 1.0
+    assert beyond.overlap({"a": [(0.0, 2.0)]}, {"a": [(1.0, 3.0)]}) == pytest.approx(1.0 / 3.0)
+    assert beyond.overlap({"a": [(0.0, 1.0), (2.0, 3.0)]}, {"a": [(0.0, 1.0), (2.0, 3.0)]}) == 1.0

@@ -15,7 +15,7 @@ import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import ExperimentError, UnknownNameError
-from manip_learn.experiments import beyond, bounds, recorded, rmse, sawyer, singular_starts, table
+from manip_learn.experiments import beyond, bounds, rmse, sawyer, singular_starts, table
 from manip_learn.experiments.charts import save_figure
 from manip_learn.experiments.experiment_result import ExperimentResult
 from manip_learn.experiments.trial_runner import BACKENDS, Backend, Experiment, PartStore, TrialRunner
@@ -32,7 +32,7 @@ PARTS: dict[str, Experiment[Any]] = {
     "singular-start": singular_starts.FROM_SINGULAR,
     "near-singular-start": singular_starts.FROM_NEAR_SINGULAR,
     "sawyer": sawyer.SAWYER,
-    "recorded": recorded.RECORDED,
+    "recorded": beyond.RECORDED,
     "beyond": beyond.BEYOND,
 }
 # name that a user gives -> parts
