@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from manip_learn.constraint.compiled_rows import add, dot, joint_weights, orthogonalised, rows_vjp, solve_transposed
+from manip_learn.constraint.compiled_rows import dot, joint_weights, orthogonalised, rows_vjp, solve_transposed
 from manip_learn.constraint.small_matrices import LEAST_SINGULAR_RATIO
 from manip_learn.control.compiled import step_table as table
 from manip_learn.robot.batch.compiled_kinematics import (
